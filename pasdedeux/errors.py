@@ -1,0 +1,17 @@
+"""The errors of the science: one root, a few children, all of them survive pickling."""
+
+from __future__ import annotations
+
+__all__ = ["FormatError", "InputError", "PasdedeuxError"]
+
+
+class PasdedeuxError(Exception):
+    """Root of every error that the science raises on purpose; the message is one clear sentence."""
+
+
+class InputError(PasdedeuxError):
+    """Values given by a user are not allowed: says what was found and what is allowed."""
+
+
+class FormatError(InputError):
+    """A file's content cannot be read as what it claims to be: says which line or frame, what is wrong, what is allowed."""

@@ -1,0 +1,140 @@
+"""Forward kinematics, bone lengths, and rotations recovered from positions."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.kinematics.alignment import best_rotation
+from pasdedeux.kinematics.rotations import (
+    conjugate,
+    multiply,
+    rotate,
+    rotmat_from_unitquat,
+    swing_between,
+    unitquat_from_rotmat,
+)
+from pasdedeux.skeletons import Skeleton
+
+__all__ = ["bone_directions", "bone_lengths", "forward_kinematics", "local_rotations", "place_bones"]
+
+Array = npt.NDArray[np.float64]
+
+
+def forward_kinematics(
+    skeleton: Skeleton, rest_offsets_m: Array, root_translation_m: Array, local_unitquat: Array
+) -> tuple[Array, Array]:
+    """Give world positions and world rotations of all joints.
+
+    Args:
+        skeleton: Tree of J joints.
+        rest_offsets_m: Offset of each joint from its parent in the parent's frame, (J, 3) or (*batch, J, 3), metres.
+            The root's own offset is ignored.
+        root_translation_m: World position of the root, (*batch, 3), metres.
+        local_unitquat: Rotation of each joint against its parent, (*batch, J, 4), x, y, z, w.
+
+    Returns:
+        World positions (*batch, J, 3) in metres and world rotations (*batch, J, 4).
+    """
+    world_unitquat = np.empty(np.shape(local_unitquat))
+    positions = np.empty((*np.shape(local_unitquat)[:-1], 3))
+    for joint in skeleton.order:
+        parent = skeleton.parents[joint]
+        if parent < 0:
+            world_unitquat[..., joint, :] = local_unitquat[..., joint, :]
+            positions[..., joint, :] = root_translation_m
+        else:
+            world_unitquat[..., joint, :] = multiply(world_unitquat[..., parent, :], local_unitquat[..., joint, :])
+            offset = np.broadcast_to(rest_offsets_m[..., joint, :], positions[..., joint, :].shape)
+            positions[..., joint, :] = positions[..., parent, :] + rotate(world_unitquat[..., parent, :], offset)
+    return positions, world_unitquat
+
+
+def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:
+    """Give the length (*batch, J) of the bone that ends in each joint, metres; 0 for the root."""
+    lengths = np.zeros(positions.shape[:-1])
+    for parent, child in skeleton.bones:
+        lengths[..., child] = np.linalg.norm(positions[..., child, :] - positions[..., parent, :], axis=-1)
+    return lengths
+
+
+def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
+    """Give the unit direction (*batch, J, 3) of the bone that ends in each joint; 0 for the root and for empty bones."""
+    directions = np.zeros(positions.shape)
+    for parent, child in skeleton.bones:
+        vector = positions[..., child, :] - positions[..., parent, :]
+        length = np.linalg.norm(vector, axis=-1, keepdims=True)
+        directions[..., child, :] = vector / np.where(length > 1e-12, length, 1.0)
+    return directions
+
+
+def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m: Array) -> Array:
+    """Give positions (*batch, J, 3) from the root (*batch, 3), unit directions (*batch, J, 3) and lengths (*batch, J)."""
+    shape = np.broadcast_shapes(directions.shape[:-1], lengths_m.shape)
+    positions = np.empty((*shape, 3))
+    for joint in skeleton.order:
+        parent = skeleton.parents[joint]
+        if parent < 0:
+            positions[..., joint, :] = root_m
+        else:
+            positions[..., joint, :] = (
+                positions[..., parent, :] + directions[..., joint, :] * lengths_m[..., joint, None]
+            )
+    return positions
+
+
+def local_rotations(
+    skeleton: Skeleton, rest_m: Array, positions: Array, reference_world_unitquat: Array | None = None
+) -> Array:
+    """Give local rotations that carry the rest pose's bones onto posed bones: swing from the bones, twist from a reference.
+
+    A joint with one child swings its reference rotation until the bone fits.  A joint with several children takes the
+    rotation that fits them best in the least-squares sense (Kabsch), started from the reference where the children do
+    not fix it.  A joint without children keeps its reference relative to its parent's correction.
+
+    Args:
+        skeleton: Tree of J joints.
+        rest_m: Rest positions (J, 3), metres.
+        positions: Posed positions (*batch, J, 3), metres.
+        reference_world_unitquat: World rotations from the rest pose (*batch, J, 4) whose twist is kept; identity
+            (swing only) when not given.
+
+    Returns:
+        Local unit quaternions (*batch, J, 4).
+    """
+    batch = positions.shape[:-2]
+    identity = np.zeros((*batch, skeleton.num_joints, 4))
+    identity[..., 3] = 1.0
+    world = np.array(identity if reference_world_unitquat is None else reference_world_unitquat, dtype=np.float64)
+    for joint in skeleton.order:
+        children = skeleton.children(joint)
+        parent = skeleton.parents[joint]
+        if reference_world_unitquat is None and parent >= 0:
+            world[..., joint, :] = world[..., parent, :]
+        if not children:
+            if reference_world_unitquat is not None and parent >= 0:
+                correction = multiply(world[..., parent, :], conjugate(reference_world_unitquat[..., parent, :]))
+                world[..., joint, :] = multiply(correction, reference_world_unitquat[..., joint, :])
+            continue
+        rest = rest_m[list(children)] - rest_m[joint]
+        posed = positions[..., list(children), :] - positions[..., joint, None, :]
+        if len(children) > 1:
+            world[..., joint, :] = _refine_rotation(world[..., joint, :], rest, posed)
+        else:
+            carried = rotate(world[..., joint, :], np.broadcast_to(rest[0], posed[..., 0, :].shape))
+            world[..., joint, :] = multiply(swing_between(carried, posed[..., 0, :]), world[..., joint, :])
+    local = np.array(world)
+    for parent, child in skeleton.bones:
+        local[..., child, :] = multiply(conjugate(world[..., parent, :]), world[..., child, :])
+    return local
+
+
+def _refine_rotation(start: Array, rest: Array, posed: Array) -> Array:
+    """Fit rotations (*batch, 4) so that `rest` (k, 3) turns into `posed` (*batch, k, 3); weakly held to `start`."""
+
+    scale = 1e-3 * np.sqrt(np.mean(rest**2) + 1e-12)
+    axes = np.broadcast_to(np.eye(3) * scale, (*posed.shape[:-2], 3, 3))
+    turned = np.swapaxes(rotmat_from_unitquat(start), -1, -2) * scale
+    source = np.concatenate([np.broadcast_to(rest, posed.shape), axes], axis=-2)
+    target = np.concatenate([posed, turned], axis=-2)
+    return unitquat_from_rotmat(best_rotation(source, target))

@@ -1,0 +1,169 @@
+"""Rotations as unit quaternions (x, y, z, w), rotation matrices and rotation vectors, over any batch axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = [
+    "angle_between",
+    "conjugate",
+    "multiply",
+    "normalise",
+    "rotate",
+    "rotmat_from_unitquat",
+    "rotvec_from_unitquat",
+    "slerp",
+    "swing_between",
+    "unitquat_from_rotmat",
+    "unitquat_from_rotvec",
+    "yaw_rotmat",
+]
+
+Array = npt.NDArray[np.float64]
+_TINY = 1e-12
+
+
+def normalise(vector: Array, *, fallback: Array | None = None) -> Array:
+    """Scale vectors (*batch, d) to length 1; a vector of length zero gives `fallback`, or zeros without one."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    unit = vector / np.where(length > _TINY, length, 1.0)
+    if fallback is None:
+        return np.where(length > _TINY, unit, 0.0)
+    return np.where(length > _TINY, unit, fallback)
+
+
+def multiply(left: Array, right: Array) -> Array:
+    """Compose rotations: `right` first, then `left`; unit quaternions (*batch, 4)."""
+    x1, y1, z1, w1 = np.moveaxis(left, -1, 0)
+    x2, y2, z2, w2 = np.moveaxis(right, -1, 0)
+    return np.stack(
+        [
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(unitquat: Array) -> Array:
+    """Invert unit quaternions (*batch, 4)."""
+    return unitquat * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def rotate(unitquat: Array, vector: Array) -> Array:
+    """Rotate vectors (*batch, 3) by unit quaternions (*batch, 4)."""
+    axis, w = unitquat[..., :3], unitquat[..., 3:]
+    twice = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * twice + np.cross(axis, twice))
+
+
+def rotmat_from_unitquat(unitquat: Array) -> Array:
+    """Give rotation matrices (*batch, 3, 3) of unit quaternions (*batch, 4)."""
+    x, y, z, w = np.moveaxis(unitquat, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def unitquat_from_rotmat(rotmat: Array) -> Array:
+    """Give unit quaternions (*batch, 4), w >= 0, of rotation matrices (*batch, 3, 3).
+
+    Takes the best conditioned of the four classical forms for each matrix.
+    """
+    m = rotmat
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    diagonal = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2], trace], axis=-1)
+    choice = np.argmax(diagonal, axis=-1)
+    x = np.stack(
+        [
+            1 + 2 * m[..., 0, 0] - trace,
+            m[..., 0, 1] + m[..., 1, 0],
+            m[..., 0, 2] + m[..., 2, 0],
+            m[..., 2, 1] - m[..., 1, 2],
+        ],
+        axis=-1,
+    )
+    y = np.stack(
+        [
+            m[..., 0, 1] + m[..., 1, 0],
+            1 + 2 * m[..., 1, 1] - trace,
+            m[..., 1, 2] + m[..., 2, 1],
+            m[..., 0, 2] - m[..., 2, 0],
+        ],
+        axis=-1,
+    )
+    z = np.stack(
+        [
+            m[..., 0, 2] + m[..., 2, 0],
+            m[..., 1, 2] + m[..., 2, 1],
+            1 + 2 * m[..., 2, 2] - trace,
+            m[..., 1, 0] - m[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    w = np.stack(
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1], 1 + trace], axis=-1
+    )
+    forms = np.stack([x, y, z, w], axis=-2)
+    unitquat = normalise(np.take_along_axis(forms, choice[..., None, None], axis=-2)[..., 0, :])
+    return np.where(unitquat[..., 3:] < 0, -unitquat, unitquat)
+
+
+def unitquat_from_rotvec(rotvec: Array) -> Array:
+    """Give unit quaternions (*batch, 4) of rotation vectors (*batch, 3) in radians; zero gives the identity."""
+    angle = np.linalg.norm(rotvec, axis=-1, keepdims=True)
+    half_sinc = 0.5 * np.sinc(angle / (2.0 * np.pi))
+    return np.concatenate([rotvec * half_sinc, np.cos(angle / 2.0)], axis=-1)
+
+
+def rotvec_from_unitquat(unitquat: Array) -> Array:
+    """Give the shortest rotation vectors (*batch, 3) in radians of unit quaternions (*batch, 4)."""
+    q = np.where(unitquat[..., 3:] < 0, -unitquat, unitquat)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 2.0)
+    return q[..., :3] * factor
+
+
+def slerp(start: Array, end: Array, fraction: Array | float) -> Array:
+    """Interpolate on the short arc between unit quaternions (*batch, 4); `fraction` (*batch,) from 0 to 1."""
+    relative = rotvec_from_unitquat(multiply(end, conjugate(start)))
+    weight = np.asarray(fraction, dtype=np.float64)
+    return multiply(unitquat_from_rotvec(relative * weight[..., None]), start)
+
+
+def swing_between(start: Array, end: Array) -> Array:
+    """Give the shortest rotations (*batch, 4) that turn directions `start` into `end`, both (*batch, 3).
+
+    Directions need not be unit.  Opposite directions turn half way about some axis square to `start`; a direction of
+    length zero gives the identity.
+    """
+    a, b = normalise(start), normalise(end)
+    cosine = np.sum(a * b, axis=-1, keepdims=True)
+    axis = np.cross(a, b)
+    helper = np.where(np.abs(a[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    half_turn = np.concatenate([normalise(np.cross(a, helper)), np.zeros_like(cosine)], axis=-1)
+    general = normalise(np.concatenate([axis, 1.0 + cosine], axis=-1))
+    is_zero = (np.linalg.norm(a, axis=-1, keepdims=True) == 0) | (np.linalg.norm(b, axis=-1, keepdims=True) == 0)
+    result = np.where(cosine < -1.0 + 1e-10, half_turn, general)
+    return np.where(is_zero, np.array([0.0, 0.0, 0.0, 1.0]), result)
+
+
+def angle_between(left: Array, right: Array) -> Array:
+    """Give the angle in radians (*batch,) between unit quaternions (*batch, 4); q and -q are the same rotation."""
+    dot = np.abs(np.sum(left * right, axis=-1))
+    return np.asarray(2.0 * np.arccos(np.clip(dot, 0.0, 1.0)))
+
+
+def yaw_rotmat(yaw_rad: Array | float) -> Array:
+    """Give rotation matrices (*batch, 3, 3) that turn by `yaw_rad` about +Y, right-handed: +Z turns towards +X."""
+    yaw = np.asarray(yaw_rad, dtype=np.float64)
+    c, s = np.cos(yaw), np.sin(yaw)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    return np.stack([np.stack([c, zero, s], -1), np.stack([zero, one, zero], -1), np.stack([-s, zero, c], -1)], axis=-2)

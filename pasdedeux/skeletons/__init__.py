@@ -1,0 +1,7 @@
+"""Skeletons: topologies, joint names, and mappings between them."""
+
+from pasdedeux.skeletons.mapping import JointMap
+from pasdedeux.skeletons.skeleton import Skeleton
+from pasdedeux.skeletons.working import BODY22, OP14, PAIR17, WORKING_SKELETONS
+
+__all__ = ["BODY22", "OP14", "PAIR17", "WORKING_SKELETONS", "JointMap", "Skeleton"]

@@ -1,0 +1,76 @@
+"""Joint mappings: how the joints of one skeleton are derived from the joints of another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons.skeleton import Skeleton
+
+__all__ = ["JointMap"]
+
+Weights = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class JointMap:
+    """Each target joint as a weighted mean of source joints; the weights of a joint sum to 1.
+
+    Args:
+        name: Name of the mapping, used in messages.
+        target: Skeleton that is derived.
+        table: For each target joint the source joints and their weights, or one source joint's name.
+
+    Raises:
+        InputError: A target joint is missing or unknown, or its weights do not sum to 1.
+    """
+
+    name: str
+    target: Skeleton
+    table: Mapping[str, str | Weights]
+
+    def __post_init__(self) -> None:
+        """Check that every target joint is there once and its weights sum to 1."""
+        missing = [joint for joint in self.target.joint_names if joint not in self.table]
+        if missing:
+            raise InputError(f"mapping '{self.name}': no source for {', '.join(missing)} of '{self.target.name}'")
+        for joint in self.table:
+            self.target.index(joint)
+            total = sum(self.weights(joint).values())
+            if abs(total - 1.0) > 1e-6:
+                raise InputError(f"mapping '{self.name}': the weights of '{joint}' sum to {total:g}, not 1")
+
+    def weights(self, joint: str) -> Weights:
+        """Give the source joints of a target joint with their weights."""
+        entry = self.table[joint]
+        return {entry: 1.0} if isinstance(entry, str) else entry
+
+    def carrier(self, joint: str) -> str:
+        """Give the source joint with the greatest weight: the one whose rotation carries the target joint."""
+        weights = self.weights(joint)
+        return max(weights, key=lambda name: weights[name])
+
+    def matrix(self, source_names: Sequence[str]) -> npt.NDArray[np.float64]:
+        """Give the weights as a matrix (target joint, source joint).
+
+        Raises:
+            InputError: A source joint of the table is not among `source_names`.
+        """
+        matrix = np.zeros((self.target.num_joints, len(source_names)))
+        for row, joint in enumerate(self.target.joint_names):
+            for source, weight in self.weights(joint).items():
+                if source not in source_names:
+                    raise InputError(
+                        f"mapping '{self.name}': joint '{source}' is not in the source; "
+                        f"known joints: {', '.join(source_names)}"
+                    )
+                matrix[row, list(source_names).index(source)] = weight
+        return matrix
+
+    def positions(self, positions: npt.NDArray[np.float64], source_names: Sequence[str]) -> npt.NDArray[np.float64]:
+        """Derive target positions (*batch, target joint, d) from source positions (*batch, source joint, d)."""
+        return np.asarray(np.einsum("ts,...sd->...td", self.matrix(source_names), positions))

@@ -1,0 +1,111 @@
+"""How a column and a table are described: name, type, unit, shape and meaning, once for the whole project."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pyarrow as pa
+
+__all__ = ["Column", "Table", "array", "boolean", "float64", "integer", "text", "text_list"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    `shape` gives the axes of a fixed-size numeric column, `axes` their names, and `joints` the skeleton whose joint
+    names the joint axis carries.  All of it travels in the Parquet field metadata.
+    """
+
+    name: str
+    type: pa.DataType
+    meaning: str
+    unit: str = ""
+    shape: tuple[int, ...] = ()
+    axes: tuple[str, ...] = ()
+    joints: str = ""
+    is_nullable: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a column whose axes do not describe its shape."""
+        if len(self.shape) != len(self.axes):
+            raise ValueError(f"column '{self.name}': {len(self.shape)} axes in its shape but {len(self.axes)} names")
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: its columns in order, and the columns by which its rows are sorted."""
+
+    name: str
+    meaning: str
+    columns: tuple[Column, ...]
+    sorted_by: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse repeated columns and sort columns that do not exist."""
+        names = [column.name for column in self.columns]
+        if len(set(names)) != len(names):
+            raise ValueError(f"table '{self.name}': a column is defined twice")
+        unknown = set(self.sorted_by) - set(names)
+        if unknown:
+            raise ValueError(f"table '{self.name}': sorted by unknown columns {sorted(unknown)}")
+
+    def column(self, name: str) -> Column:
+        """Give the column of this name, or a KeyError that lists the known ones."""
+        for column in self.columns:
+            if column.name == name:
+                return column
+        known = ", ".join(column.name for column in self.columns)
+        raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {known}")
+
+
+def text(name: str, meaning: str, *, is_nullable: bool = False) -> Column:
+    """Describe a column of strings."""
+    return Column(name=name, type=pa.string(), meaning=meaning, is_nullable=is_nullable)
+
+
+def text_list(name: str, meaning: str) -> Column:
+    """Describe a column of lists of strings."""
+    return Column(name=name, type=pa.list_(pa.string()), meaning=meaning)
+
+
+def integer(name: str, meaning: str, *, unit: str = "", is_nullable: bool = False) -> Column:
+    """Describe a column of 32-bit integers."""
+    return Column(name=name, type=pa.int32(), meaning=meaning, unit=unit, is_nullable=is_nullable)
+
+
+def boolean(name: str, meaning: str) -> Column:
+    """Describe a column of truth values."""
+    return Column(name=name, type=pa.bool_(), meaning=meaning)
+
+
+def float64(name: str, meaning: str, *, unit: str = "", is_nullable: bool = False) -> Column:
+    """Describe a column of 64-bit floats; NaN is a value, null is not used unless said."""
+    return Column(name=name, type=pa.float64(), meaning=meaning, unit=unit, is_nullable=is_nullable)
+
+
+def array(
+    name: str,
+    meaning: str,
+    *,
+    axes: dict[str, int] | None = None,
+    unit: str = "",
+    joints: str = "",
+    dtype: pa.DataType | None = None,
+) -> Column:
+    """Describe a numeric array column: fixed-size when `axes` (name -> length) is given, a flat list of varying length if not."""
+    value_type = dtype or pa.float32()
+    if axes is None:
+        return Column(name=name, type=pa.list_(value_type), meaning=meaning, unit=unit, joints=joints)
+    size = 1
+    for length in axes.values():
+        size *= length
+    return Column(
+        name=name,
+        type=pa.list_(value_type, size),
+        meaning=meaning,
+        unit=unit,
+        shape=tuple(axes.values()),
+        axes=tuple(axes),
+        joints=joints,
+    )

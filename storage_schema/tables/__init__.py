@@ -1,0 +1,36 @@
+"""Every table of the project, by name."""
+
+from __future__ import annotations
+
+from storage_schema.columns import Table
+from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKES
+from storage_schema.tables.lifting import CHAIN_INFO, CHAIN_STATES, DRAWS, JOINT_LIMITS, SEEDS, TORSO_BASIS, VIEWS
+from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_QUALITY, VARIANTS
+from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
+
+__all__ = ["TABLES"]
+
+TABLES: dict[str, Table] = {
+    table.name: table
+    for table in (
+        TAKES,
+        POSES,
+        ANNOTATIONS,
+        CAMERAS,
+        TORSO_BASIS,
+        JOINT_LIMITS,
+        VIEWS,
+        SEEDS,
+        DRAWS,
+        CHAIN_STATES,
+        CHAIN_INFO,
+        PROJECTIONS,
+        CODEBOOK,
+        MOTIONS,
+        VARIANTS,
+        VARIANT_QUALITY,
+        MODELS,
+        TRAINING_LOG,
+        SCORES,
+    )
+}

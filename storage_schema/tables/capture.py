@@ -1,0 +1,120 @@
+"""What came in: takes and their 3D poses, 2D annotations, and the cameras of virtual video."""
+
+from __future__ import annotations
+
+from storage_schema.columns import Table, array, boolean, float64, integer, text, text_list
+from storage_schema.columns import Column
+import pyarrow as pa
+
+__all__ = ["ANNOTATIONS", "CAMERAS", "POSES", "TAKES"]
+
+TAKES = Table(
+    name="takes",
+    meaning="One row per take and person: where the motion came from and the skeleton it came with.",
+    sorted_by=("take_id", "person"),
+    columns=(
+        text("take_id", "Name of the take, unique in a study"),
+        integer("person", "Person of the take, from 0; 0 is person A"),
+        text("source_name", "File name (no folder) or built-in duet the motion was read from"),
+        text("source_sha256", "sha256 of the source's bytes; of the parameters for a built-in duet"),
+        text("source_format", "bvh, asf_amc or duet"),
+        integer("num_persons", "People in this take"),
+        integer("num_frames", "Frames after resampling to the study's rate"),
+        float64("rate_hz", "Frame rate of the poses", unit="Hz"),
+        float64("source_rate_hz", "True frame rate of the source", unit="Hz"),
+        float64("metres_per_unit", "Length of one unit of the source file", unit="m"),
+        text("up_axis", "Up axis of the source file: x, y or z"),
+        text("layout", "Name of the joint mapping that derived the working skeletons"),
+        boolean("is_position_only", "The source had no rotations: local rotations are swing only"),
+        boolean("is_held_out", "The take is kept for evaluation and never matched against"),
+        text_list("joint_names", "Joints of the source's own skeleton"),
+        array("joint_parents", "Parent index of each source joint, -1 for the root", dtype=pa.int32()),
+        array("rest_offset_m", "Offset of each source joint from its parent at rest, (joint, 3) flattened", unit="m"),
+        array(
+            "body22_rest_m",
+            "Working skeleton body22 in the source's rest pose, root at the origin",
+            axes={"joint": 22, "xyz": 3},
+            unit="m",
+            joints="body22",
+        ),
+        text("licence", "Licence of the source"),
+        text("credit", "Credit line of the source"),
+    ),
+)
+
+POSES = Table(
+    name="poses",
+    meaning="One row per take, person and frame: the source's own rotations and the working skeletons' positions.",
+    sorted_by=("take_id", "person", "frame"),
+    columns=(
+        text("take_id", "Take the pose belongs to"),
+        integer("person", "Person of the take, from 0"),
+        integer("frame", "Frame at the study's rate, from 0"),
+        float64("time_s", "Time from the start of the take", unit="s"),
+        array("root_translation_m", "World position of the source's root", axes={"xyz": 3}, unit="m"),
+        array("local_unitquat", "Local unit quaternions (x, y, z, w) of the source's joints, (joint, 4) flattened"),
+        array("pair17_m", "World positions", axes={"joint": 17, "xyz": 3}, unit="m", joints="pair17"),
+        array("op14_m", "World positions", axes={"joint": 14, "xyz": 3}, unit="m", joints="op14"),
+        array("body22_m", "World positions", axes={"joint": 22, "xyz": 3}, unit="m", joints="body22"),
+        array(
+            "body22_world_unitquat",
+            "World rotation (x, y, z, w) from the rest pose of the source joint that carries each body22 joint",
+            axes={"joint": 22, "xyzw": 4},
+            joints="body22",
+        ),
+    ),
+)
+
+ANNOTATIONS = Table(
+    name="annotations",
+    meaning="One row per sequence, frame and person: 2D keypoints in pixels as given, and in the working skeletons.",
+    sorted_by=("sequence_id", "frame", "person_id"),
+    columns=(
+        text("sequence_id", "Sequence (one camera) the annotation belongs to"),
+        integer("frame", "Frame of the sequence"),
+        integer("person_id", "Person in the sequence; for virtual video the person of the take"),
+        float64("time_s", "Time from the start of the sequence", unit="s"),
+        boolean("is_key", "The annotation is one of the annotated set; false for frames kept only for velocity"),
+        boolean("is_virtual", "Made by projecting a take through a virtual camera"),
+        boolean("is_held_out", "Seen in a held-out take: evaluated, never learned from"),
+        text("take_id", "Take seen in virtual video, else null", is_nullable=True),
+        integer("take_frame", "Frame of that take, else null", is_nullable=True),
+        text("layout", "Keypoint layout as given: coco18, body25, coco17, pair17 or op14"),
+        array("keypoints_px", "Keypoints as given, (keypoint, 2) flattened; NaN where not detected", unit="px"),
+        array("keypoint_confidence", "Confidence of each keypoint as given; 0 where not detected"),
+        array("pair17_px", "Keypoints; NaN where missing", axes={"joint": 17, "xy": 2}, unit="px", joints="pair17"),
+        array("pair17_confidence", "Confidence; 0 where missing", axes={"joint": 17}, joints="pair17"),
+        array("op14_px", "Keypoints; NaN where missing", axes={"joint": 14, "xy": 2}, unit="px", joints="op14"),
+        array("op14_confidence", "Confidence; 0 where missing", axes={"joint": 14}, joints="op14"),
+        integer("image_width_px", "Width of the image, null when unknown", unit="px", is_nullable=True),
+        integer("image_height_px", "Height of the image, null when unknown", unit="px", is_nullable=True),
+    ),
+)
+
+CAMERAS = Table(
+    name="cameras",
+    meaning="One row per sequence of virtual video: the true camera and the take it saw.",
+    sorted_by=("sequence_id",),
+    columns=(
+        text("sequence_id", "Sequence seen by this camera"),
+        text("take_id", "Take seen"),
+        boolean("is_held_out", "The take is held out"),
+        float64("rate_hz", "Frame rate of the sequence", unit="Hz"),
+        integer("image_width_px", "Width of the image", unit="px"),
+        integer("image_height_px", "Height of the image", unit="px"),
+        float64("focal_px", "Focal length of the pinhole", unit="px"),
+        array("principal_point_px", "Principal point", axes={"xy": 2}, unit="px", dtype=pa.float64()),
+        float64("distance_m", "Distance from the camera to the point it looks at", unit="m"),
+        float64("yaw_rad", "Azimuth of the camera about +Y; 0 on +Z", unit="rad"),
+        float64("pitch_rad", "Elevation of the camera above the horizontal", unit="rad"),
+        array("camera_position_m", "World position of the camera", axes={"xyz": 3}, unit="m", dtype=pa.float64()),
+        array(
+            "camera_from_world_rotmat",
+            "Rotation from world to camera axes (x right, y up, z towards the camera)",
+            axes={"row": 3, "column": 3},
+            dtype=pa.float64(),
+        ),
+        float64("noise_px", "Standard deviation of the pixel noise added", unit="px"),
+        float64("occlusion", "Share of joints hidden"),
+    ),
+)

@@ -1,0 +1,145 @@
+"""Lifting by sampling: priors, views, seeds, draws and chains."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from storage_schema.columns import Table, array, float64, integer, text
+
+__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "SEEDS", "TORSO_BASIS", "VIEWS"]
+
+TORSO_BASIS = Table(
+    name="torso_basis",
+    meaning="Low-rank basis of the torso (pelvis, neck, shoulders, hips of pair17) learned from prior takes.",
+    sorted_by=("component",),
+    columns=(
+        integer("component", "0 is the mean, then principal components by falling variance"),
+        array(
+            "torso_m", "Torso joints, pelvis at the origin", axes={"joint": 6, "xyz": 3}, unit="m", dtype=pa.float64()
+        ),
+        float64("standard_deviation_m", "Standard deviation along the component; 0 for the mean", unit="m"),
+        float64("explained_variance", "Share of the variance explained; 0 for the mean"),
+    ),
+)
+
+JOINT_LIMITS = Table(
+    name="joint_limits",
+    meaning="One row per joint angle of pair17: its allowed range.",
+    sorted_by=("angle_id",),
+    columns=(
+        integer("angle_id", "Index of the joint angle"),
+        text("joint", "Joint of pair17 the angle belongs to"),
+        text("angle", "Name of the angle"),
+        float64("lower_rad", "Least valid angle", unit="rad"),
+        float64("upper_rad", "Greatest valid angle", unit="rad"),
+        text("source", "Published table or prior takes the range came from"),
+    ),
+)
+
+VIEWS = Table(
+    name="views",
+    meaning="One row per annotated frame of a pair and view hypothesis.",
+    sorted_by=("sequence_id", "frame", "hypothesis"),
+    columns=(
+        text("sequence_id", "Sequence of the annotation"),
+        integer("frame", "Frame of the annotation"),
+        integer("hypothesis", "Hypothesis of this annotation, from 0"),
+        text("depth_rule", "How the relative depth of the roots was chosen"),
+        integer("flip", "Depth flips of the two torsos: bit 0 for person A, bit 1 for person B"),
+        float64("root_depth_m", "Depth of root 2 minus depth of root 1, towards the camera positive", unit="m"),
+        array(
+            "direction",
+            "Unit coordinates (a, b, c) of the direction to the camera in the pair's local frame (i, j, k)",
+            axes={"abc": 3},
+            dtype=pa.float64(),
+        ),
+        float64("psi_rad", "Azimuth of the view in the local frame, lift eq. 4 with atan2", unit="rad"),
+        float64("phi_rad", "Polar angle of the view from j, lift eq. 4", unit="rad"),
+        float64("weight", "Weight of the hypothesis; the weights of one annotation sum to 1"),
+        float64("trust", "Trust in the annotation's view: 1 when hypotheses agree, towards 0 as they spread"),
+        array("metres_per_pixel", "Scale of each person", axes={"person": 2}, unit="m/px", dtype=pa.float64()),
+    ),
+)
+
+SEEDS = Table(
+    name="seeds",
+    meaning="One row per seed: a 3D pose pair from which chains start.",
+    sorted_by=("seed_index",),
+    columns=(
+        integer("seed_index", "Index of the seed in the study"),
+        text("origin", "frame (of a take), lifted (from an annotation) or draw (a restart)"),
+        text("take_id", "Take it came from, else null", is_nullable=True),
+        integer("take_frame", "Frame of that take, else null", is_nullable=True),
+        text("sequence_id", "Annotated sequence it was lifted from, else null", is_nullable=True),
+        array(
+            "pair17_m",
+            "World positions of both people",
+            axes={"person": 2, "joint": 17, "xyz": 3},
+            unit="m",
+            joints="pair17",
+            dtype=pa.float64(),
+        ),
+    ),
+)
+
+_CHAIN_COLUMNS = (
+    text("density", "Density sampled: ic, prior_only, ..."),
+    integer("seed_index", "Seed the chain started from"),
+    integer("chain", "Chain of that seed"),
+)
+
+DRAWS = Table(
+    name="draws",
+    meaning="One row per kept draw of a chain.",
+    sorted_by=("density", "seed_index", "chain", "draw"),
+    columns=(
+        *_CHAIN_COLUMNS,
+        integer("draw", "Index of the draw in its chain, from 0"),
+        array(
+            "pair17_m",
+            "Positions, gauge-fixed (centroid of the pair at the origin, yaw of the line between the roots 0)",
+            axes={"person": 2, "joint": 17, "xyz": 3},
+            unit="m",
+            joints="pair17",
+        ),
+        array("parameters", "Sampled parameters", axes={"parameter": 108}, dtype=pa.float64()),
+        float64("log_density", "Log of the target, up to a constant"),
+        float64("log_prior", "Log of the prior (lift eq. 2)"),
+        float64("log_likelihood", "Log of the likelihood (lift eq. 6)"),
+        integer("num_accepted", "Accepted proposals since the previous kept draw"),
+        text("take_id", "Take of the seed, else null", is_nullable=True),
+    ),
+)
+
+CHAIN_STATES = Table(
+    name="chain_states",
+    meaning="One row per finished segment of a chain: what an exact continuation needs.",
+    sorted_by=("density", "seed_index", "chain", "segment"),
+    columns=(
+        *_CHAIN_COLUMNS,
+        integer("segment", "Segment of the chain, from 0"),
+        integer("num_draws", "Draws made up to the end of this segment"),
+        array("parameters", "State of the chain", axes={"parameter": 108}, dtype=pa.float64()),
+        float64("log_density", "Log density at that state"),
+        text("generator_state", "State of the random generator, as JSON"),
+        text("kernel_state", "State of the kernel (adapted scales), as JSON"),
+    ),
+)
+
+CHAIN_INFO = Table(
+    name="chain_info",
+    meaning="One row per chain: how it went.",
+    sorted_by=("density", "seed_index", "chain"),
+    columns=(
+        *_CHAIN_COLUMNS,
+        integer("num_draws", "Draws kept"),
+        float64("acceptance_rate", "Accepted share of the proposals"),
+        float64("ess_min", "Least effective sample size over the invariants of this chain"),
+        float64("rhat_max", "Greatest R-hat over the invariants and the chains of this seed"),
+        float64("log_density_first", "Log density of the seed"),
+        float64("log_density_mean", "Mean log density of the draws"),
+        float64("travelled_m", "Mean joint distance between the last draw and the seed", unit="m"),
+        text("verdict", "ok, stuck or left_range"),
+        text("reason", "The verdict in words; empty when ok"),
+    ),
+)

@@ -1,0 +1,107 @@
+"""What is made: variants, models and scores."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from storage_schema.columns import Table, array, boolean, float64, integer, text
+
+__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_QUALITY"]
+
+VARIANTS = Table(
+    name="variants",
+    meaning="One row per variant of a take and frame: both people's body22 after augmentation.",
+    sorted_by=("take_id", "variant_id", "frame"),
+    columns=(
+        text("take_id", "Take the variant was made from"),
+        text("variant_id", "Name of the variant, e.g. A-uniform-0.80"),
+        integer("frame", "Frame of the take"),
+        float64("time_s", "Time from the start of the take", unit="s"),
+        array("body22_m", "World positions", axes={"person": 2, "joint": 22, "xyz": 3}, unit="m", joints="body22"),
+        array(
+            "body22_unitquat",
+            "Local rotations (x, y, z, w): swing from the bones, twist from the source",
+            axes={"person": 2, "joint": 22, "xyzw": 4},
+            joints="body22",
+        ),
+    ),
+)
+
+VARIANT_QUALITY = Table(
+    name="variant_quality",
+    meaning="One row per variant: its proportions, how it was solved and how good it is.",
+    sorted_by=("take_id", "variant_id"),
+    columns=(
+        text("take_id", "Take the variant was made from"),
+        text("variant_id", "Name of the variant"),
+        array(
+            "bone_scale",
+            "Scale of each bone (bone = its child joint; the root's is the root height)",
+            axes={"person": 2, "joint": 22},
+            joints="body22",
+            dtype=pa.float64(),
+        ),
+        float64("scale_a", "Uniform scale of person A, NaN where not uniform"),
+        float64("scale_b", "Uniform scale of person B, NaN where not uniform"),
+        integer("num_frames", "Frames solved"),
+        integer("num_contact_pairs", "Joint pairs in contact, summed over frames"),
+        float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
+        float64("contact_drift_m", "Mean change of the distance of contact pairs against the source", unit="m"),
+        float64(
+            "contact_drift_fk_m", "The same for plain forward kinematics with the new lengths (the baseline)", unit="m"
+        ),
+        float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
+        float64("foot_slide_m", "Mean horizontal foot movement per frame in stance above the source's", unit="m"),
+        float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
+        float64("penetration_m", "95th percentile of capsule penetration beyond the source's", unit="m"),
+        float64("jerk_ratio", "Root mean square jerk over that of the source"),
+        integer("num_iterations", "Iterations of the solver"),
+        text("solver", "Solver that gave the result"),
+        text("verdict", "pass, warn or fail"),
+        text("reason", "What was not passed, in words; empty when passed"),
+    ),
+)
+
+MODELS = Table(
+    name="models",
+    meaning="One row per array of a trained model.",
+    sorted_by=("split", "model", "array_name"),
+    columns=(
+        text("split", "Split the model was trained on"),
+        text("model", "Name of the model"),
+        text("array_name", "Name of the array"),
+        array("array_shape", "Its shape", dtype=pa.int32()),
+        array("values", "Its values, row-major", dtype=pa.float64()),
+    ),
+)
+
+TRAINING_LOG = Table(
+    name="training_log",
+    meaning="One row per split, model and step of training.",
+    sorted_by=("split", "model", "step", "quantity"),
+    columns=(
+        text("split", "Split trained on"),
+        text("model", "Name of the model"),
+        integer("step", "Step; 0 for closed-form models"),
+        text("quantity", "What was measured"),
+        float64("value", "Its value"),
+    ),
+)
+
+SCORES = Table(
+    name="scores",
+    meaning="One row per measured figure: what was measured, of which method, on what.",
+    sorted_by=("topic", "metric", "method", "split", "item", "at"),
+    columns=(
+        text("topic", "coverage, views, chains, reconstruction, augmentation or models"),
+        text("metric", "Name of the measure"),
+        text("method", "Method or density measured"),
+        boolean("is_baseline", "The method is a trivial baseline shown for comparison"),
+        text("split", "Split or part of the data: annotated, held_out, cross-scale train, ..."),
+        text("item", "Take, sequence, variant or model the figure is of; all where it is over everything"),
+        float64("at", "Position on a curve (number of draws, scale); NaN for a single figure"),
+        float64("value", "The figure"),
+        text("unit", "Unit of the figure"),
+        integer("count", "Number of things the figure is over"),
+    ),
+)

@@ -1,0 +1,89 @@
+"""Projection database and the motions reconstructed with it."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from storage_schema.columns import Table, array, boolean, float64, integer, text
+
+__all__ = ["CODEBOOK", "MOTIONS", "PROJECTIONS"]
+
+PROJECTIONS = Table(
+    name="projections",
+    meaning="One row per pose of the database; its projections at every yaw step are numbered row * num_yaws + yaw index.",
+    sorted_by=("origin", "take_id", "person", "frame"),
+    columns=(
+        text("origin", "take, draw or variant"),
+        text("take_id", "Take the pose comes from; for a draw the take of its seed"),
+        integer("person", "Person of the take, from 0"),
+        integer("frame", "Frame at the database's rate; the row of the draw for draws"),
+        boolean("is_sequence_start", "No previous frame of the same motion in the row above"),
+        array(
+            "op14_m",
+            "Proportions retargeted, mid-hip at the origin, body facing +Z",
+            axes={"joint": 14, "xyz": 3},
+            unit="m",
+            joints="op14",
+        ),
+        array(
+            "op14_unitquat",
+            "Local rotations (x, y, z, w), heading removed",
+            axes={"joint": 14, "xyzw": 4},
+            joints="op14",
+        ),
+        float64("heading_rad", "Heading removed: yaw of the body in its take", unit="rad"),
+        array("root_translation_m", "World position of the mid-hip in its take", axes={"xyz": 3}, unit="m"),
+        array(
+            "joint_radius_m",
+            "Horizontal distance of each joint from the mid-hip axis",
+            axes={"joint": 14},
+            unit="m",
+            joints="op14",
+        ),
+    ),
+)
+
+CODEBOOK = Table(
+    name="codebook",
+    meaning="One row per cluster of projections, for the published search.",
+    sorted_by=("cluster",),
+    columns=(
+        integer("cluster", "Index of the cluster"),
+        array(
+            "representative_m",
+            "2D representative, mid-hip at the origin",
+            axes={"joint": 14, "xy": 2},
+            unit="m",
+            joints="op14",
+        ),
+        array("members", "Projection numbers in the cluster", dtype=pa.int64()),
+    ),
+)
+
+MOTIONS = Table(
+    name="motions",
+    meaning="One row per sequence, person and frame: the reconstructed motion.",
+    sorted_by=("sequence_id", "person_id", "frame"),
+    columns=(
+        text("sequence_id", "Annotated sequence"),
+        integer("person_id", "Person in the sequence"),
+        integer("frame", "Frame of the sequence"),
+        float64("time_s", "Time from the start of the sequence", unit="s"),
+        text("method", "nearest, viterbi, ... ; the last step of the chain that was run"),
+        array(
+            "op14_m",
+            "Positions, camera axes (x right, y up, z towards the camera), relative to the sequence's world origin",
+            axes={"joint": 14, "xyz": 3},
+            unit="m",
+            joints="op14",
+        ),
+        array("op14_unitquat", "Local rotations (x, y, z, w)", axes={"joint": 14, "xyzw": 4}, joints="op14"),
+        array("root_translation_m", "Position of the mid-hip", axes={"xyz": 3}, unit="m"),
+        float64("yaw_rad", "Yaw of the matched projection", unit="rad"),
+        float64("score_m", "Mean 2D distance per seen joint to the matched projection", unit="m"),
+        text("match_take_id", "Take of the matched pose"),
+        integer("match_frame", "Frame of the matched pose"),
+        integer("num_joints_seen", "Joints seen in this frame"),
+        boolean("is_bridged", "Nothing was seen in this frame; the pose is interpolated"),
+    ),
+)

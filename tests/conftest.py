@@ -1,0 +1,18 @@
+"""Fixtures that many tests share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Give the folder of real motion data, named by PASDEDEUX_DATA or beside the checkout."""
+    root = Path(__file__).resolve().parents[1]
+    path = Path(os.environ.get("PASDEDEUX_DATA", root.parent / "shared" / "data"))
+    if not (path / "cmu_salsa_bvh").is_dir():
+        pytest.skip(f"real motion data is absent: no cmu_salsa_bvh in {path} (set PASDEDEUX_DATA)")
+    return path

@@ -59,7 +59,7 @@ def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:
 
 
 def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
-    """Give the unit direction (*batch, J, 3) of the bone that ends in each joint; 0 for the root and for empty bones."""
+    """Give the unit direction (*batch, J, 3) of the bone ending in each joint; 0 for the root and for empty bones."""
     directions = np.zeros(positions.shape)
     for parent, child in skeleton.bones:
         vector = positions[..., child, :] - positions[..., parent, :]
@@ -69,7 +69,7 @@ def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
 
 
 def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m: Array) -> Array:
-    """Give positions (*batch, J, 3) from the root (*batch, 3), unit directions (*batch, J, 3) and lengths (*batch, J)."""
+    """Give positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J), metres."""
     shape = np.broadcast_shapes(directions.shape[:-1], lengths_m.shape)
     positions = np.empty((*shape, 3))
     for joint in skeleton.order:
@@ -86,7 +86,7 @@ def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m:
 def local_rotations(
     skeleton: Skeleton, rest_m: Array, positions: Array, reference_world_unitquat: Array | None = None
 ) -> Array:
-    """Give local rotations that carry the rest pose's bones onto posed bones: swing from the bones, twist from a reference.
+    """Give local rotations that carry the rest pose onto posed bones: swing from the bones, twist from a reference.
 
     A joint with one child swings its reference rotation until the bone fits.  A joint with several children takes the
     rotation that fits them best in the least-squares sense (Kabsch), started from the reference where the children do
@@ -131,7 +131,6 @@ def local_rotations(
 
 def _refine_rotation(start: Array, rest: Array, posed: Array) -> Array:
     """Fit rotations (*batch, 4) so that `rest` (k, 3) turns into `posed` (*batch, k, 3); weakly held to `start`."""
-
     scale = 1e-3 * np.sqrt(np.mean(rest**2) + 1e-12)
     axes = np.broadcast_to(np.eye(3) * scale, (*posed.shape[:-2], 3, 3))
     turned = np.swapaxes(rotmat_from_unitquat(start), -1, -2) * scale

@@ -1,0 +1,96 @@
+"""The pinhole camera, without lens distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+
+__all__ = ["PinholeCamera", "Projection"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Points seen by a camera: pixels (*batch, 2), x right and y down, and depths (*batch,) in metres.
+
+    The depth is measured along the optical axis, positive in front of the camera; the pixels of a point that is not in
+    front of the camera, or not finite, are NaN.
+    """
+
+    px: Array
+    depth_m: Array
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A pinhole camera; its own axes are x right, y up, z towards the camera, so it looks along -z.
+
+    Args:
+        focal_px: Focal length in pixels.
+        principal_point_px: Pixel on the optical axis, (2,), x right and y down.
+        camera_from_world_rotmat: Rotation from world to camera axes, (3, 3).
+        position_m: World position of the camera, (3,), metres.
+        image_size_px: Width and height of the image; only says what is inside, pixels outside are given all the same.
+
+    Raises:
+        InputError: The focal length is not positive, a shape is wrong, a value is not finite, the matrix is not a
+            proper rotation (a reflection is refused: it would mirror people), or the image is empty.
+    """
+
+    focal_px: float
+    principal_point_px: Array
+    camera_from_world_rotmat: Array
+    position_m: Array
+    image_size_px: tuple[int, int] = (1920, 1080)
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        if not (np.isfinite(self.focal_px) and self.focal_px > 0):
+            raise InputError(f"camera: the focal length is {self.focal_px} px, it must be positive")
+        for name, shape in (("principal_point_px", (2,)), ("position_m", (3,)), ("camera_from_world_rotmat", (3, 3))):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise InputError(f"camera: {name} must hold finite numbers of shape {shape}, found {value.tolist()}")
+            object.__setattr__(self, name, value)
+        rotmat = self.camera_from_world_rotmat
+        # 1e-5 lets a rotation stored in float32 pass.
+        if np.abs(rotmat @ rotmat.T - np.eye(3)).max() > 1e-5 or np.linalg.det(rotmat) < 0:
+            raise InputError("camera: camera_from_world_rotmat is not a proper rotation")
+        if min(self.image_size_px) < 1:
+            raise InputError(f"camera: the image is {self.image_size_px} px, both sides must be at least 1")
+
+    @property
+    def direction(self) -> Array:
+        """World direction (3,) from the scene towards the camera: the camera's own z axis."""
+        return np.asarray(self.camera_from_world_rotmat[2])
+
+    def camera_from_world(self, points: Array) -> Array:
+        """Give world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""
+        return np.asarray((points - self.position_m) @ self.camera_from_world_rotmat.T)
+
+    def project(self, points: Array) -> Projection:
+        """Project world points (*batch, 3), metres; a NaN point stays NaN."""
+        seen = self.camera_from_world(np.asarray(points, dtype=np.float64))
+        depth = -seen[..., 2]
+        is_in_front = depth > 1e-9
+        scale = self.focal_px / np.where(is_in_front, depth, np.nan)
+        x = self.principal_point_px[0] + scale * seen[..., 0]
+        y = self.principal_point_px[1] - scale * seen[..., 1]
+        return Projection(px=np.stack([x, y], axis=-1), depth_m=depth)
+
+    def unproject(self, px: Array, depth_m: Array | float) -> Array:
+        """Give the world points (*batch, 3) that are seen at pixels (*batch, 2) at depths (*batch,) in metres."""
+        depth = np.asarray(depth_m, dtype=np.float64)
+        offset = (np.asarray(px, dtype=np.float64) - self.principal_point_px) * np.array([1.0, -1.0]) / self.focal_px
+        seen = np.concatenate([offset, -np.ones_like(offset[..., :1])], axis=-1) * depth[..., None]
+        return np.asarray(seen @ self.camera_from_world_rotmat + self.position_m)
+
+    def is_inside(self, px: Array) -> npt.NDArray[np.bool_]:
+        """Tell which pixels (*batch, 2) lie inside the image; NaN does not."""
+        width, height = self.image_size_px
+        return np.asarray((px >= 0).all(axis=-1) & (px[..., 0] < width) & (px[..., 1] < height))

@@ -1,0 +1,219 @@
+"""Virtual video: takes seen by pinhole cameras from drawn views, with pixel noise and hidden joints.
+
+The experiment of Yin et al. (2018, section 6): 3D pairs are seen from random views and become 2D annotations whose
+truth is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras.pinhole import PinholeCamera
+from pasdedeux.errors import InputError
+
+__all__ = [
+    "Annotated",
+    "ViewAngles",
+    "ViewDistribution",
+    "VirtualView",
+    "annotate",
+    "frame_take",
+    "look_at_camera",
+    "sample_views",
+]
+
+Array = npt.NDArray[np.float64]
+
+PERSON_HEIGHT_PX = 600.0
+"""Height of a person in the image at which noise in pixels is meant."""
+
+PERSON_HEIGHT_M = 1.7
+"""Height of the person that the focal length is chosen for."""
+
+
+@dataclass(frozen=True)
+class ViewDistribution:
+    """Where virtual cameras stand: yaw uniform in an interval, pitch normal and kept inside an interval, radians.
+
+    The default is any yaw and about eye level or slightly above, as people film people.  `pitch_deviation_rad` of
+    infinity draws directions uniform on the band of the sphere between the two pitches.
+    """
+
+    yaw_min_rad: float = -np.pi
+    yaw_max_rad: float = np.pi
+    pitch_mean_rad: float = float(np.deg2rad(10.0))
+    pitch_deviation_rad: float = float(np.deg2rad(10.0))
+    pitch_min_rad: float = float(np.deg2rad(-15.0))
+    pitch_max_rad: float = float(np.deg2rad(60.0))
+
+    def __post_init__(self) -> None:
+        """Check that the intervals are in order."""
+        if not (self.yaw_min_rad <= self.yaw_max_rad and -np.pi / 2 <= self.pitch_min_rad <= self.pitch_max_rad):
+            raise InputError(f"view distribution: an interval is empty or below -90 degrees: {self}")
+        if self.pitch_max_rad > np.pi / 2 or self.pitch_deviation_rad < 0:
+            raise InputError(f"view distribution: pitch beyond 90 degrees or a negative deviation: {self}")
+
+
+@dataclass(frozen=True)
+class ViewAngles:
+    """Azimuth about +Y (0 on +Z) and elevation above the horizontal of n cameras, each (n,), radians."""
+
+    yaw_rad: Array
+    pitch_rad: Array
+
+    def directions(self) -> Array:
+        """Give the world directions (n, 3) from the scene towards the cameras."""
+        level = np.cos(self.pitch_rad)
+        return np.stack([level * np.sin(self.yaw_rad), np.sin(self.pitch_rad), level * np.cos(self.yaw_rad)], axis=-1)
+
+
+@dataclass(frozen=True)
+class VirtualView:
+    """A virtual camera with the numbers it was made from."""
+
+    camera: PinholeCamera
+    distance_m: float
+    yaw_rad: float
+    pitch_rad: float
+
+
+@dataclass(frozen=True)
+class Annotated:
+    """Pixels (*batch, joint, 2), NaN where hidden, and confidences (*batch, joint): 1 where seen, 0 where hidden."""
+
+    px: Array
+    confidence: Array
+
+
+def sample_views(rng: np.random.Generator, count: int, distribution: ViewDistribution | None = None) -> ViewAngles:
+    """Draw the angles of `count` views; a pitch outside its interval is drawn again by folding it back at the ends."""
+    d = distribution or ViewDistribution()
+    yaw = rng.uniform(d.yaw_min_rad, d.yaw_max_rad, size=count)
+    if np.isinf(d.pitch_deviation_rad):
+        pitch = np.arcsin(rng.uniform(np.sin(d.pitch_min_rad), np.sin(d.pitch_max_rad), size=count))
+        return ViewAngles(yaw_rad=yaw, pitch_rad=pitch)
+    pitch = rng.normal(d.pitch_mean_rad, d.pitch_deviation_rad, size=count)
+    span = d.pitch_max_rad - d.pitch_min_rad
+    if span > 0:
+        folded = np.mod(pitch - d.pitch_min_rad, 2 * span)
+        pitch = d.pitch_min_rad + np.minimum(folded, 2 * span - folded)
+    else:
+        pitch = np.full(count, d.pitch_min_rad)
+    return ViewAngles(yaw_rad=yaw, pitch_rad=pitch)
+
+
+def look_at_camera(
+    target_m: Array,
+    *,
+    distance_m: float,
+    yaw_rad: float,
+    pitch_rad: float,
+    focal_px: float,
+    image_size_px: tuple[int, int] = (1920, 1080),
+) -> PinholeCamera:
+    """Give the upright camera that looks at `target_m` (3,) from a distance; the target is at the image's centre.
+
+    At yaw 0 and pitch 0 the camera stands on +Z of the target and looks along -Z; yaw turns it towards +X, a positive
+    pitch lifts it.  Straight above (pitch 90 degrees) the image's up is where the camera came from, so nothing jumps.
+    """
+    if not (np.isfinite(distance_m) and distance_m > 0):
+        raise InputError(f"camera: the distance is {distance_m} m, it must be positive")
+    direction = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad])).directions()[0]
+    right = np.array([np.cos(yaw_rad), 0.0, -np.sin(yaw_rad)])
+    return PinholeCamera(
+        focal_px=focal_px,
+        principal_point_px=np.array(image_size_px) / 2.0,
+        camera_from_world_rotmat=np.stack([right, np.cross(direction, right), direction]),
+        position_m=np.asarray(target_m) + distance_m * direction,
+        image_size_px=image_size_px,
+    )
+
+
+def frame_take(
+    positions: Array,
+    roots: Array,
+    *,
+    distance_m: float,
+    yaw_rad: float,
+    pitch_rad: float,
+    person_height_px: float = PERSON_HEIGHT_PX,
+    person_height_m: float = PERSON_HEIGHT_M,
+    image_size_px: tuple[int, int] | None = None,
+    least_depth_m: float = 1.0,
+) -> VirtualView:
+    """Give a camera that looks at the mean root and sees a person of `person_height_m` about `person_height_px` tall.
+
+    Args:
+        positions: Every joint of every person and frame to be seen, (*batch, 3), metres.
+        roots: Roots of the people, (*batch, 3), metres; their mean is looked at.
+        distance_m: Wanted distance from the camera to the mean root; grown where a joint would come nearer than
+            `least_depth_m` to the image plane.  The focal length grows with it, so people keep their size.
+        yaw_rad: Azimuth of the camera.
+        pitch_rad: Elevation of the camera.
+        person_height_px: Height in the image of an upright person at the mean root, pixels.
+        person_height_m: Height of that person, metres.
+        image_size_px: Width and height; when not given, the smallest image of at least 1280 x 720 in steps of 16 that
+            holds every joint with a margin of 5 % of the person's height.
+        least_depth_m: Least depth of any joint, metres.
+
+    Raises:
+        InputError: There are no finite positions or roots.
+    """
+    points = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=-1)]
+    centres = np.asarray(roots, dtype=np.float64).reshape(-1, 3)
+    centres = centres[np.isfinite(centres).all(axis=-1)]
+    if len(points) == 0 or len(centres) == 0:
+        raise InputError("virtual video: the take has no finite positions to look at")
+    target = centres.mean(axis=0)
+    angles = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad]))
+    towards = float(((points - target) @ angles.directions()[0]).max())
+    distance = max(distance_m, towards + least_depth_m)
+    focal = person_height_px * distance / person_height_m
+
+    def camera(size: tuple[int, int]) -> PinholeCamera:
+        return look_at_camera(
+            target, distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad, focal_px=focal, image_size_px=size
+        )
+
+    if image_size_px is None:
+        reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * person_height_px
+        size = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
+        image_size_px = (int(size[0]), int(size[1]))
+    return VirtualView(camera=camera(image_size_px), distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad)
+
+
+def annotate(
+    rng: np.random.Generator,
+    px: Array,
+    *,
+    noise_px: float = 0.0,
+    occlusion: float = 0.0,
+    person_height_px: float = PERSON_HEIGHT_PX,
+) -> Annotated:
+    """Make annotations of exact pixels: normal noise on every coordinate, and joints hidden at random.
+
+    Args:
+        rng: Random generator.
+        px: Exact pixels, (*batch, joint, 2); NaN stays missing.
+        noise_px: Standard deviation of the noise for a person 600 px tall.
+        occlusion: Share of the joints that are hidden, each on its own, from 0 to 1.
+        person_height_px: Height of the people in this image; the noise is scaled with it.
+
+    Raises:
+        InputError: Negative noise, or a share outside 0..1.
+    """
+    if not noise_px >= 0:
+        raise InputError(f"virtual video: the noise is {noise_px} px, it must not be negative")
+    if not 0 <= occlusion <= 1:
+        raise InputError(f"virtual video: the occlusion is {occlusion}, it must be a share from 0 to 1")
+    exact = np.asarray(px, dtype=np.float64)
+    # Both draws are always made, so that the noise of a joint does not depend on the occlusion asked for.
+    noise = rng.standard_normal(exact.shape) * (noise_px * person_height_px / PERSON_HEIGHT_PX)
+    is_hidden = rng.random(exact.shape[:-1]) < occlusion
+    seen = np.where(is_hidden[..., None], np.nan, exact + noise)
+    is_seen = np.asarray(np.isfinite(seen).all(axis=-1))
+    return Annotated(px=np.where(is_seen[..., None], seen, np.nan), confidence=is_seen.astype(np.float64))

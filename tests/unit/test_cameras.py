@@ -1,0 +1,108 @@
+"""Pinhole cameras and virtual video."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import (
+    PinholeCamera,
+    ViewDistribution,
+    annotate,
+    frame_take,
+    look_at_camera,
+    sample_views,
+)
+from pasdedeux.errors import InputError
+
+
+def _camera(yaw: float = 0.7, pitch: float = 0.3) -> PinholeCamera:
+    return look_at_camera(np.array([0.2, 1.0, -0.4]), distance_m=4.0, yaw_rad=yaw, pitch_rad=pitch, focal_px=1200.0)
+
+
+def test_projection_agrees_with_opencv() -> None:
+    points = np.random.default_rng(0).normal(loc=(0.2, 1.0, -0.4), size=(50, 3))
+    camera = _camera()
+    # OpenCV's camera axes are x right, y down, z away from the camera.
+    rotmat = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world_rotmat
+    matrix = np.array([[1200.0, 0, camera.principal_point_px[0]], [0, 1200.0, camera.principal_point_px[1]], [0, 0, 1]])
+    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(rotmat)[0], -rotmat @ camera.position_m, matrix, np.zeros(4))
+    np.testing.assert_allclose(camera.project(points).px, expected[:, 0], atol=1e-8)
+
+
+@pytest.mark.parametrize(("yaw", "x_sign"), [(0.0, 1.0), (np.pi, -1.0)])
+def test_a_raised_hand_on_plus_x_is_seen_right_from_the_front_and_left_from_behind(yaw: float, x_sign: float) -> None:
+    camera = look_at_camera(np.zeros(3), distance_m=3.0, yaw_rad=yaw, pitch_rad=0.0, focal_px=1000.0)
+    hand, centre = camera.project(np.array([[0.5, 0.8, 0.0], [0.0, 0.0, 0.0]])).px
+    np.testing.assert_allclose(centre, camera.principal_point_px)
+    assert np.sign(hand[0] - centre[0]) == x_sign
+    assert hand[1] < centre[1]
+
+
+def test_at_yaw_zero_the_camera_stands_on_plus_z_and_yaw_turns_it_towards_plus_x() -> None:
+    np.testing.assert_allclose(
+        look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=0.0, pitch_rad=0.0, focal_px=1.0).position_m, [0, 0, 2]
+    )
+    np.testing.assert_allclose(
+        look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=np.pi / 2, pitch_rad=0.0, focal_px=1.0).position_m,
+        [2, 0, 0],
+        atol=1e-12,
+    )
+    assert look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=1.0, pitch_rad=0.5, focal_px=1.0).position_m[1] > 0
+
+
+def test_back_projection_inverts_projection() -> None:
+    points = np.random.default_rng(1).normal(size=(4, 5, 3))
+    camera = _camera()
+    seen = camera.project(points)
+    np.testing.assert_allclose(camera.unproject(seen.px, seen.depth_m), points, atol=1e-10)
+
+
+def test_points_behind_the_camera_have_no_pixels() -> None:
+    camera = look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=0.0, pitch_rad=0.0, focal_px=1000.0)
+    seen = camera.project(np.array([0.0, 0.0, 3.0]))
+    assert np.isnan(seen.px).all()
+    assert seen.depth_m == pytest.approx(-1.0)
+
+
+def test_a_mirroring_camera_is_refused() -> None:
+    with pytest.raises(InputError, match="not a proper rotation"):
+        PinholeCamera(1000.0, np.zeros(2), np.diag([-1.0, 1.0, 1.0]), np.zeros(3))
+
+
+def test_framing_gives_a_person_the_wanted_height_and_keeps_every_joint_inside() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.normal(size=(20, 2, 17, 3)) * [1.5, 0.4, 1.5] + [0, 1, 0]
+    view = frame_take(points, points[..., 0, :], distance_m=4.0, yaw_rad=0.4, pitch_rad=0.1)
+    seen = view.camera.project(points)
+    assert view.camera.is_inside(seen.px).all()
+    assert seen.depth_m.min() >= 1.0 - 1e-9
+    level = frame_take(points, points[..., 0, :], distance_m=9.0, yaw_rad=0.4, pitch_rad=0.0)
+    target = points[..., 0, :].reshape(-1, 3).mean(axis=0)
+    ends = level.camera.project(target + np.array([[0, 0.85, 0], [0, -0.85, 0]])).px
+    assert ends[1, 1] - ends[0, 1] == pytest.approx(600.0)
+
+
+def test_views_stay_in_their_intervals_and_cover_all_yaws() -> None:
+    distribution = ViewDistribution(pitch_min_rad=-0.1, pitch_max_rad=0.3, pitch_deviation_rad=1.0)
+    views = sample_views(np.random.default_rng(3), 4000, distribution)
+    assert views.pitch_rad.min() >= -0.1
+    assert views.pitch_rad.max() <= 0.3
+    counts, _ = np.histogram(views.yaw_rad, bins=8, range=(-np.pi, np.pi))
+    # 500 expected in each bin, standard deviation 21: six of them is a chance below 1e-7.
+    assert np.abs(counts - 500).max() < 126
+    np.testing.assert_allclose(np.linalg.norm(views.directions(), axis=-1), 1.0)
+
+
+def test_annotation_noise_and_occlusion_have_the_stated_size() -> None:
+    exact = np.zeros((500, 17, 2))
+    marked = annotate(np.random.default_rng(4), exact, noise_px=3.0, occlusion=0.2, person_height_px=300.0)
+    is_seen = marked.confidence > 0
+    assert np.array_equal(is_seen, np.isfinite(marked.px).all(axis=-1))
+    assert 1 - is_seen.mean() == pytest.approx(0.2, abs=0.025)
+    assert np.nanstd(marked.px) == pytest.approx(1.5, rel=0.05)
+    clean = annotate(np.random.default_rng(4), exact)
+    assert np.array_equal(clean.px, exact)
+    with pytest.raises(InputError, match="share from 0 to 1"):
+        annotate(np.random.default_rng(4), exact, occlusion=1.5)

@@ -1,1 +1,1 @@
-
+"""Evaluation: metrics, comparisons, figures and the report."""

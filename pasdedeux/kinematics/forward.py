@@ -69,7 +69,7 @@ def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
 
 
 def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m: Array) -> Array:
-    """Give positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J), metres."""
+    """Give positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J) in m."""
     shape = np.broadcast_shapes(directions.shape[:-1], lengths_m.shape)
     positions = np.empty((*shape, 3))
     for joint in skeleton.order:

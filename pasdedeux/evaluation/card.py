@@ -1,0 +1,57 @@
+"""The dataset card: what is in a dataset, where it came from, under which licence, and what it is not fit for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+__all__ = ["CardSource", "DatasetCard", "render_card"]
+
+
+@dataclass(frozen=True)
+class CardSource:
+    """A source that the dataset was made from."""
+
+    name: str
+    licence: str
+    credit: str
+
+
+@dataclass(frozen=True)
+class DatasetCard:
+    """Everything the card says.
+
+    Args:
+        title: Title of the study.
+        description: What the study makes.
+        rows: Rows by table.
+        takes: Takes shown or learned from.
+        held_out: Takes kept for evaluation.
+        sources: Sources with licence and credit line.
+        skipped: What was left out and why, a sentence each.
+        cautions: Known limits, a sentence each.
+    """
+
+    title: str
+    description: str
+    rows: Mapping[str, int]
+    takes: Sequence[str]
+    held_out: Sequence[str]
+    sources: Sequence[CardSource]
+    skipped: Sequence[str]
+    cautions: Sequence[str]
+
+
+def render_card(card: DatasetCard) -> str:
+    """Give the card as Markdown; the same card always gives the same text."""
+    lines = [f"# {card.title}", "", card.description, "", "## Contents", "", "| table | rows |", "|---|---|"]
+    lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
+    lines += ["", "## Takes", ""]
+    lines += [f"- {take}{' (held out for evaluation)' if take in card.held_out else ''}" for take in card.takes]
+    lines += ["", "## Sources, licences and credits", ""]
+    lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.sources]
+    lines += ["", "## Left out", ""]
+    lines += [f"- {sentence}" for sentence in card.skipped] or ["- Nothing."]
+    lines += ["", "## Know before you use it", ""]
+    lines += [f"- {sentence}" for sentence in card.cautions]
+    return "\n".join(lines) + "\n"

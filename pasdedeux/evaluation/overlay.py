@@ -1,0 +1,110 @@
+"""Short clips of 2D skeletons as a camera saw them, drawn with OpenCV, as animated WebP bytes.
+
+WebP because the same frames always give the same bytes and every browser plays it from within a page; OpenCV's own
+WebM writer puts a random identifier into each file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.evaluation.drawing import PERSON_COLOURS
+from pasdedeux.skeletons import Skeleton
+
+__all__ = ["overlay_clip"]
+
+_BACKGROUND = (238, 240, 242)
+_FLOOR = (205, 210, 214)
+_MAX_WIDTH_PX = 480
+
+
+def overlay_clip(
+    skeleton: Skeleton,
+    keypoints_px: npt.NDArray[np.float64],
+    *,
+    image_size_px: tuple[int, int],
+    rate_hz: float,
+    floor_px: npt.NDArray[np.float64] | None = None,
+    labels: Sequence[str] = (),
+) -> bytes:
+    """Draw 2D skeletons over time and give an animated WebP.
+
+    Args:
+        skeleton: Topology of the keypoints.
+        keypoints_px: (frame, person, joint, 2) pixels, x right, y down; NaN where missing: its bones are left out.
+        image_size_px: Width and height of the image; scaled down to at most 480 px wide.
+        rate_hz: Frames per second.
+        floor_px: Line segments (n, 2, 2) of a floor grid, drawn behind.
+        labels: A caption for each frame; none when empty.
+
+    Returns:
+        The bytes of the clip; a clip of no frames has one empty image.
+    """
+    width, height = image_size_px
+    scale = min(1.0, _MAX_WIDTH_PX / width)
+    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    frames = [
+        _draw_frame(skeleton, people * scale, size, floor_px, scale, labels[index] if index < len(labels) else "")
+        for index, people in enumerate(keypoints_px)
+    ] or [np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)]
+    animation = cv2.Animation()
+    animation.frames = frames
+    animation.durations = [round(1000.0 / rate_hz)] * len(frames)
+    animation.loop_count = 0
+    is_written, buffer = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 60])
+    assert is_written, "OpenCV was built without WebP"
+    return bytes(np.asarray(buffer).tobytes())
+
+
+def _draw_frame(
+    skeleton: Skeleton,
+    people_px: npt.NDArray[np.float64],
+    size: tuple[int, int],
+    floor_px: npt.NDArray[np.float64] | None,
+    scale: float,
+    label: str,
+) -> npt.NDArray[np.uint8]:
+    image = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
+    if floor_px is not None:
+        for segment in floor_px * scale:
+            _line(image, segment[0], segment[1], _FLOOR, 1)
+    for person, points in enumerate(people_px):
+        colour = _bgr(PERSON_COLOURS[person % len(PERSON_COLOURS)])
+        dark = tuple(0.62 * c for c in colour)
+        for parent, child in skeleton.bones:
+            is_left = skeleton.joint_names[child].startswith("left_")
+            _line(image, points[parent], points[child], dark if is_left else colour, 2)
+        for point in points[np.isfinite(points).all(axis=-1)]:
+            cv2.circle(image, _fixed(point), 2 << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
+    if label:
+        cv2.putText(image, label, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (90, 90, 90), 1, cv2.LINE_AA)
+    return image
+
+
+_SHIFT = 3
+"""Bits of sub-pixel precision in OpenCV's drawing calls."""
+_FAR_PX = 1e4
+
+
+def _fixed(point: npt.NDArray[np.float64]) -> tuple[int, int]:
+    x, y = np.clip(point, -_FAR_PX, _FAR_PX) * (1 << _SHIFT)
+    return round(float(x)), round(float(y))
+
+
+def _line(
+    image: npt.NDArray[np.uint8],
+    start: npt.NDArray[np.float64],
+    end: npt.NDArray[np.float64],
+    colour: tuple[float, ...],
+    thickness: int,
+) -> None:
+    if np.isfinite(start).all() and np.isfinite(end).all():
+        cv2.line(image, _fixed(start), _fixed(end), colour, thickness, cv2.LINE_AA, _SHIFT)
+
+
+def _bgr(colour: str) -> tuple[float, float, float]:
+    return float(int(colour[5:7], 16)), float(int(colour[3:5], 16)), float(int(colour[1:3], 16))

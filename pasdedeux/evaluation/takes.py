@@ -1,0 +1,63 @@
+"""What a take looks like: closeness of the two people, floor and foot contact, and a sheet of moments."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.evaluation.drawing import PERSON_COLOURS, Panel, Pose, pair_panel, skeleton_sheet
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["closest_joint_distance", "take_scores", "take_sheet"]
+
+Array = npt.NDArray[np.float64]
+_CLOSE_M = 0.15
+"""Closest joints under this distance count as close contact."""
+
+
+def closest_joint_distance(pairs_m: Array) -> Array:
+    """Give the least distance (frame,) between a joint of A and a joint of B; pairs_m is (frame, 2, joint, 3)."""
+    difference = pairs_m[:, 0, :, None, :] - pairs_m[:, 1, None, :, :]
+    return np.asarray(np.linalg.norm(difference, axis=-1).min(axis=(1, 2)))
+
+
+def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
+    """Describe a take in figures.
+
+    Args:
+        take_id: Name of the take.
+        people_m: body22 positions (frame, person, 22, 3), metres; one or two people.
+        rate_hz: Frames per second.
+    """
+    ankles = people_m[:, :, BODY22.indices(("left_ankle", "right_ankle", "left_toe", "right_toe")), 1]
+    figures = [
+        ("duration", len(people_m) / rate_hz, "s"),
+        ("lowest_foot_joint", float(np.percentile(ankles.min(axis=(1, 2)), 5)), "m"),
+    ]
+    if people_m.shape[1] == 2:
+        closest = closest_joint_distance(people_m)
+        roots = np.linalg.norm(people_m[:, 0, 0] - people_m[:, 1, 0], axis=-1)
+        figures += [
+            ("closest_joints_median", float(np.median(closest)), "m"),
+            ("share_closer_than_15_cm", float(np.mean(closest < _CLOSE_M)), ""),
+            ("root_distance_median", float(np.median(roots)), "m"),
+        ]
+    return [
+        Score(topic="takes", metric=name, method="capture", value=value, unit=unit, item=take_id, count=len(people_m))
+        for name, value, unit in figures
+    ]
+
+
+def take_sheet(take_id: str, people_m: Array, rate_hz: float, *, num_moments: int = 7) -> bytes:
+    """Draw evenly spaced moments of a take, (frame, person, 22, 3), seen along -Z and from the side; PNG bytes."""
+    frames = np.unique(np.linspace(0, len(people_m) - 1, min(num_moments, len(people_m))).round().astype(int))
+    panels = []
+    for frame in frames:
+        title = f"{frame / rate_hz:.1f} s"
+        if people_m.shape[1] == 2:
+            panels.append(pair_panel(title, BODY22, people_m[frame]))
+        else:
+            pose = Pose(skeleton=BODY22, positions_m=people_m[frame, 0], colour=PERSON_COLOURS[0])
+            panels.append(Panel(title=title, poses=(pose,)))
+    return skeleton_sheet(panels, title=f"take {take_id}: front (top) and side (bottom)")

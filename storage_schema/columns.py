@@ -93,7 +93,7 @@ def array(
     joints: str = "",
     dtype: pa.DataType | None = None,
 ) -> Column:
-    """Describe a numeric array column: fixed-size when `axes` (name -> length) is given, a flat list of varying length if not."""
+    """Describe a numeric array column: of fixed shape when `axes` (name -> length) is given, else a flat list."""
     value_type = dtype or pa.float32()
     if axes is None:
         return Column(name=name, type=pa.list_(value_type), meaning=meaning, unit=unit, joints=joints)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from storage_schema.columns import Table, array, boolean, float64, integer, text, text_list
-from storage_schema.columns import Column
 import pyarrow as pa
+
+from storage_schema.columns import Table, array, boolean, float64, integer, text, text_list
 
 __all__ = ["ANNOTATIONS", "CAMERAS", "POSES", "TAKES"]
 

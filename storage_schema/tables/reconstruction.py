@@ -10,7 +10,7 @@ __all__ = ["CODEBOOK", "MOTIONS", "PROJECTIONS"]
 
 PROJECTIONS = Table(
     name="projections",
-    meaning="One row per pose of the database; its projections at every yaw step are numbered row * num_yaws + yaw index.",
+    meaning="One row per pose; its projections at every yaw step are numbered row * num_yaws + yaw index.",
     sorted_by=("origin", "take_id", "person", "frame"),
     columns=(
         text("origin", "take, draw or variant"),

@@ -1,0 +1,22 @@
+"""Licence and credit of every source, carried from the first artifact to the last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+__all__ = ["SourceCredit", "merge_credits"]
+
+
+@dataclass(frozen=True, order=True)
+class SourceCredit:
+    """Where data came from: the source's name, its licence, and the credit line it asks for."""
+
+    name: str
+    licence: str
+    credit: str
+
+
+def merge_credits(*groups: Iterable[SourceCredit]) -> tuple[SourceCredit, ...]:
+    """Give every source of these groups once, sorted by name; sources that differ in any field stay apart."""
+    return tuple(sorted({credit for group in groups for credit in group}))

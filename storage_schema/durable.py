@@ -1,0 +1,126 @@
+"""Files that are either wholly there or not at all, also after a power cut, and a full disk said in one sentence."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import io
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from storage_schema.errors import FullDisk, StorageError
+
+__all__ = ["HashingFile", "make_folder", "replace_file", "sync_folder", "write_errors", "write_file"]
+
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_REFUSED = {errno.EROFS, errno.EACCES, errno.EPERM}
+
+
+@contextmanager
+def write_errors(where: Path) -> Iterator[None]:
+    """Turn the file system's refusals inside this block into the store's errors.
+
+    Raises:
+        FullDisk: No room, or the quota is used up.
+        StorageError: The place cannot be written to.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL:
+            raise FullDisk(
+                f"the disk is full: no room left in {where}; nothing half-written was kept, "
+                "free some space and run the same command again"
+            ) from error
+        if error.errno in _REFUSED:
+            raise StorageError(f"cannot write to {where}: {error.strerror}") from error
+        raise
+
+
+class HashingFile(io.RawIOBase):
+    """A new file, open for writing, that digests its bytes on the way and reaches the disk when closed.
+
+    `num_bytes` and `sha256` say what was written so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._file = path.open("xb")
+        self._digest = hashlib.sha256()
+        self.num_bytes = 0
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the bytes written so far."""
+        return self._digest.hexdigest()
+
+    def writable(self) -> bool:
+        """Say that the file can be written to."""
+        return True
+
+    def write(self, data: Any) -> int:
+        """Write bytes at the end; gives their number."""
+        num_bytes = self._file.write(data)
+        self._digest.update(data)
+        self.num_bytes += num_bytes
+        return num_bytes
+
+    def tell(self) -> int:
+        """Give the number of bytes written."""
+        return self.num_bytes
+
+    def close(self) -> None:
+        """Bring the bytes to the disk and close the file."""
+        if not self.closed:
+            try:
+                with self._file:
+                    self._file.flush()
+                    os.fsync(self._file.fileno())
+            finally:
+                super().close()
+
+
+def write_file(path: Path, data: bytes) -> HashingFile:
+    """Write a new file and bring it to the disk; gives its size and digest."""
+    with HashingFile(path) as file:
+        file.write(data)
+    return file
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Put a whole file in the place of `path`: a reader sees the old one or the new one, nothing between."""
+    make_folder(path.parent)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, so that they outlast a power cut."""
+    if folder.is_dir():
+        return
+    make_folder(folder.parent)
+    folder.mkdir(exist_ok=True)
+    sync_folder(folder.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring a folder's list of names to the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

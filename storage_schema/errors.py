@@ -1,0 +1,64 @@
+"""The errors of the store: one root, a few children, all of them survive pickling."""
+
+# ruff: noqa: N818 - these names say what is wrong; that they are errors shows where they are raised
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+__all__ = [
+    "CorruptArtifact",
+    "DatasetExists",
+    "FullDisk",
+    "MissingArtifact",
+    "NewerSchema",
+    "SchemaError",
+    "StorageError",
+    "UnknownReference",
+]
+
+
+class StorageError(Exception):
+    """Root of every error that the store raises on purpose; the message is one clear sentence.
+
+    `is_input` tells a command line whether the user can put it right before any work starts (exit code 2) or whether
+    the work itself failed (exit code 1).
+    """
+
+    is_input: ClassVar[bool] = False
+
+
+class MissingArtifact(StorageError):
+    """An artifact, or a part of it that was asked for, is not in the store."""
+
+
+class CorruptArtifact(StorageError):
+    """What lies in the store is not what its manifest says."""
+
+
+class SchemaError(StorageError):
+    """Values do not fit the table they are written to or read from: says which column and what is allowed."""
+
+
+class NewerSchema(StorageError):
+    """The store was written by a newer version of the program."""
+
+    is_input: ClassVar[bool] = True
+
+
+class FullDisk(StorageError):
+    """There is no room left where the store lies; nothing half-written stays behind."""
+
+    is_input: ClassVar[bool] = True
+
+
+class UnknownReference(StorageError):
+    """A reference names nothing, or more than one thing: says which, and what is there."""
+
+    is_input: ClassVar[bool] = True
+
+
+class DatasetExists(StorageError):
+    """A dataset of this name and version was already made; datasets never change."""
+
+    is_input: ClassVar[bool] = True

@@ -1,0 +1,111 @@
+"""Keys and digests: sha256 over canonical bytes, the same on every machine and in every process."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from storage_schema.errors import StorageError
+from storage_schema.version import SCHEMA_VERSION
+
+__all__ = ["artifact_key", "canonical_json", "content_digest", "file_sha256", "plain_json"]
+
+_BLOCK_BYTES = 1 << 20
+
+
+def canonical_json(value: Any) -> bytes:
+    """Give the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
+
+    Raises:
+        StorageError: The value holds something that JSON has no spelling for; says where.
+    """
+    _refuse_non_json(value, "value")
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+
+
+def plain_json(value: Any) -> Any:
+    """Give a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
+    return json.loads(canonical_json(value))
+
+
+def artifact_key(
+    *,
+    stage: str,
+    version: int,
+    parameters: Mapping[str, Any],
+    input_digests: Sequence[str],
+    after: Sequence[str] = (),
+    seed: int,
+) -> str:
+    """Give the sha256 that names an artifact by everything that decides its content.
+
+    Paths, times, hosts, study names and worker counts are never part of it.
+
+    Args:
+        stage: Name of the stage.
+        version: Version of the stage, raised by hand when its results change.
+        parameters: JSON values that the stage reads.
+        input_digests: Content digests of the inputs and sha256 of outside files, in the order they are read.
+        after: Keys of other shards of the same plan that this one reads.
+        seed: Seed of the study.
+
+    Raises:
+        StorageError: The parameters are not JSON values.
+    """
+    described = {
+        "stage": stage,
+        "version": version,
+        "parameters": dict(parameters),
+        "inputs": list(input_digests),
+        "after": list(after),
+        "seed": seed,
+        "schema_version": SCHEMA_VERSION,
+    }
+    return hashlib.sha256(canonical_json(described)).hexdigest()
+
+
+def content_digest(file_digests: Mapping[str, str]) -> str:
+    """Give the digest of an artifact's content from its data files' sha256 by name; nothing else enters it.
+
+    The manifest is no data file, so times, versions and timings leave the digest alone.
+    """
+    lines = "".join(f"{name}\0{file_digests[name]}\n" for name in sorted(file_digests))
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def file_sha256(path: str | Path) -> str:
+    """Give the sha256 of a file's bytes, read in blocks.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as file:
+        while block := file.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _refuse_non_json(value: Any, where: str) -> None:
+    if value is None or isinstance(value, bool | int | str):
+        return
+    if isinstance(value, float):
+        if value != value or value in (float("inf"), float("-inf")):
+            raise StorageError(f"{where} is {value}: NaN and infinity are not JSON values")
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            if not isinstance(name, str):
+                raise StorageError(f"{where} has the key {name!r} of type {type(name).__name__}: JSON keys are text")
+            _refuse_non_json(item, f"{where}.{name}")
+        if not isinstance(value, dict):
+            raise StorageError(f"{where} is a {type(value).__name__}: JSON objects are given as dict")
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            _refuse_non_json(item, f"{where}[{index}]")
+    else:
+        raise StorageError(
+            f"{where} is of type {type(value).__name__}: allowed are dict, list, text, numbers, true, false and null"
+        )

@@ -1,0 +1,153 @@
+"""What an artifact says about itself: the manifest, the only thing readers trust."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from storage_schema.credits import SourceCredit
+from storage_schema.errors import CorruptArtifact, NewerSchema, StorageError
+from storage_schema.version import SCHEMA_VERSION
+
+__all__ = ["MANIFEST_NAME", "ArtifactRef", "FileEntry", "Manifest", "TableFile"]
+
+MANIFEST_NAME = "manifest.json"
+
+_HEX_KEY = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, order=True)
+class ArtifactRef:
+    """Names one artifact: its stage, its key, and the digest of its content.
+
+    Raises:
+        StorageError: The key is not 64 hexadecimal digits.
+    """
+
+    stage: str
+    key: str
+    content_digest: str
+
+    def __post_init__(self) -> None:
+        """Refuse a key that is not a sha256."""
+        if not _HEX_KEY.fullmatch(self.key):
+            raise StorageError(f"'{self.key}' is not an artifact key: 64 hexadecimal digits are needed")
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The artifact's part of one table: rows, bytes, sha256, and the digest of the columns it was written with."""
+
+    rows: int
+    bytes: int
+    sha256: str
+    schema: str
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """An attached file: its bytes and sha256."""
+
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Everything an artifact says about itself.
+
+    Args:
+        ref: The artifact.
+        partition: What a person sees as one step: a take, a seed, a split.
+        name: Name of the shard, unique in its partition.
+        version: Version of the stage.
+        parameters: JSON values that decided the result.
+        seed: Seed of the study.
+        inputs: Artifacts that were read.
+        files: Outside files that were read: (file name, sha256).
+        tables: Parts of tables by table name; the file is `<table>.parquet`.
+        attachments: Attached files by file name.
+        facts: Small JSON facts that later planning reads.
+        sources: Licence and credit of every source, those of the inputs included.
+        schema_version: Version of the store's layout.
+        code_version: Version of the installed program.
+        source_digest: Digest of the program's sources.
+        package_versions: Versions of the packages that can change a result.
+        timings: Seconds by name; in no digest.
+        created_at: When, in UTC; in no digest.
+    """
+
+    ref: ArtifactRef
+    partition: str
+    name: str
+    version: int
+    parameters: dict[str, Any]
+    seed: int
+    inputs: tuple[ArtifactRef, ...]
+    files: tuple[tuple[str, str], ...]
+    tables: dict[str, TableFile]
+    attachments: dict[str, FileEntry]
+    facts: dict[str, Any]
+    sources: tuple[SourceCredit, ...]
+    schema_version: int
+    code_version: str
+    source_digest: str
+    package_versions: dict[str, str]
+    timings: dict[str, float] = field(default_factory=dict, compare=False)
+    created_at: str = field(default="", compare=False)
+
+    @property
+    def data_files(self) -> dict[str, FileEntry]:
+        """Every data file of the artifact by file name: its tables' parts and its attachments."""
+        files = {f"{name}.parquet": FileEntry(part.bytes, part.sha256) for name, part in self.tables.items()}
+        return files | self.attachments
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all data files."""
+        return sum(entry.bytes for entry in self.data_files.values())
+
+    def to_json(self) -> str:
+        """Give the text of the manifest file."""
+        return json.dumps(asdict(self), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, *, where: str) -> Manifest:
+        """Read the text of a manifest file; `where` says in messages which one it is.
+
+        Raises:
+            NewerSchema: It was written by a newer version of the program.
+            CorruptArtifact: It is not a manifest.
+        """
+        try:
+            values = json.loads(text)
+            refuse_newer(values["schema_version"], where)
+            return cls(**_parsed(values))
+        except (ValueError, KeyError, TypeError, AttributeError, StorageError) as error:
+            if isinstance(error, NewerSchema):
+                raise
+            raise CorruptArtifact(f"{where} is not a manifest: {error}") from error
+
+
+def refuse_newer(found: int, where: str) -> None:
+    """Raise NewerSchema when `found` is above the version this program knows."""
+    if found > SCHEMA_VERSION:
+        raise NewerSchema(
+            f"{where} was written by a newer program (schema version {found}, this one knows up to {SCHEMA_VERSION}); "
+            "update pasdedeux or use another store"
+        )
+
+
+def _parsed(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        **values,
+        "ref": ArtifactRef(**values["ref"]),
+        "inputs": tuple(ArtifactRef(**ref) for ref in values["inputs"]),
+        "files": tuple((name, digest) for name, digest in values["files"]),
+        "tables": {name: TableFile(**part) for name, part in values["tables"].items()},
+        "attachments": {name: FileEntry(**entry) for name, entry in values["attachments"].items()},
+        "sources": tuple(SourceCredit(**source) for source in values["sources"]),
+    }

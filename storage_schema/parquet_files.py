@@ -1,0 +1,181 @@
+"""Parquet files of a table: the same rows give the same bytes, and reading gives the declared schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from storage_schema.arrow import Kind, arrow_schema, column_kind, schema_digest, value_type
+from storage_schema.columns import Column, Table
+from storage_schema.durable import HashingFile
+from storage_schema.encoding import encode
+from storage_schema.errors import CorruptArtifact, SchemaError
+from storage_schema.manifest import TableFile
+from storage_schema.table_data import TableData
+
+__all__ = ["ROW_GROUP_ROWS", "TableWriter", "iter_table", "read_table"]
+
+ROW_GROUP_ROWS = 10_000
+"""Rows of a row group: what a writer holds in memory and what a reader reads at a time."""
+
+_COMPRESSION_LEVEL = 3
+
+
+class TableWriter:
+    """Writes the rows of one table to a new file as they come.
+
+    Rows are collected into row groups of `ROW_GROUP_ROWS`, so the file does not depend on how they were divided into
+    calls of `append`, and memory holds one row group at most beside the rows appended.
+    """
+
+    def __init__(self, path: Path, table: Table) -> None:
+        self._table = table
+        self._num_rows = 0
+        self._waiting: list[pa.Table] = []
+        self._num_waiting = 0
+        self._file = HashingFile(path)
+        self._parquet = pq.ParquetWriter(self._file, arrow_schema(table), **_options(table))
+
+    def append(self, columns: Mapping[str, Any]) -> None:
+        """Add rows at the end.
+
+        Raises:
+            SchemaError: A column is missing, unknown, of another length, shape or kind.
+        """
+        rows = encode(self._table, columns)
+        self._waiting.append(rows)
+        self._num_waiting += rows.num_rows
+        self._num_rows += rows.num_rows
+        while self._num_waiting >= ROW_GROUP_ROWS:
+            self._write(ROW_GROUP_ROWS)
+
+    def finish(self) -> TableFile:
+        """Write what is waiting, bring the file to the disk and say what it holds."""
+        if self._num_waiting:
+            self._write(self._num_waiting)
+        self._parquet.close()
+        self._file.close()
+        return TableFile(self._num_rows, self._file.num_bytes, self._file.sha256, schema_digest(self._table))
+
+    def abandon(self) -> None:
+        """Close the file; what was written is of no use."""
+        for part in (self._parquet, self._file):
+            try:
+                part.close()
+            except (OSError, ValueError, pa.ArrowException):
+                # The error that made us give up is the one to tell; this is its echo.
+                continue
+
+    def _write(self, num_rows: int) -> None:
+        waiting = pa.concat_tables(self._waiting)
+        group, rest = waiting.slice(0, num_rows), waiting.slice(num_rows)
+        self._parquet.write_table(group.combine_chunks(), row_group_size=ROW_GROUP_ROWS)
+        self._waiting, self._num_waiting = [rest], rest.num_rows
+
+
+def read_table(
+    path: Path, table: Table, *, columns: Sequence[str] | None = None, rows: slice | None = None
+) -> TableData:
+    """Read rows of a table; only the row groups that hold them are read.
+
+    Args:
+        path: File of the table.
+        table: Its definition.
+        columns: Columns to read, all when None; they come in the order of the definition.
+        rows: Rows to read, all when None; as in Python, negative numbers count from the end and a long range is cut.
+
+    Raises:
+        SchemaError: A column is not in the table, or the file was written with other columns.
+        CorruptArtifact: The file cannot be read.
+    """
+    names = _wanted(table, columns)
+    with _opened(path, table) as file:
+        if rows is None:
+            return TableData(table, _guarded(path, lambda: file.read(columns=names, use_threads=False)))
+        start, stop, step = rows.indices(file.metadata.num_rows)
+        if step != 1:
+            raise SchemaError(f"table '{table.name}': rows are read in steps of 1, not {step}")
+        groups, first = _groups_of(file, start, max(start, stop))
+        found = _guarded(path, lambda: file.read_row_groups(groups, columns=names, use_threads=False))
+        return TableData(table, found.slice(start - first, max(stop - start, 0)))
+
+
+def iter_table(path: Path, table: Table, *, columns: Sequence[str] | None = None) -> Iterator[TableData]:
+    """Read a table one row group at a time.
+
+    Raises:
+        SchemaError: A column is not in the table, or the file was written with other columns.
+        CorruptArtifact: The file cannot be read.
+    """
+    names = _wanted(table, columns)
+    with _opened(path, table) as file:
+        for group in range(file.num_row_groups):
+            yield TableData(
+                table, _guarded(path, lambda g=group: file.read_row_group(g, columns=names, use_threads=False))
+            )
+
+
+def _options(table: Table) -> dict[str, Any]:
+    """Give the writer's options: what decides bytes is stated, so a moving default does not move a digest."""
+    return {
+        "version": "2.6",
+        "data_page_version": "1.0",
+        "compression": "zstd",
+        "compression_level": _COMPRESSION_LEVEL,
+        "use_dictionary": [_path(c) for c in table.columns if column_kind(c) in (Kind.TEXT, Kind.TEXT_LIST)],
+        "use_byte_stream_split": [_path(c) for c in table.columns if pa.types.is_floating(value_type(c))],
+        "write_statistics": [c.name for c in table.columns if not pa.types.is_nested(c.type)],
+        "write_page_checksum": True,
+        "store_schema": True,
+        "use_compliant_nested_type": True,
+    }
+
+
+def _path(column: Column) -> str:
+    """Give the Parquet path of a column's leaf."""
+    return f"{column.name}.list.element" if pa.types.is_nested(column.type) else column.name
+
+
+def _wanted(table: Table, columns: Sequence[str] | None) -> list[str]:
+    known = [column.name for column in table.columns]
+    if columns is None:
+        return known
+    unknown = [name for name in columns if name not in known]
+    if unknown:
+        raise SchemaError(f"table '{table.name}' has no column '{unknown[0]}'; known columns: {', '.join(known)}")
+    return [name for name in known if name in columns]
+
+
+def _opened(path: Path, table: Table) -> pq.ParquetFile:
+    file = _guarded(path, lambda: pq.ParquetFile(path, page_checksum_verification=True))
+    if not file.schema_arrow.equals(arrow_schema(table), check_metadata=False):
+        file.close()
+        raise SchemaError(f"table '{table.name}': {path.name} was written with other columns; run its stage again")
+    return file
+
+
+def _guarded(path: Path, read: Any) -> Any:
+    try:
+        return read()
+    except FileNotFoundError:
+        raise CorruptArtifact(f"{path} is missing though its manifest names it") from None
+    except (OSError, pa.ArrowException) as error:
+        raise CorruptArtifact(f"{path} cannot be read: {error}") from error
+
+
+def _groups_of(file: pq.ParquetFile, start: int, stop: int) -> tuple[list[int], int]:
+    """Give the row groups that hold the rows start..stop, and the number of the first row of the first of them."""
+    groups: list[int] = []
+    first = position = 0
+    for group in range(file.num_row_groups):
+        end = position + file.metadata.row_group(group).num_rows
+        if position < stop and end > start:
+            if not groups:
+                first = position
+            groups.append(group)
+        position = end
+    return groups, first if groups else start

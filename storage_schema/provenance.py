@@ -1,0 +1,68 @@
+"""What computed an artifact: version and sources of the program, versions of the packages below it."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import platform
+from functools import cache
+from pathlib import Path
+
+__all__ = ["code_version", "package_versions", "source_digest"]
+
+_OUR_PACKAGES = ("pasdedeux", "storage_schema", "tasks")
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "pyarrow",
+    "numba",
+    "llvmlite",
+    "scikit-learn",
+    "opencv-contrib-python-headless",
+    "opencv-python-headless",
+    "pybvh",
+    "arviz",
+    "torch",
+)
+
+
+@cache
+def code_version() -> str:
+    """Give the version of the installed program, 'unknown' when it runs from sources that are not installed."""
+    return _version("pasdedeux") or "unknown"
+
+
+@cache
+def package_versions() -> dict[str, str]:
+    """Give the versions of Python and of the installed packages that can change a result."""
+    found = {name: version for name in _PACKAGES if (version := _version(name))}
+    return {"python": platform.python_version(), **found}
+
+
+@cache
+def source_digest() -> str:
+    """Give the sha256 over the Python files of the science, the storage and the tasks: their paths and bytes.
+
+    The flows are left out: they decide when things run, not what comes out.
+    """
+    digest = hashlib.sha256()
+    for package in _OUR_PACKAGES:
+        for folder in _folders(package):
+            for path in sorted(folder.rglob("*.py")):
+                digest.update(f"{package}/{path.relative_to(folder).as_posix()}\0".encode())
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _folders(package: str) -> list[Path]:
+    """Give the folders of a package without importing it."""
+    spec = importlib.util.find_spec(package)
+    return [Path(folder) for folder in (spec.submodule_search_locations or [])] if spec else []

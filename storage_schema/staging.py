@@ -1,0 +1,104 @@
+"""Temporary folders of a store: where an artifact grows before it is there, and how a crash's leftovers go.
+
+A folder's owner holds a lock on a file beside it for as long as it lives; the system frees the lock when the process
+dies, however it dies.  So a folder whose lock can be taken belongs to nobody.  Locks are trusted on the owner's host
+only; on a shared file system another host's leftovers go when nothing in them has changed for a week.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import socket
+import time
+import uuid
+from pathlib import Path
+
+from storage_schema.durable import make_folder
+
+__all__ = ["StagingFolder", "clean_leftovers"]
+
+_FOREIGN_AGE_S = 7 * 24 * 3600.0
+
+
+class StagingFolder:
+    """A new folder under `root`, owned by this process until `close`."""
+
+    def __init__(self, root: Path) -> None:
+        make_folder(root)
+        self._lock, name = _new_lock(root)
+        self._lock_path = root / f"{name}.lock"
+        self.path = root / name
+        try:
+            self.path.mkdir()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Remove what is left of the folder and give up its lock."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        self._lock_path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+def clean_leftovers(root: Path) -> int:
+    """Remove the folders under `root` whose owners are dead; gives their number."""
+    if not root.is_dir():
+        return 0
+    return sum(_clean(lock_path) for lock_path in sorted(root.glob("*.lock")))
+
+
+def _new_lock(root: Path) -> tuple[int, str]:
+    """Make and lock a new lock file; a cleaner may take it in between, then another is made."""
+    while True:
+        name = f"{_host()}.{os.getpid()}.{uuid.uuid4().hex[:12]}"
+        path = root / f"{name}.lock"
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            continue
+        except OSError:
+            # A file system without locks: leftovers stay there until they are old.
+            return handle, name
+        if path.exists():
+            return handle, name
+        os.close(handle)
+
+
+def _clean(lock_path: Path) -> bool:
+    """Remove one folder if its owner is dead."""
+    try:
+        handle = os.open(lock_path, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        if lock_path.name.split(".")[0] != _host():
+            if not _is_untouched(lock_path.with_suffix("")):
+                return False
+        else:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        shutil.rmtree(lock_path.with_suffix(""), ignore_errors=True)
+        lock_path.unlink(missing_ok=True)
+    except OSError:
+        return False
+    else:
+        return True
+    finally:
+        os.close(handle)
+
+
+def _is_untouched(folder: Path) -> bool:
+    newest = 0.0
+    for path in (folder, folder.with_name(f"{folder.name}.lock"), *folder.glob("*")):
+        with contextlib.suppress(OSError):
+            newest = max(newest, path.stat().st_mtime)
+    return time.time() - newest > _FOREIGN_AGE_S
+
+
+def _host() -> str:
+    return socket.gethostname().replace(".", "-").replace("/", "-") or "host"

@@ -1,0 +1,8 @@
+"""The version of what lies on disk, in one place."""
+
+from __future__ import annotations
+
+__all__ = ["SCHEMA_VERSION"]
+
+SCHEMA_VERSION = 1
+"""Raised by hand when an older program could misread a newer store; part of every artifact key."""

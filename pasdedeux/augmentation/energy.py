@@ -1,0 +1,47 @@
+"""The energy of variants, evaluated term by term as it is written."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["energy_terms", "laplacian_residual", "total_energy"]
+
+Array = npt.NDArray[np.float64]
+
+
+def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
+    """Give L x - L_c d (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
+    kept = np.matmul(problem.mesh.laplacian[None], offsets)
+    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
+
+
+def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str, Array]:
+    """Give each term's energy (variant,) for offsets x = p - r (variant, T, 44, 3); see `terms` for the formulas."""
+    weights, half = problem.weights, BODY22.num_joints
+    apart = offsets - targets.difference
+    terms = {
+        "laplacian": weights.laplacian * (laplacian_residual(problem, targets, offsets) ** 2).sum(axis=(1, 2, 3)),
+        "smoothness": problem.smoothness * (np.diff(offsets, n=2, axis=1) ** 2).sum(axis=(1, 2, 3)),
+        "reference": weights.reference * (offsets**2).sum(axis=(1, 2, 3)),
+        "floor": (problem.floor * (offsets[..., 1] - targets.height) ** 2).sum(axis=(1, 2)),
+        "stance": (problem.stance[..., None] * np.diff(apart, axis=1)[..., [0, 2]] ** 2).sum(axis=(1, 2, 3)),
+        "fixed": ((problem.anchor - weights.reference)[:, None] * apart**2).sum(axis=(1, 2, 3)),
+    }
+    contact = np.zeros(len(offsets))
+    for variant, pair in enumerate(apart):
+        squared = ((pair[:, :half, None] - pair[:, None, half:]) ** 2).sum(axis=-1)
+        contact[variant] = (problem.contact * squared).sum()
+    terms["contact"] = contact
+    points = (targets.reference + offsets)[:, :, GIRDLE_PAIRS]
+    distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)
+    terms["girdle"] = weights.girdle * ((distance - targets.girdle_m) ** 2).sum(axis=(1, 2))
+    return terms
+
+
+def total_energy(problem: Problem, targets: Targets, offsets: Array) -> Array:
+    """Give the energy (variant,) of offsets x = p - r (variant, T, 44, 3)."""
+    return np.asarray(sum(energy_terms(problem, targets, offsets).values()))

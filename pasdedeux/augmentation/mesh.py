@@ -1,0 +1,102 @@
+"""The interaction mesh: Delaunay tetrahedra over the joints of both people, and its Laplacian (Ho, Komura and Tai 2010)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import Delaunay, QhullError
+
+from pasdedeux.augmentation.source import NUM_POINTS, Source, points_of
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["InteractionMesh", "build_mesh", "delaunay_edges"]
+
+Array = npt.NDArray[np.float64]
+
+_SMALLEST_SQUARED_DISTANCE_M2 = 1e-4
+"""Edges shorter than 1 cm weigh no more than one of 1 cm."""
+_JOGGLE_M = 1e-6
+"""Size of the fixed displacement that lifts coplanar or duplicate joints off each other."""
+
+
+@dataclass(frozen=True)
+class InteractionMesh:
+    """Row-normalised edge weights of every source frame.
+
+    Args:
+        weights: W (frame, 44, 44); row i holds the weights of joint i's neighbours, they sum to 1.
+        num_joggled: Frames whose joints were coplanar or coincided, so that they were displaced by a micrometre to mesh
+            them.
+    """
+
+    weights: Array
+    num_joggled: int
+
+    @property
+    def laplacian(self) -> Array:
+        """L = I - W (frame, 44, 44)."""
+        return np.asarray(np.eye(NUM_POINTS) - self.weights)
+
+    @property
+    def cross_laplacian(self) -> Array:
+        """The part of L over edges between the two people (frame, 44, 44); its rows sum to 0."""
+        half = BODY22.num_joints
+        cross = np.array(self.weights)
+        cross[:, :half, :half] = 0.0
+        cross[:, half:, half:] = 0.0
+        return np.asarray(np.eye(NUM_POINTS) * cross.sum(axis=-1)[:, None, :] - cross)
+
+
+def delaunay_edges(points: Array) -> tuple[npt.NDArray[np.bool_], bool]:
+    """Give which of the points (n, 3) share a Delaunay tetrahedron (n, n), and whether they had to be displaced.
+
+    Points that lie in a plane have no tetrahedra, and of points that coincide all but one are left out; such sets are
+    meshed again after a fixed pseudo-random displacement of a micrometre.
+    """
+    try:
+        mesh = Delaunay(points)
+        if len(mesh.coplanar) == 0:
+            return _adjacency(mesh.simplices, len(points)), False
+    except QhullError:
+        pass
+    joggle = np.random.default_rng(len(points)).uniform(-_JOGGLE_M, _JOGGLE_M, points.shape)
+    spread = points - points.mean(axis=0) + joggle
+    return _adjacency(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points)), True
+
+
+def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
+    """Mesh every frame of the source.
+
+    Weights are 1/d^2 with d^2 >= 1e-4 m^2, normalised per joint.  The bones are always edges, so a joint is never left
+    out.  With `smoothing_s` the weights are averaged over time by a Gaussian of that standard deviation: Delaunay edges
+    come and go from frame to frame, and an edge that appears at full weight makes the motion jump.  The published
+    method takes each frame alone (`smoothing_s` 0).
+    """
+    points = points_of(source.positions_m)
+    half = BODY22.num_joints
+    is_bone = np.zeros((NUM_POINTS, NUM_POINTS), dtype=bool)
+    for parent, child in BODY22.bones:
+        for offset in (0, half):
+            is_bone[parent + offset, child + offset] = is_bone[child + offset, parent + offset] = True
+    squared = ((points[:, :, None] - points[:, None]) ** 2).sum(axis=-1)
+    weights = 1.0 / np.maximum(squared, _SMALLEST_SQUARED_DISTANCE_M2)
+    num_joggled = 0
+    for frame in range(len(points)):
+        is_edge, was_joggled = delaunay_edges(points[frame])
+        num_joggled += was_joggled
+        weights[frame] *= is_edge | is_bone
+    weights /= weights.sum(axis=-1, keepdims=True)
+    if smoothing_s > 0 and len(points) > 1:
+        weights = gaussian_filter1d(weights, smoothing_s * source.rate_hz, axis=0, mode="nearest", truncate=3.0)
+    return InteractionMesh(weights=weights, num_joggled=num_joggled)
+
+
+def _adjacency(simplices: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.bool_]:
+    is_edge = np.zeros((count, count), dtype=bool)
+    for i, j in combinations(range(simplices.shape[1]), 2):
+        is_edge[simplices[:, i], simplices[:, j]] = True
+    return np.asarray(is_edge | is_edge.T)

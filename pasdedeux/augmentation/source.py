@@ -1,0 +1,131 @@
+"""The source of an augmentation: a pair's motion, its bones and its floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["NUM_POINTS", "Source", "complete_scales", "points_of", "reference_motion"]
+
+Array = npt.NDArray[np.float64]
+
+NUM_POINTS = 2 * BODY22.num_joints
+"""Joints of both people: person A's 22, then person B's."""
+
+_LONGEST_JOINT_DISTANCE_M = 1e4
+_FLOOR_PERCENTILE = 5.0
+_TOES = BODY22.indices(["left_toe", "right_toe"])
+
+
+@dataclass(frozen=True)
+class Source:
+    """Two people's body22 over time, the template of every variant.
+
+    Args:
+        positions_m: World positions (frame, person=2, joint=22, 3), metres, Y up.
+        rate_hz: Frames per second.
+        name: Name of the take, used in messages.
+
+    Raises:
+        InputError: Wrong shape, no frames, a frame that is not finite or lies kilometres away, a rate that is not positive.
+    """
+
+    positions_m: Array
+    rate_hz: float
+    name: str = "take"
+
+    def __post_init__(self) -> None:
+        """Check shape, finiteness and rate."""
+        shape = self.positions_m.shape
+        if len(shape) != 4 or shape[1:] != (2, BODY22.num_joints, 3):
+            raise InputError(
+                f"{self.name}: positions have shape {shape}, expected (frames, 2, {BODY22.num_joints}, 3): "
+                "a pair of people, both on body22"
+            )
+        if shape[0] == 0:
+            raise InputError(f"{self.name}: the take has no frames, at least one is needed")
+        is_bad = ~(np.abs(self.positions_m) < _LONGEST_JOINT_DISTANCE_M).all(axis=(1, 2, 3))
+        if is_bad.any():
+            raise InputError(
+                f"{self.name}: frame {int(np.argmax(is_bad))} has a joint that is not finite or further than "
+                f"{_LONGEST_JOINT_DISTANCE_M:g} m from the origin ({int(is_bad.sum())} such frames)"
+            )
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise InputError(f"{self.name}: the frame rate is {self.rate_hz}, it must be positive")
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return len(self.positions_m)
+
+    @cached_property
+    def lengths_m(self) -> Array:
+        """Length of each bone (2, 22), metres: the median over the frames, so that a mapped joint may wander a little."""
+        return np.asarray(np.median(bone_lengths(BODY22, self.positions_m), axis=0))
+
+    @cached_property
+    def directions(self) -> Array:
+        """Unit direction of each bone (frame, 2, 22, 3)."""
+        return bone_directions(BODY22, self.positions_m)
+
+    @cached_property
+    def floor_m(self) -> Array:
+        """Height of each person's toe joints when they stand (2,), metres: 5th percentile over frames of the lower toe."""
+        lower_toe = self.positions_m[:, :, _TOES, 1].min(axis=-1)
+        return np.asarray(np.percentile(lower_toe, _FLOOR_PERCENTILE, axis=0))
+
+    @cached_property
+    def closest_m(self) -> float:
+        """Smallest distance between joints of the two people over the take, metres."""
+        difference = self.positions_m[:, 0, :, None] - self.positions_m[:, 1, None]
+        return float(np.sqrt((difference**2).sum(axis=-1).min()))
+
+    def slice(self, start: int, stop: int) -> Source:
+        """Give frames `start` to `stop` (exclusive)."""
+        return Source(self.positions_m[start:stop], self.rate_hz, self.name)
+
+
+def points_of(pair: Array) -> Array:
+    """See a pair (*batch, 2, 22, 3) as the points of both people (*batch, 44, 3)."""
+    return pair.reshape(*pair.shape[:-3], NUM_POINTS, pair.shape[-1])
+
+
+def complete_scales(source: Source, bone_scale: Array) -> Array:
+    """Give scales (variant, 2, 22) whose root entries are the leg ratios of the source's own legs.
+
+    Raises:
+        InputError: Wrong shape, or a scale that is not positive.
+    """
+    check_bone_scales(bone_scale, what=source.name)
+    completed = np.array(bone_scale, dtype=np.float64)
+    completed[..., BODY22.root] = leg_ratio(completed, source.lengths_m)
+    return completed
+
+
+def reference_motion(source: Source, bone_scale: Array) -> Array:
+    """Give r, the source's bone directions with the new lengths, root height scaled by the leg ratio.
+
+    This is plain forward kinematics: what retargeting is without any thought of the partner, the baseline of the
+    quality columns and the motion that the smoothness term follows.  The height is scaled above the level of the
+    standing toe joints, so that they stay where they are: bones scale, the sole under the toe joint does not.
+
+    Args:
+        source: The template, T frames.
+        bone_scale: Scales (variant, 2, 22); the root's is the scale of the root height.
+
+    Returns:
+        Positions (variant, T, 2, 22, 3), metres.
+    """
+    root = np.repeat(source.positions_m[None, :, :, BODY22.root], len(bone_scale), axis=0)
+    height = root[..., 1] - source.floor_m
+    root[..., 1] = source.floor_m + height * bone_scale[:, None, :, BODY22.root]
+    lengths = source.lengths_m * bone_scale
+    return place_bones(BODY22, root, source.directions[None], lengths[:, None])

@@ -1,0 +1,320 @@
+"""The energy of a variant: DESIGN.md section 6, all terms quadratic in the positions but the girdle's.
+
+With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (q: the source), the energy of a take is
+
+    E = w_L |L x - L_c d|^2                     Laplacian; own-body edges follow the new skeleton, cross edges the source
+      + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
+      + w_R |x|^2                               reference
+      + sum w_C |(x_i - x_j) - (d_i - d_j)|^2   contact pairs keep the source's vector
+      + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
+      + sum w_H |y - h|^2                       joints near the floor keep their height above it
+      + sum w_G (|p_i - p_j| - |r_i - r_j|)^2   girdle and hips stay rigid
+    subject to exact bone lengths.
+
+All weights come from the source alone, so one matrix serves every variant of a take, and the right-hand side is linear
+in d.  Weights are per frame at 30 Hz; temporal terms are rescaled so that they mean the same at any rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.contacts import (
+    FEET,
+    BodyPart,
+    ContactSettings,
+    UserContact,
+    body_parts,
+    contact_weights,
+    floor_weights,
+    stance_weights,
+)
+from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
+from pasdedeux.augmentation.source import NUM_POINTS, Source, complete_scales, points_of, reference_motion
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "Weights", "build_problem", "build_targets", "right_hand_side"]
+
+Array = npt.NDArray[np.float64]
+
+AXIS_GROUP = (0, 1, 0)
+"""Which of the two matrices an axis x, y, z uses: horizontal 0, vertical 1."""
+
+_WEIGHTS_RATE_HZ = 30.0
+
+_GIRDLE_NAMES = (
+    ("left_hip", "right_hip"),
+    ("left_hip", "spine1"),
+    ("right_hip", "spine1"),
+    ("left_collar", "right_collar"),
+    ("left_collar", "neck"),
+    ("right_collar", "neck"),
+    ("left_shoulder", "neck"),
+    ("right_shoulder", "neck"),
+)
+GIRDLE_PAIRS: npt.NDArray[np.int64] = np.array(
+    [[joint + offset for joint in BODY22.indices(pair)] for offset in (0, BODY22.num_joints) for pair in _GIRDLE_NAMES]
+)
+"""Pairs of points (pair, 2) whose distance stays that of the new skeleton, both people."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the terms, one set for every take; per square metre.
+
+    Args:
+        laplacian: Interaction mesh, w_L.
+        smoothness: Second difference of x at 30 Hz, w_S.
+        reference: Pull towards plain forward kinematics, w_R; keeps the problem well posed.
+        contact_extremity: Contact pairs of two hands or feet.
+        contact_mixed: Contact pairs of a hand or foot with another body part.
+        contact_limb: Contact pairs in which an elbow or knee is the finest part.
+        contact_torso: Contact pairs of two torso joints.
+        stance: Horizontal velocity of stance feet at 30 Hz, w_F.
+        floor: Height of joints near the floor, w_H.
+        girdle: Rigidity of girdle and hips, w_G.
+        fixed: Pull of a person held fixed towards the source.
+
+    Raises:
+        InputError: A negative or non-finite weight, or no reference weight.
+    """
+
+    laplacian: float = 1.0
+    smoothness: float = 2.0
+    reference: float = 1e-3
+    contact_extremity: float = 40.0
+    contact_mixed: float = 4.0
+    contact_limb: float = 1.0
+    contact_torso: float = 0.5
+    stance: float = 20.0
+    floor: float = 20.0
+    girdle: float = 10.0
+    fixed: float = 1e3
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0) or (field.name == "reference" and value == 0):
+                raise InputError(f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What all variants of a take share: the source and the quadratic form of its energy.
+
+    Args:
+        source: The template, T frames.
+        weights: Weights used.
+        mesh: Interaction mesh of the source.
+        matrix: Quadratic form within a frame (group=2, T, 44, 44), temporal terms included.
+        lag1: Coupling of each point at frames t and t+1 (group=2, T-1, 44).
+        lag2: Coupling at frames t and t+2 (group=2, T-2, 44).
+        contact: Graded contact weights (T, 22 of A, 22 of B).
+        stance: Weights of the horizontal velocity of each foot joint between frames (T-1, 44); 0 for other joints.
+        floor: Weights of the height of each point (T, 44).
+        fixed_person: Index of the person held at the source, or None.
+    """
+
+    source: Source
+    weights: Weights
+    mesh: InteractionMesh
+    matrix: Array
+    lag1: Array
+    lag2: Array
+    contact: Array
+    stance: Array
+    floor: Array
+    smoothness: float
+    anchor: Array
+    fixed_person: int | None
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return self.source.num_frames
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What belongs to a batch of variants: their reference motion and the targets of their terms.
+
+    Args:
+        bone_scale: Scales (variant, 2, 22).
+        reference: r (variant, T, 44, 3), metres.
+        difference: d = q - r (variant, T, 44, 3), metres.
+        height: Target of the vertical part of x for the floor term (variant, T, 44), metres.
+        lengths_m: New bone lengths (variant, 44), metres; 0 for the roots.
+        girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
+    """
+
+    bone_scale: Array
+    reference: Array
+    difference: Array
+    height: Array
+    lengths_m: Array
+    girdle_m: Array
+
+    @property
+    def num_variants(self) -> int:
+        """Number of variants."""
+        return len(self.bone_scale)
+
+
+def build_problem(
+    source: Source,
+    weights: Weights | None = None,
+    contacts: ContactSettings | None = None,
+    *,
+    mesh: InteractionMesh | None = None,
+    user_contacts: Sequence[UserContact] = (),
+    fixed_person: int | None = None,
+    mesh_smoothing_s: float = 0.1,
+) -> Problem:
+    """Find the terms of a take and add them up to its quadratic form.
+
+    Args:
+        source: The template.
+        weights: Weights; the default set where not given.
+        contacts: What counts as contact, stance and floor.
+        mesh: Interaction mesh, built here where not given.
+        user_contacts: Contacts that replace what is found.
+        fixed_person: Person (0 or 1) who keeps the source's motion.
+        mesh_smoothing_s: Averaging of the mesh weights over time.
+
+    Raises:
+        InputError: `fixed_person` is neither 0 nor 1, or a contact is not allowed.
+    """
+    if fixed_person not in (None, 0, 1):
+        raise InputError(f"fixed_person is {fixed_person}; allowed are 0 (A), 1 (B) and none")
+    weights = weights or Weights()
+    contacts = contacts or ContactSettings()
+    mesh = mesh or build_mesh(source, smoothing_s=mesh_smoothing_s)
+    frames = source.num_frames
+    rate = source.rate_hz / _WEIGHTS_RATE_HZ
+
+    contact = contact_weights(source, contacts, user_contacts) * _grades(weights)
+    standing = stance_weights(source, contacts)
+    stance = np.zeros((max(frames - 1, 0), 2, BODY22.num_joints))
+    stance[:, :, FEET] = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
+    stance = stance.reshape(len(stance), NUM_POINTS)
+    floor = weights.floor * floor_weights(source, contacts).reshape(frames, NUM_POINTS)
+    anchor = np.full(NUM_POINTS, weights.reference)
+    if fixed_person is not None:
+        anchor.reshape(2, -1)[fixed_person] += weights.fixed
+    smoothness = weights.smoothness * rate**4
+
+    laplacian = mesh.laplacian
+    shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
+    shared += _contact_matrix(contact)
+    shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
+    matrix = np.stack([shared, shared])
+    lag1 = np.zeros((2, max(frames - 1, 0), NUM_POINTS))
+    lag2 = np.zeros((2, max(frames - 2, 0), NUM_POINTS))
+    diagonal = np.zeros((2, frames, NUM_POINTS))
+    diagonal[1] += floor
+    if frames > 1:
+        diagonal[0, 1:] += stance
+        diagonal[0, :-1] += stance
+        lag1[0] -= stance
+    if frames > 2:
+        for group in (0, 1):
+            diagonal[group, :-2] += smoothness
+            diagonal[group, 1:-1] += 4.0 * smoothness
+            diagonal[group, 2:] += smoothness
+            lag1[group, :-1] -= 2.0 * smoothness
+            lag1[group, 1:] -= 2.0 * smoothness
+            lag2[group] += smoothness
+    matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
+    return Problem(
+        source=source,
+        weights=weights,
+        mesh=mesh,
+        matrix=matrix,
+        lag1=lag1,
+        lag2=lag2,
+        contact=contact,
+        stance=stance,
+        floor=floor,
+        smoothness=smoothness,
+        anchor=anchor,
+        fixed_person=fixed_person,
+    )
+
+
+def build_targets(problem: Problem, bone_scale: Array) -> Targets:
+    """Give the reference motion and the targets of a batch of variants (variant, 2, 22).
+
+    Raises:
+        InputError: Scales of the wrong shape, or not positive.
+    """
+    source = problem.source
+    bone_scale = complete_scales(source, bone_scale)
+    reference = reference_motion(source, bone_scale)
+    points = points_of(reference)
+    difference = points_of(source.positions_m)[None] - points
+    pairs = points[:, :, GIRDLE_PAIRS]
+    lengths = source.lengths_m * bone_scale
+    lengths[..., BODY22.root] = 0.0
+    return Targets(
+        bone_scale=bone_scale,
+        reference=points,
+        difference=difference,
+        height=_floor_heights(source, bone_scale, reference),
+        lengths_m=lengths.reshape(len(bone_scale), NUM_POINTS),
+        girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
+    )
+
+
+def right_hand_side(problem: Problem, targets: Targets) -> Array:
+    """Give b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
+    difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
+    mesh = problem.mesh
+    coupling = problem.weights.laplacian * np.swapaxes(mesh.laplacian, -1, -2) @ mesh.cross_laplacian
+    coupling += _contact_matrix(problem.contact)
+    if problem.fixed_person is not None:
+        held = problem.anchor - problem.weights.reference
+        coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += held
+    rhs = np.matmul(coupling[None], difference)
+    if problem.num_frames > 1:
+        change = problem.stance[None, :, :, None] * np.diff(difference, axis=1)
+        change[1] = 0.0
+        rhs[:, 1:] += change
+        rhs[:, :-1] -= change
+    rhs[1] += problem.floor[:, :, None] * np.transpose(targets.height, (1, 2, 0))
+    return np.asarray(rhs)
+
+
+def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array:
+    """Height targets less r's height (variant, T, 44): the source's, but an ankle rises with its foot's length."""
+    heights = np.repeat(source.positions_m[None, ..., 1], len(bone_scale), axis=0)
+    for ankle, toe in (("left_ankle", "left_toe"), ("right_ankle", "right_toe")):
+        a, t = BODY22.index(ankle), BODY22.index(toe)
+        rise = source.positions_m[:, :, a, 1] - source.positions_m[:, :, t, 1]
+        heights[..., a] = source.positions_m[:, :, t, 1] + bone_scale[:, None, :, t] * rise
+    difference = heights - reference[..., 1]
+    return np.asarray(difference.reshape(*difference.shape[:2], NUM_POINTS))
+
+
+def _grades(weights: Weights) -> Array:
+    """Weight of each joint pair (22, 22) by the finer of its two body parts."""
+    parts = body_parts()
+    finer, coarser = np.maximum.outer(parts, parts), np.minimum.outer(parts, parts)
+    by_finer = np.array([weights.contact_torso, weights.contact_limb, weights.contact_mixed])
+    return np.where(coarser == BodyPart.EXTREMITY, weights.contact_extremity, by_finer[finer])
+
+
+def _contact_matrix(contact: Array) -> Array:
+    """Quadratic form (T, 44, 44) of sum w_ij |x_i - x_j|^2 over pairs of A and B."""
+    half = BODY22.num_joints
+    matrix = np.zeros((len(contact), NUM_POINTS, NUM_POINTS))
+    matrix[:, :half, half:] = -contact
+    matrix[:, half:, :half] = -np.swapaxes(contact, -1, -2)
+    matrix[:, range(half), range(half)] = contact.sum(axis=2)
+    matrix[:, range(half, NUM_POINTS), range(half, NUM_POINTS)] = contact.sum(axis=1)
+    return matrix

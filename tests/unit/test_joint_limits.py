@@ -1,0 +1,166 @@
+"""Joint angles, limits and nearest valid poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.plausibility.joint_limits import JointLimits, joint_angles
+from pasdedeux.plausibility.joint_limits_kernel import measure_angles, move_to_nearest_valid
+from pasdedeux.plausibility.ranges import ANGLES
+from pasdedeux.skeletons import PAIR17
+
+LIMITS = JointLimits.published()
+ANGLE = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
+
+
+def standing() -> np.ndarray:
+    """A person standing upright, facing +Z (left is +X), arms hanging."""
+    place = {
+        "pelvis": [0, 1, 0],
+        "spine": [0, 1.15, 0],
+        "chest": [0, 1.3, 0],
+        "neck": [0, 1.5, 0],
+        "head": [0, 1.65, 0.03],
+        "left_shoulder": [0.18, 1.42, 0],
+        "left_elbow": [0.2, 1.12, 0],
+        "left_wrist": [0.2, 0.87, 0.05],
+        "left_hip": [0.1, 0.92, 0],
+        "left_knee": [0.1, 0.5, 0.02],
+        "left_ankle": [0.1, 0.08, 0],
+    }
+    pose = np.zeros((17, 3))
+    for joint, index in zip(PAIR17.joint_names, range(17), strict=True):
+        source = joint.replace("right_", "left_")
+        pose[index] = np.array(place[source]) * ([-1, 1, 1] if joint.startswith("right_") else [1, 1, 1])
+    return pose
+
+
+def put(pose: np.ndarray, joint: str, direction: list[float]) -> np.ndarray:
+    """Point the bone that ends in `joint` elsewhere, carrying nothing along."""
+    moved = pose.copy()
+    index = PAIR17.index(joint)
+    parent = PAIR17.parents[index]
+    length = np.linalg.norm(pose[index] - pose[parent])
+    moved[index] = moved[parent] + length * normalise(np.array(direction, dtype=float))
+    return moved
+
+
+def wild(seed: int, count: int) -> np.ndarray:
+    """Poses whose bones point anywhere near their standing direction, or quite anywhere."""
+    rng = np.random.default_rng(seed)
+    rest = standing()
+    scale = rng.choice([0.1, 0.5, 2.0], size=(count, 1, 1))
+    poses = np.zeros((count, 17, 3))
+    for parent, child in ((PAIR17.parents[j], j) for j in PAIR17.order[1:]):
+        bone = rest[child] - rest[parent]
+        noise = rng.normal(size=(count, 3)) * scale[:, 0] * np.linalg.norm(bone)
+        poses[:, child] = poses[:, parent] + normalise(bone + noise) * np.linalg.norm(bone)
+    turn = rotmat_from_unitquat(normalise(rng.normal(size=(count, 4))))
+    return np.einsum("nij,nkj->nki", turn, poses) + rng.normal(size=(count, 1, 3))
+
+
+def degrees(pose: np.ndarray, joint: str, angle: str) -> float:
+    return float(np.rad2deg(joint_angles(pose)[ANGLE[joint, angle]]))
+
+
+def test_standing_is_valid_and_straight() -> None:
+    assert LIMITS.is_valid(standing())
+    for joint in ("spine", "chest", "left_knee"):
+        assert abs(degrees(standing(), joint, "flexion")) < 6
+
+
+def test_angles_have_the_stated_signs_on_both_sides() -> None:
+    for side, out in (("left", 1.0), ("right", -1.0)):
+        raised = put(standing(), f"{side}_knee", [0, -1, 1])
+        assert degrees(raised, f"{side}_hip", "flexion") == pytest.approx(45)
+        aside = put(standing(), f"{side}_knee", [out, -1, 0])
+        assert degrees(aside, f"{side}_hip", "abduction") == pytest.approx(45)
+        back = put(standing(), f"{side}_elbow", [0, -1, -1])
+        assert degrees(back, f"{side}_shoulder", "extension") == pytest.approx(45)
+        across = put(standing(), f"{side}_elbow", [-out, 0, 1])
+        assert degrees(across, f"{side}_shoulder", "crossing") == pytest.approx(45)
+        cross_up = put(put(standing(), f"{side}_elbow", [out, 0, 0]), f"{side}_wrist", [0, 1, 0])
+        assert degrees(cross_up, f"{side}_shoulder", "rotation") == pytest.approx(90)
+        assert degrees(cross_up, f"{side}_elbow", "flexion") == pytest.approx(90)
+        forearm_forward = put(put(standing(), f"{side}_elbow", [0, -1, 0]), f"{side}_wrist", [0, 0, 1])
+        assert degrees(forearm_forward, f"{side}_shoulder", "rotation") == pytest.approx(0, abs=1e-6)
+        sitting = put(put(standing(), f"{side}_knee", [0, 0, 1]), f"{side}_ankle", [0, -1, 0])
+        assert degrees(sitting, f"{side}_hip", "rotation") == pytest.approx(0, abs=1e-6)
+        foot_in = put(put(standing(), f"{side}_knee", [0, 0, 1]), f"{side}_ankle", [-out, -1, 0])
+        assert degrees(foot_in, f"{side}_hip", "rotation") == pytest.approx(45)
+    assert degrees(put(standing(), "head", [0, 1, 1]), "neck", "flexion") == pytest.approx(45)
+    assert degrees(put(standing(), "head", [1, 1, 0]), "neck", "lateral") == pytest.approx(45)
+
+
+@pytest.mark.parametrize(
+    ("joint", "direction", "angle"),
+    [
+        ("left_ankle", [0.0, -1.0, 1.0], ("left_hip", "rotation")),
+        ("right_wrist", [0.0, -1.0, -1.0], ("right_shoulder", "rotation")),
+        ("left_elbow", [0.0, 0.0, -1.0], ("left_shoulder", "extension")),
+        ("right_elbow", [1.0, 0.0, 0.0], ("right_shoulder", "crossing")),
+        ("right_knee", [-1.0, -0.3, 0.0], ("right_hip", "abduction")),
+        ("head", [0.0, -1.0, -0.5], ("neck", "flexion")),
+        ("left_wrist", [0.0, 1.0, 0.0], ("left_elbow", "flexion")),
+    ],
+)
+def test_impossible_limbs_are_noticed(joint: str, direction: list[float], angle: tuple[str, str]) -> None:
+    pose = put(standing(), joint, direction)
+    assert LIMITS.invalid_angles(pose)[ANGLE[angle]]
+    assert not LIMITS.is_valid(pose)
+
+
+def test_angles_do_not_change_under_rigid_motion_and_mirroring_swaps_the_sides() -> None:
+    poses = wild(0, 200)
+    turn = rotmat_from_unitquat(normalise(np.array([0.3, -0.2, 0.7, 0.5])))
+    np.testing.assert_allclose(joint_angles(poses @ turn.T + [1, 2, 3]), joint_angles(poses), atol=1e-9)
+    mirrored = (poses * [-1, 1, 1])[:, list(PAIR17.mirror)]
+    np.testing.assert_array_equal(LIMITS.num_invalid(mirrored), LIMITS.num_invalid(poses))
+
+
+def test_the_nearest_valid_pose_is_valid_keeps_bones_and_leaves_valid_poses_alone() -> None:
+    poses = wild(1, 500)
+    nearest = LIMITS.nearest_valid(poses)
+    assert LIMITS.num_invalid(nearest.positions).max() == 0
+    np.testing.assert_allclose(bone_lengths(PAIR17, nearest.positions), bone_lengths(PAIR17, poses), atol=1e-9)
+    np.testing.assert_array_equal(nearest.positions[:, 0], poses[:, 0])
+    is_valid = LIMITS.is_valid(poses)
+    assert 10 < is_valid.sum() < 490
+    np.testing.assert_array_equal(nearest.positions[is_valid], poses[is_valid])
+    assert (nearest.squared_distance_m2[~is_valid] > 0).all()
+    np.testing.assert_array_equal(nearest.num_invalid, LIMITS.num_invalid(poses))
+
+
+def test_widened_limits_accept_what_was_seen_and_treat_both_sides_alike() -> None:
+    split = put(standing(), "left_knee", [1.0, -0.2, 0.0])
+    assert not LIMITS.is_valid(split)
+    wider = LIMITS.widened(np.stack([split] * 3), name="gymnasts")
+    assert wider.is_valid(split)
+    assert wider.is_valid((split * [-1, 1, 1])[list(PAIR17.mirror)])
+    assert "gymnasts" in wider.source[ANGLE["right_hip", "abduction"]]
+    assert LIMITS.widened(np.zeros((0, 17, 3)), name="nobody") is LIMITS
+
+
+def test_the_compiled_form_agrees_with_the_plain_one() -> None:
+    poses = wild(2, 400)
+    nearest = LIMITS.nearest_valid(poses)
+    plain = joint_angles(poses)
+    angles, slacks, work, valid = np.zeros(29), np.zeros(29), np.zeros((2, 29)), np.zeros((17, 3))
+    for row, pose in enumerate(poses):
+        measure_angles(pose, angles, slacks)
+        # atan2 may fall on either side of the half turn
+        np.testing.assert_allclose(np.exp(1j * angles), np.exp(1j * plain[row]), atol=1e-9)
+        count, squared = move_to_nearest_valid(pose, LIMITS.lower_rad, LIMITS.upper_rad, work, valid)
+        assert count == nearest.num_invalid[row]
+        np.testing.assert_allclose(valid, nearest.positions[row], atol=1e-9)
+        assert squared == pytest.approx(nearest.squared_distance_m2[row], abs=1e-12)
+
+
+def test_both_forms_survive_collapsed_poses() -> None:
+    work, valid = np.zeros((2, 29)), np.zeros((17, 3))
+    for pose in (np.zeros((17, 3)), np.ones((17, 3)), standing() * [0, 1, 0]):
+        assert np.isfinite(LIMITS.nearest_valid(pose).positions).all()
+        assert np.isfinite(move_to_nearest_valid(pose, LIMITS.lower_rad, LIMITS.upper_rad, work, valid)[1])

@@ -1,38 +1,54 @@
-"""An artifact while it is written: tables row by row, attachments, facts; whole or not at all."""
+"""An artifact while it is written: tables row by row, attachments, facts; not there before all of it is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from storage_schema.columns import Table
+from storage_schema.credits import SourceCredit
 from storage_schema.durable import write_errors, write_file
 from storage_schema.errors import StorageError
-from storage_schema.manifest import MANIFEST_NAME, FileEntry, TableFile
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, TableFile
 from storage_schema.parquet_files import TableWriter
 from storage_schema.tables import TABLES
 
-__all__ = ["ArtifactFiles"]
+__all__ = ["ArtifactWriter"]
 
 
-class ArtifactFiles:
-    """The data files of an artifact, growing in a folder.
+class ArtifactWriter:
+    """What `Store.writer` gives: append rows, attach files, note facts; `ref` is there once the block has ended.
 
     Args:
         folder: Empty folder that the files grow in.
         where: What a message calls the place when the disk is full.
+        facts: Small JSON facts that later planning reads; may be changed until the block ends.
+        timings: Seconds by name, in no digest; may be changed until the block ends.
+        sources: Licence and credit of new sources; those of the inputs are added by themselves.
     """
 
-    def __init__(self, folder: Path, where: Path) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        where: Path,
+        facts: Mapping[str, Any],
+        timings: Mapping[str, float],
+        sources: Sequence[SourceCredit],
+    ) -> None:
+        self.facts: dict[str, Any] = dict(facts)
+        self.timings: dict[str, float] = dict(timings)
+        self.sources: list[SourceCredit] = list(sources)
         self._folder = folder
         self._where = where
-        self._writers: dict[str, TableWriter] = {}
+        self._tables: dict[str, TableWriter] = {}
         self._attachments: dict[str, FileEntry] = {}
+        self._ref: ArtifactRef | None = None
 
     def append(self, table: str, columns: Mapping[str, Any]) -> None:
-        """Add rows to the artifact's part of a table; appending no rows makes an empty part.
+        """Add rows to the artifact's part of a table, in the order given; no rows make an empty part.
 
         Raises:
             StorageError: The table is unknown.
@@ -40,9 +56,9 @@ class ArtifactFiles:
             FullDisk: There is no room left.
         """
         with write_errors(self._where):
-            if table not in self._writers:
-                self._writers[table] = TableWriter(self._folder / f"{table}.parquet", _known(table))
-            self._writers[table].append(columns)
+            if table not in self._tables:
+                self._tables[table] = TableWriter(self._folder / f"{table}.parquet", _known(table))
+            self._tables[table].append(columns)
 
     def attach(self, name: str, data: bytes) -> None:
         """Add a file of its own format: a report, a clip, a motion file.
@@ -60,19 +76,34 @@ class ArtifactFiles:
         self._attachments[name] = FileEntry(file.num_bytes, file.sha256)
 
     def finish(self) -> tuple[dict[str, TableFile], dict[str, FileEntry]]:
-        """Bring every file to the disk; gives the parts of tables and the attachments, by name."""
+        """Bring every file to the disk; gives the parts of tables and the attachments, by name.  The store calls it."""
         with write_errors(self._where):
-            tables = {name: self._writers[name].finish() for name in sorted(self._writers)}
+            tables = {name: self._tables[name].finish() for name in sorted(self._tables)}
         return tables, dict(sorted(self._attachments.items()))
 
-    def __enter__(self) -> ArtifactFiles:
+    def committed(self, ref: ArtifactRef) -> None:
+        """Note the artifact that stands under the key.  The store calls it."""
+        self._ref = ref
+
+    @property
+    def ref(self) -> ArtifactRef:
+        """The committed artifact.
+
+        Raises:
+            StorageError: The block has not ended yet.
+        """
+        if self._ref is None:
+            raise StorageError("the artifact is not committed before its block has ended")
+        return self._ref
+
+    def __enter__(self) -> ArtifactWriter:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for writer in self._writers.values():
-            writer.abandon()
+        for table in self._tables.values():
+            table.abandon()
 
 
 def _known(table: str) -> Table:

@@ -16,19 +16,21 @@ __all__ = ["artifact_key", "canonical_json", "content_digest", "file_sha256", "p
 _BLOCK_BYTES = 1 << 20
 
 
-def canonical_json(value: Any) -> bytes:
+def canonical_json(value: Any, where: str = "value") -> bytes:
     """Give the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
+
+    `where` names the value in messages.
 
     Raises:
         StorageError: The value holds something that JSON has no spelling for; says where.
     """
-    _refuse_non_json(value, "value")
+    _refuse_non_json(value, where)
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
-def plain_json(value: Any) -> Any:
+def plain_json(value: Any, where: str = "value") -> Any:
     """Give a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
-    return json.loads(canonical_json(value))
+    return json.loads(canonical_json(value, where))
 
 
 def artifact_key(
@@ -64,7 +66,7 @@ def artifact_key(
         "seed": seed,
         "schema_version": SCHEMA_VERSION,
     }
-    return hashlib.sha256(canonical_json(described)).hexdigest()
+    return hashlib.sha256(canonical_json(described, "key")).hexdigest()
 
 
 def content_digest(file_digests: Mapping[str, str]) -> str:

@@ -1,0 +1,70 @@
+"""Where an artifact comes from: everything it was computed from, up to the files from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from storage_schema.errors import CorruptArtifact, MissingArtifact
+from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.store import Store
+
+__all__ = ["LineageStep", "SourceFileUse", "lineage", "source_files"]
+
+
+@dataclass(frozen=True)
+class LineageStep:
+    """An artifact on the way, its least distance from the one asked about, and its manifest, None when it is gone."""
+
+    ref: ArtifactRef
+    depth: int
+    manifest: Manifest | None
+
+
+@dataclass(frozen=True, order=True)
+class SourceFileUse:
+    """A file from outside that something was computed from: its name, its sha256 and the stage that read it."""
+
+    name: str
+    sha256: str
+    stage: str
+
+
+def lineage(store: Store, ref: ArtifactRef) -> list[LineageStep]:
+    """Give the artifact and everything it was computed from, each once, by distance.
+
+    An input that is no longer in the store is listed without a manifest and ends its branch.
+
+    Raises:
+        MissingArtifact: The artifact asked about is not in the store.
+    """
+    store.manifest(ref)
+    steps: list[LineageStep] = []
+    seen = {ref}
+    level = [ref]
+    while level:
+        depth = steps[-1].depth + 1 if steps else 0
+        added = [LineageStep(part, depth, _manifest(store, part)) for part in level]
+        steps.extend(added)
+        inputs = [part for step in added if step.manifest is not None for part in step.manifest.inputs]
+        level = sorted({part for part in inputs if part not in seen})
+        seen.update(level)
+    return steps
+
+
+def source_files(store: Store, ref: ArtifactRef) -> list[SourceFileUse]:
+    """Give every outside file that the artifact was computed from, sorted by name; raises what `lineage` raises."""
+    return sorted(
+        {
+            SourceFileUse(name, sha256, step.ref.stage)
+            for step in lineage(store, ref)
+            if step.manifest is not None
+            for name, sha256 in step.manifest.files
+        }
+    )
+
+
+def _manifest(store: Store, ref: ArtifactRef) -> Manifest | None:
+    try:
+        return store.manifest(ref)
+    except (MissingArtifact, CorruptArtifact):
+        return None

@@ -1,0 +1,208 @@
+"""References: how a person names rows of a table, and the documented way to read them from Python.
+
+- `poses@3fa9`: the part of the table in the artifact whose key starts with these digits (4 at least)
+- `poses:duets/waltz`: every shard of a partition, as the last run of the study made it; `poses:duets` all partitions
+- `poses:released@2`: every part of the table in version 2 of the dataset `released`
+- `draws@3fa9#17`: row 17 of any of these, counted from 0
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from storage_schema.datasets import open_dataset
+from storage_schema.errors import MissingArtifact, UnknownReference
+from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.runs import latest_studies, read_latest
+from storage_schema.store import Store
+from storage_schema.table_data import TableData, concatenate
+from storage_schema.tables import TABLES
+
+__all__ = ["Reference", "default_store", "iter_rows", "open_table", "parse_reference", "resolve"]
+
+_BY_KEY = re.compile(r"(?P<table>\w+)@(?P<key>[0-9a-fA-F]{4,64})(#(?P<row>\d+))?")
+_BY_NAME = re.compile(r"(?P<table>\w+):(?P<scope>[^#\s]+)(#(?P<row>\d+))?")
+_HOW = "a reference is table@key, table:study/partition or table:dataset@version, with #row for one row"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A parsed reference: a table, and one of a key prefix, a study with or without a partition, or a dataset."""
+
+    table: str
+    key_prefix: str = ""
+    study: str = ""
+    partition: str | None = None
+    dataset: str = ""
+    row: int | None = None
+
+
+def parse_reference(text: str) -> Reference:
+    """Read the text of a reference.
+
+    Raises:
+        UnknownReference: It has another form, or names a table that does not exist.
+    """
+    match = _BY_KEY.fullmatch(text) or _BY_NAME.fullmatch(text)
+    if match is None:
+        raise UnknownReference(f"'{text}' is not a reference: {_HOW}")
+    parts = match.groupdict()
+    if parts["table"] not in TABLES:
+        raise UnknownReference(f"'{text}': there is no table '{parts['table']}'; tables: {', '.join(TABLES)}")
+    row = None if parts["row"] is None else int(parts["row"])
+    if "key" in parts:
+        return Reference(parts["table"], key_prefix=parts["key"].lower(), row=row)
+    scope = parts["scope"]
+    if "@" in scope and "/" not in scope:
+        return Reference(parts["table"], dataset=scope, row=row)
+    study, slash, partition = scope.partition("/")
+    return Reference(parts["table"], study=study, partition=partition if slash else None, row=row)
+
+
+def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
+    """Give the artifacts whose parts of the table the reference names, in order.
+
+    Raises:
+        UnknownReference: It names nothing, or a key prefix names more than one artifact; says what is there.
+        MissingArtifact: A recorded artifact is no longer in the store.
+    """
+    if isinstance(reference, str):
+        reference = parse_reference(reference)
+    if reference.key_prefix:
+        return [_by_key(reference, store)]
+    if reference.dataset:
+        refs = list(open_dataset(store, reference.dataset).refs)
+        name = f"dataset {reference.dataset}"
+    else:
+        refs = _of_study(reference, store)
+        name = f"study '{reference.study}'" + (f", partition '{reference.partition}'" if reference.partition else "")
+    manifests = [store.manifest(ref) for ref in refs]
+    found = [manifest.ref for manifest in manifests if reference.table in manifest.tables]
+    if not found:
+        there = sorted({table for manifest in manifests for table in manifest.tables})
+        raise UnknownReference(f"{name} holds no table '{reference.table}'; it holds: {', '.join(there) or 'none'}")
+    return found
+
+
+def open_table(
+    ref: ArtifactRef | Reference | str,
+    store: Store | str | Path | None = None,
+    *,
+    table: str | None = None,
+    columns: Sequence[str] | None = None,
+) -> TableData:
+    """Read the rows that a reference names: the documented Python way in.
+
+    Args:
+        ref: Text such as `poses:duets/waltz` or `draws@3fa9#17`, or an artifact.
+        store: Store or its folder; None is `$PASDEDEUX_STORE`, else the folder `store` here.
+        table: Table of the artifact, when `ref` is an artifact that holds more than one.
+        columns: Columns to read, all when None.
+
+    Returns:
+        The rows, those of several shards one after another; `data["pair17_m"]` is a numpy array (rows, *axes).
+
+    Raises:
+        UnknownReference: The reference names nothing, or more than one thing.
+        MissingArtifact: An artifact is not in the store.
+        SchemaError: A column is not in the table.
+    """
+    opened = store if isinstance(store, Store) else default_store(store)
+    name, row, refs = _opened(ref, opened, table)
+    if row is not None:
+        return _one_row(ref, opened, name, refs, row, columns)
+    return concatenate(TABLES[name], [opened.read(part, name, columns=columns) for part in refs])
+
+
+def iter_rows(
+    ref: ArtifactRef | Reference | str,
+    store: Store | str | Path | None = None,
+    *,
+    table: str | None = None,
+    columns: Sequence[str] | None = None,
+) -> Iterator[TableData]:
+    """Read what `open_table` reads some 10,000 rows at a time, so memory stays bounded; raises the same."""
+    opened = store if isinstance(store, Store) else default_store(store)
+    name, row, refs = _opened(ref, opened, table)
+    if row is not None:
+        yield _one_row(ref, opened, name, refs, row, columns)
+        return
+    for part in refs:
+        yield from opened.iter_batches(part, name, columns=columns)
+
+
+def default_store(root: str | Path | None = None) -> Store:
+    """Give the store in this folder; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
+    return Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
+
+
+def _opened(
+    ref: ArtifactRef | Reference | str, store: Store, table: str | None
+) -> tuple[str, int | None, list[ArtifactRef]]:
+    if not isinstance(ref, ArtifactRef):
+        reference = parse_reference(ref) if isinstance(ref, str) else ref
+        return reference.table, reference.row, resolve(reference, store)
+    there = list(store.manifest(ref).tables)
+    if table is None and len(there) != 1:
+        raise UnknownReference(
+            f"artifact {ref.stage}@{ref.key[:12]} holds {len(there)} tables; say which: {', '.join(there)}"
+        )
+    return table or there[0], None, [ref]
+
+
+def _one_row(
+    ref: ArtifactRef | Reference | str,
+    store: Store,
+    table: str,
+    refs: Sequence[ArtifactRef],
+    row: int,
+    columns: Sequence[str] | None,
+) -> TableData:
+    left = row
+    for part in refs:
+        num_rows = store.manifest(part).tables[table].rows
+        if left < num_rows:
+            return store.read(part, table, columns=columns, rows=slice(left, left + 1))
+        left -= num_rows
+    raise UnknownReference(f"'{ref}': there is no row {row}, the table has {row - left} rows here")
+
+
+def _by_key(reference: Reference, store: Store) -> ArtifactRef:
+    prefix = reference.key_prefix
+    folders = store.folders(key_prefix=prefix)
+    manifests = [store.find(folder.parent.parent.name, folder.name) for folder in folders]
+    valid: list[Manifest] = [manifest for manifest in manifests if manifest is not None]
+    found = [manifest for manifest in valid if reference.table in manifest.tables]
+    if len(found) == 1:
+        return found[0].ref
+    if found:
+        listed = ", ".join(f"{manifest.ref.stage}@{manifest.ref.key[:16]}" for manifest in found[:8])
+        raise UnknownReference(f"'{reference.table}@{prefix}' names {len(found)} artifacts; give more digits: {listed}")
+    if valid:
+        there = ", ".join(sorted({table for manifest in valid for table in manifest.tables}))
+        raise UnknownReference(f"'{reference.table}@{prefix}': the artifact holds no such table; it holds: {there}")
+    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store.root} has such a key")
+
+
+def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
+    latest = read_latest(store, reference.study)
+    if latest is None:
+        there = ", ".join(latest_studies(store)) or "none"
+        raise UnknownReference(f"study '{reference.study}' has not run in the store {store.root}; have run: {there}")
+    refs = [ref for stage in latest.stages for ref in latest.refs(stage, reference.partition)]
+    if not refs:
+        partitions = sorted({shard.partition for shards in latest.stages.values() for shard in shards})
+        raise UnknownReference(
+            f"study '{reference.study}' has no partition '{reference.partition}'; it has: {', '.join(partitions)}"
+        )
+    for ref in refs:
+        if store.find(ref.stage, ref.key) is None:
+            raise MissingArtifact(
+                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' is not whole in the store "
+                f"{store.root}; run the study again"
+            )
+    return refs

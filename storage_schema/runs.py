@@ -1,0 +1,248 @@
+"""What runs leave beside the artifacts: a folder per run, and for each study what its last run made.
+
+`runs/<run_id>/` holds what a person looks up later: resolved study, plan, environment, report.
+`runs/latest/<study>.json` says for each stage which shards it consisted of, from which parameters and inputs: enough to
+say why something is stale.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from storage_schema.durable import make_folder, replace_file, write_errors
+from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
+from storage_schema.keys import plain_json
+from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer
+from storage_schema.store import Store
+from storage_schema.version import SCHEMA_VERSION
+
+__all__ = [
+    "InputRecord",
+    "LatestRun",
+    "RunFolder",
+    "ShardRecord",
+    "latest_studies",
+    "list_runs",
+    "new_run",
+    "open_run",
+    "read_latest",
+    "record_latest",
+]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True)
+class InputRecord:
+    """An artifact that a shard read: where it stood in its stage, and its content."""
+
+    stage: str
+    partition: str
+    name: str
+    content_digest: str
+
+
+@dataclass(frozen=True)
+class ShardRecord:
+    """A shard as the last run of a study made it: its artifact and everything that decided it."""
+
+    partition: str
+    name: str
+    key: str
+    content_digest: str
+    version: int
+    seed: int
+    parameters: dict[str, Any]
+    inputs: tuple[InputRecord, ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def of(cls, manifest: Manifest, store: Store) -> ShardRecord:
+        """Give the record of an artifact; its inputs are named by their own manifests.
+
+        Raises:
+            MissingArtifact: An input is not in the store.
+        """
+        inputs = [store.manifest(ref) for ref in manifest.inputs]
+        return cls(
+            partition=manifest.partition,
+            name=manifest.name,
+            key=manifest.ref.key,
+            content_digest=manifest.ref.content_digest,
+            version=manifest.version,
+            seed=manifest.seed,
+            parameters=manifest.parameters,
+            inputs=tuple(InputRecord(m.ref.stage, m.partition, m.name, m.ref.content_digest) for m in inputs),
+            files=manifest.files,
+        )
+
+
+@dataclass(frozen=True)
+class LatestRun:
+    """What the last run of a study made: for each stage its shards, in the order of the plan."""
+
+    study: str
+    run_id: str
+    stages: dict[str, tuple[ShardRecord, ...]] = field(default_factory=dict)
+
+    def refs(self, stage: str, partition: str | None = None) -> list[ArtifactRef]:
+        """Give the artifacts of a stage, or of one partition of it; none when the stage has not run."""
+        return [
+            ArtifactRef(stage, shard.key, shard.content_digest)
+            for shard in self.stages.get(stage, ())
+            if partition in (None, shard.partition)
+        ]
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The folder of one run."""
+
+    run_id: str
+    path: Path
+
+    def write(self, name: str, content: str | bytes | Mapping[str, Any]) -> Path:
+        """Put a file in the folder, whole or not at all; a mapping is written as JSON.
+
+        Raises:
+            FullDisk: There is no room left.
+            StorageError: The name is no plain file name.
+        """
+        if not _NAME.fullmatch(name):
+            raise StorageError(f"'{name}' cannot name a file of a run: letters, digits, '.', '_' and '-' are allowed")
+        if isinstance(content, Mapping):
+            content = json.dumps(plain_json(dict(content)), indent=1, ensure_ascii=False) + "\n"
+        with write_errors(self.path):
+            replace_file(self.path / name, content.encode() if isinstance(content, str) else content)
+        return self.path / name
+
+    def read(self, name: str) -> bytes:
+        """Give the bytes of a file of the folder.
+
+        Raises:
+            MissingArtifact: There is no such file.
+        """
+        try:
+            return (self.path / name).read_bytes()
+        except FileNotFoundError:
+            raise MissingArtifact(f"run {self.run_id} has no file '{name}'") from None
+
+    def files(self) -> list[str]:
+        """Give the names of the folder's files."""
+        return sorted(path.name for path in self.path.iterdir() if not path.name.startswith("."))
+
+
+def new_run(store: Store, study: str) -> RunFolder:
+    """Make the folder of a new run; its name starts with the time in UTC, so names sort by age."""
+    run_id = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{_checked(study)}-{secrets.token_hex(3)}"
+    store.prepare()
+    with write_errors(store.root):
+        make_folder(store.root / "runs" / run_id)
+    return RunFolder(run_id, store.root / "runs" / run_id)
+
+
+def open_run(store: Store, run_id: str) -> RunFolder:
+    """Give the folder of a run.
+
+    Raises:
+        MissingArtifact: There is no such run.
+    """
+    path = store.root / "runs" / _checked(run_id)
+    if run_id == "latest" or not path.is_dir():
+        raise MissingArtifact(f"there is no run '{run_id}' in the store {store.root}")
+    return RunFolder(run_id, path)
+
+
+def list_runs(store: Store) -> list[RunFolder]:
+    """Give the folders of all runs, oldest first."""
+    folder = store.root / "runs"
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [RunFolder(path.name, path) for path in paths if path.is_dir() and path.name != "latest"]
+
+
+def latest_studies(store: Store) -> list[str]:
+    """Give the names of the studies that have run in this store."""
+    return sorted(
+        path.stem for path in (store.root / "runs" / "latest").glob("*.json") if not path.name.startswith(".")
+    )
+
+
+def read_latest(store: Store, study: str) -> LatestRun | None:
+    """Give what the last run of a study made, None when it has not run in this store.
+
+    Raises:
+        CorruptArtifact: The record cannot be read.
+        NewerSchema: It was written by a newer program.
+    """
+    path = _latest_path(store, study)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return None
+    try:
+        values = json.loads(text)
+        refuse_newer(values["schema_version"], str(path))
+        stages = {stage: tuple(_shard(shard) for shard in shards) for stage, shards in values["stages"].items()}
+        return LatestRun(study=values["study"], run_id=values["run_id"], stages=stages)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise CorruptArtifact(f"{path} cannot be read: {error!r}") from error
+
+
+def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Sequence[ShardRecord]]) -> LatestRun:
+    """Record what a run made of these stages; what is recorded of other stages stays.
+
+    A reader sees the old record or the new one, nothing between, and runs that record at the same time wait in line.
+
+    Raises:
+        FullDisk: There is no room left.
+    """
+    path = _latest_path(store, study)
+    store.prepare()
+    with write_errors(store.root), _in_line(path):
+        before = read_latest(store, study)
+        merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
+        latest = LatestRun(study=study, run_id=run_id, stages=merged)
+        values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}
+        replace_file(path, (json.dumps(plain_json(values), indent=1, ensure_ascii=False) + "\n").encode())
+    return latest
+
+
+@contextmanager
+def _in_line(path: Path) -> Iterator[None]:
+    make_folder(path.parent)
+    handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _latest_path(store: Store, study: str) -> Path:
+    return store.root / "runs" / "latest" / f"{_checked(study)}.json"
+
+
+def _shard(values: Mapping[str, Any]) -> ShardRecord:
+    return ShardRecord(
+        **{
+            **values,
+            "inputs": tuple(InputRecord(**record) for record in values["inputs"]),
+            "files": tuple((name, digest) for name, digest in values["files"]),
+        }
+    )
+
+
+def _checked(name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise StorageError(f"'{name}' cannot name a study or a run: letters, digits, '.', '_' and '-' are allowed")
+    return name

@@ -1,0 +1,185 @@
+"""Finding and reading: what a program may do with a store that it must not change."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Self
+
+from storage_schema.arrow import schema_digest
+from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest, refuse_newer
+from storage_schema.parquet_files import iter_table, read_table
+from storage_schema.table_data import TableData
+from storage_schema.tables import TABLES
+
+__all__ = ["RESERVED_NAMES", "STORE_FILE", "StoreReader"]
+
+STORE_FILE = "store.json"
+RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
+"""Folders of a store that are not stages."""
+
+
+class StoreReader:
+    """Finds and reads the artifacts under one folder.
+
+    Args:
+        root: Folder of the store.
+    """
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = Path(root).absolute()
+        self._is_checked = False
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self.root)!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self.root == other.root
+
+    def __hash__(self) -> int:
+        return hash(self.root)
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str]]:
+        return type(self), (str(self.root),)
+
+    def folder(self, stage: str, key: str) -> Path:
+        """Give the folder that holds, or would hold, the artifact of this key."""
+        return self.root / stage / key[:2] / key
+
+    def find(self, stage: str, key: str) -> Manifest | None:
+        """Give the artifact's manifest when it is valid and its files are there with the right size, else None.
+
+        An artifact whose tables have other columns than this program declares is not valid either.
+
+        Raises:
+            NewerSchema: The store was written by a newer program.
+        """
+        self.check_version()
+        try:
+            manifest = self.load(stage, key)
+        except (MissingArtifact, CorruptArtifact):
+            return None
+        return manifest if self._is_whole(manifest) else None
+
+    def manifest(self, ref: ArtifactRef) -> Manifest:
+        """Give the manifest of an artifact.
+
+        Raises:
+            MissingArtifact: It is not in the store.
+            CorruptArtifact: Its manifest cannot be read, or its content is not the one that `ref` names.
+            NewerSchema: The store was written by a newer program.
+        """
+        self.check_version()
+        manifest = self.load(ref.stage, ref.key)
+        if manifest.ref != ref:
+            raise CorruptArtifact(
+                f"artifact {ref.stage}@{ref.key[:12]} holds the content {manifest.ref.content_digest[:12]}, "
+                f"not {ref.content_digest[:12]}: it was rebuilt with other bytes"
+            )
+        return manifest
+
+    def artifacts(self, stage: str | None = None) -> Iterator[Manifest]:
+        """Give the manifests of all valid artifacts, of one stage or of all, in the order of stage and key."""
+        for folder in self.folders(stage):
+            manifest = self.find(folder.parent.parent.name, folder.name)
+            if manifest is not None:
+                yield manifest
+
+    def folders(self, stage: str | None = None, key_prefix: str = "") -> list[Path]:
+        """Give the folders that stand under a key, valid or not, in the order of stage and key."""
+        found = self.root.glob(
+            f"{stage or '*'}/{key_prefix[:2] or '*'}{'*' if len(key_prefix) == 1 else ''}/{key_prefix}*"
+        )
+        return sorted(path for path in found if path.parent.parent.name not in RESERVED_NAMES and path.is_dir())
+
+    def read(
+        self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None, rows: slice | None = None
+    ) -> TableData:
+        """Read the artifact's part of a table, or some of its columns and rows, with the declared schema.
+
+        Raises:
+            MissingArtifact: The artifact, or this table of it, is not in the store.
+            CorruptArtifact: A file is not what its manifest says.
+            SchemaError: A column is unknown, or the file was written with other columns.
+        """
+        return read_table(self._table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+
+    def iter_batches(
+        self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
+    ) -> Iterator[TableData]:
+        """Read the artifact's part of a table some 10,000 rows at a time; raises what `read` raises."""
+        return iter_table(self._table_path(ref, table), TABLES[table], columns=columns)
+
+    def attachment(self, ref: ArtifactRef, name: str) -> bytes:
+        """Give the bytes of an attached file.
+
+        Raises:
+            MissingArtifact: The artifact, or this attachment of it, is not in the store.
+            CorruptArtifact: The file is not there though the manifest names it.
+        """
+        return self.attachment_path(ref, name).read_bytes()
+
+    def attachment_path(self, ref: ArtifactRef, name: str) -> Path:
+        """Give the path of an attached file, for reading only; raises what `attachment` raises."""
+        manifest = self.manifest(ref)
+        if name not in manifest.attachments:
+            there = ", ".join(manifest.attachments) or "none"
+            raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} has no attachment '{name}'; it has: {there}")
+        path = self.folder(ref.stage, ref.key) / name
+        if not path.is_file():
+            raise CorruptArtifact(f"{path} is missing though its manifest names it")
+        return path
+
+    def load(self, stage: str, key: str) -> Manifest:
+        """Give the manifest that stands under a key, whether or not its files are there.
+
+        Raises:
+            MissingArtifact: There is none.
+            CorruptArtifact: It cannot be read, or speaks of another artifact.
+            NewerSchema: It was written by a newer program.
+        """
+        path = self.folder(stage, key) / MANIFEST_NAME
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (FileNotFoundError, NotADirectoryError):
+            raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self.root}") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise CorruptArtifact(f"{path} cannot be read: {error}") from error
+        manifest = Manifest.from_json(text, where=str(path))
+        if (manifest.ref.stage, manifest.ref.key) != (stage, key):
+            raise CorruptArtifact(f"{path} speaks of another artifact: {manifest.ref.stage}@{manifest.ref.key[:12]}")
+        return manifest
+
+    def _is_whole(self, manifest: Manifest) -> bool:
+        """Tell whether every file is there with the right size, and every table has the declared columns."""
+        folder = self.folder(manifest.ref.stage, manifest.ref.key)
+        for table, part in manifest.tables.items():
+            if table not in TABLES or part.schema != schema_digest(TABLES[table]):
+                return False
+        try:
+            return all((folder / name).stat().st_size == entry.bytes for name, entry in manifest.data_files.items())
+        except OSError:
+            return False
+
+    def _table_path(self, ref: ArtifactRef, table: str) -> Path:
+        manifest = self.manifest(ref)
+        if table not in manifest.tables or table not in TABLES:
+            there = ", ".join(manifest.tables) or "none"
+            raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} holds no table '{table}'; it holds: {there}")
+        return self.folder(ref.stage, ref.key) / f"{table}.parquet"
+
+    def check_version(self) -> None:
+        """Raise NewerSchema when the store was made by a newer program; looked up once per object."""
+        if self._is_checked:
+            return
+        path = self.root / STORE_FILE
+        try:
+            found = json.loads(path.read_bytes())["schema_version"]
+        except FileNotFoundError:
+            return
+        except (ValueError, KeyError, TypeError) as error:
+            raise StorageError(f"{self.root} is not a store: {path.name} cannot be read ({error})") from error
+        refuse_newer(found, f"the store {self.root}")
+        self._is_checked = True

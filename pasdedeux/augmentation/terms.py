@@ -165,6 +165,10 @@ class Targets:
         """Number of variants."""
         return len(self.bone_scale)
 
+    def select(self, variants: Sequence[int]) -> Targets:
+        """Give the targets of some of the variants."""
+        return Targets(**{name.name: getattr(self, name.name)[list(variants)] for name in fields(self)})
+
 
 def build_problem(
     source: Source,

@@ -1,0 +1,69 @@
+"""The guaranteed solver: Levenberg-Marquardt on bone directions, whose energy never rises and whose bones are exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.energy import total_energy
+from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
+from pasdedeux.fitting import BoneForest, DistanceTerm, FitSettings, QuadraticTerm, Term, fit_bones
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["DescentResult", "descend", "fit_terms"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DescentResult:
+    """What the guaranteed solver gives for one variant.
+
+    Args:
+        positions: (T, 44, 3), metres.
+        energies: Energy at the start and after every accepted step; never rises.
+        num_iterations: Steps tried.
+        is_converged: The energy no longer falls.
+    """
+
+    positions: Array
+    energies: tuple[float, ...]
+    num_iterations: int
+    is_converged: bool
+
+
+def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
+    """State the energy of one variant as terms of a fit."""
+    one = targets.select([variant])
+    groups = list(AXIS_GROUP)
+    zero = np.zeros((1, *one.difference.shape[1:]))
+    girdle = DistanceTerm(
+        pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle)
+    )
+    quadratic = QuadraticTerm(
+        origin_m=one.reference[0],
+        matrix=problem.matrix[groups],
+        lag1=problem.lag1[groups],
+        lag2=problem.lag2[groups],
+        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1),
+        # The girdle's energy is 0 at x = 0, where p = r.
+        constant=float(total_energy(problem, one, zero)[0]),
+    )
+    return [quadratic, girdle]
+
+
+def descend(
+    problem: Problem, targets: Targets, variant: int, start: Array | None = None, settings: FitSettings | None = None
+) -> DescentResult:
+    """Solve one variant, from `start` (T, 44, 3) or from plain forward kinematics."""
+    forest = BoneForest((BODY22, BODY22), targets.lengths_m[variant])
+    first = forest.state_of(targets.reference[variant] if start is None else start)
+    result = fit_bones(forest, first, fit_terms(problem, targets, variant), settings)
+    return DescentResult(
+        positions=result.positions_m,
+        energies=result.energies,
+        num_iterations=result.num_iterations,
+        is_converged=result.is_converged,
+    )

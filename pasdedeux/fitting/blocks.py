@@ -1,0 +1,66 @@
+"""Cholesky of a symmetric matrix of frame blocks in which frames couple to the next two."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dpotrf
+
+__all__ = ["BlockMatrix", "NotPositiveDefinite", "solve_blocks"]
+
+Array = npt.NDArray[np.float64]
+
+
+class NotPositiveDefinite(ArithmeticError):  # noqa: N818 - says what the matrix is; callers answer with more damping
+    """The matrix is not positive definite."""
+
+
+@dataclass
+class BlockMatrix:
+    """Lower half of a symmetric block matrix: diagonal blocks and those one and two frames below.
+
+    Args:
+        diagonal: (T, n, n).
+        below: Rows of frames t+1 and t+2 in the columns of frame t (T, 2, n, n); those past the end are ignored.
+    """
+
+    diagonal: Array
+    below: Array
+
+
+def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
+    """Solve for a right-hand side (T, n); 6 n^3 operations a frame, all of them in matrix products.
+
+    Raises:
+        NotPositiveDefinite: No Cholesky factor exists.
+    """
+    frames, n = rhs.shape
+    lower = np.empty((frames, n, n))
+    panels = np.empty((frames, 2 * n, n))
+    pending = np.zeros((2 * n, 2 * n))
+    solution = np.array(rhs)
+    carry = np.zeros(2 * n)
+    for t in range(frames):
+        factor, info = dpotrf((matrix.diagonal[t] - pending[:n, :n]).T, lower=1, overwrite_a=1)
+        if info != 0:
+            raise NotPositiveDefinite(f"frame {t}: pivot {info} is not positive")
+        panel = matrix.below[t].reshape(2 * n, n).copy()
+        panel[:n] -= pending[n:, :n]
+        panel = dtrsm(1.0, factor, panel.T, side=0, lower=1, overwrite_b=1).T
+        update = panel @ panel.T
+        update[:n, :n] += pending[n:, n:]
+        pending = update
+        solved = dtrsm(1.0, factor, (solution[t] - carry[:n])[:, None], side=0, lower=1)[:, 0]
+        solution[t] = solved
+        carry[:n] = carry[n:]
+        carry[n:] = 0.0
+        carry += panel @ solved
+        lower[t], panels[t] = factor, panel
+    padded = np.zeros((frames + 2, n))
+    for t in range(frames - 1, -1, -1):
+        known = solution[t] - panels[t].T @ padded[t + 1 : t + 3].reshape(-1)
+        padded[t] = dtrsm(1.0, lower[t].T, known[:, None], side=0, lower=0)[:, 0]
+    return padded[:frames]

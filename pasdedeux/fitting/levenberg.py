@@ -1,0 +1,234 @@
+"""Levenberg-Marquardt on bone directions: bone lengths exact at every step, energy never rises.
+
+Points are linear in each bone's vector and every bone moves on its own sphere, so the exact curvature is the
+Gauss-Newton one plus a diagonal: bone b adds -l_b u_b . G_b, G_b the gradient summed over the points it carries (the
+pull of the motion along the bone).  Its positive part is kept, which speeds up the last steps and cannot spoil descent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
+from pasdedeux.fitting.bones import BoneForest, BoneState
+from pasdedeux.fitting.terms import AXES, Normal, Term
+
+__all__ = ["FitResult", "FitSettings", "fit_bones"]
+
+Array = npt.NDArray[np.float64]
+
+_SMALLEST_CURVATURE = 1e-9
+"""Added to the diagonal so that a bone of length zero, which moves nothing, has a step of zero."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """When to stop and how to damp.
+
+    Args:
+        max_iterations: Most accepted or refused steps.
+        tolerance: Stops when a step lowers the energy by less than this share.
+        damping: First damping, as a share of the diagonal.
+        largest_damping: Gives up (with what it has) beyond this damping.
+
+    Raises:
+        InputError: A value that is not allowed.
+    """
+
+    max_iterations: int = 30
+    tolerance: float = 1e-6
+    damping: float = 1e-4
+    largest_damping: float = 1e8
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.max_iterations < 0 or not self.tolerance >= 0 or not 0 < self.damping <= self.largest_damping:
+            raise InputError(f"fit settings {self}: allowed are iterations and tolerance from 0, damping above 0")
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The fitted motion and how the energy went.
+
+    Args:
+        positions_m: (T, N, 3), metres.
+        state: Roots and directions.
+        energies: Energy at the start and after every accepted step; never rises.
+        num_iterations: Steps tried.
+        is_converged: The last accepted step lowered the energy by less than the tolerance, or none could lower it.
+    """
+
+    positions_m: Array
+    state: BoneState
+    energies: tuple[float, ...]
+    num_iterations: int
+    is_converged: bool
+
+
+def fit_bones(
+    forest: BoneForest, start: BoneState, terms: Sequence[Term], settings: FitSettings | None = None
+) -> FitResult:
+    """Minimise the terms over roots and bone directions of a whole clip.
+
+    Args:
+        forest: Skeletons and their lengths.
+        start: First guess.
+        terms: Terms; together they should hold every unknown (a weak `PointTerm` does).
+        settings: When to stop.
+
+    Raises:
+        InputError: The energy of the first guess is not finite.
+    """
+    settings = settings or FitSettings()
+    state = start
+    positions = forest.positions(state)
+    energy = _energy(terms, positions)
+    if not np.isfinite(energy):
+        raise InputError("the energy of the first guess is not finite: positions, targets and weights must be")
+    constant = Normal.zeros(len(positions), forest.num_points)
+    for term in terms:
+        if term.is_quadratic:
+            term.add_curvature(positions, constant)
+    carried = _carry(forest, constant)
+    energies = [energy]
+    damping, is_converged, iteration = settings.damping, False, 0
+    is_fresh = False
+    while iteration < settings.max_iterations and not is_converged:
+        if not is_fresh:
+            normal = Normal.zeros(0, forest.num_points)
+            normal.gradient = np.zeros(positions.shape)
+            for term in terms:
+                term.add_gradient(positions, normal)
+                if not term.is_quadratic:
+                    term.add_curvature(positions, normal)
+            tangents = forest.tangents(state)
+            matrix, gradient = _reduce(forest, state, tangents, carried, normal)
+            is_fresh = True
+        iteration += 1
+        try:
+            step = -solve_blocks(_damped(matrix, damping), gradient)
+            moved = forest.retract(state, tangents, step)
+            moved_positions = forest.positions(moved)
+            moved_energy = _energy(terms, moved_positions)
+        except NotPositiveDefinite:
+            moved_energy = np.inf
+        if moved_energy <= energy:
+            is_converged = energy - moved_energy <= settings.tolerance * energy
+            state, positions, energy = moved, moved_positions, moved_energy
+            energies.append(energy)
+            damping, is_fresh = max(damping * 0.1, 1e-12), False
+        else:
+            damping *= 10.0
+            is_converged = damping > settings.largest_damping
+    return FitResult(
+        positions_m=positions,
+        state=state,
+        energies=tuple(energies),
+        num_iterations=iteration,
+        is_converged=is_converged,
+    )
+
+
+def _energy(terms: Sequence[Term], positions: Array) -> float:
+    return sum(term.energy(positions) for term in terms)
+
+
+def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
+    diagonal = np.array(matrix.diagonal)
+    index = np.arange(diagonal.shape[-1])
+    diagonal[:, index, index] *= 1.0 + damping
+    diagonal[:, index, index] += _SMALLEST_CURVATURE
+    return BlockMatrix(diagonal=diagonal, below=matrix.below)
+
+
+def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
+    """Sum curvature over the points that each pair of bones carries: C K C' (3, T, N, N), and the same between frames."""
+    carries = forest.carries
+    within = carries @ normal.matrix @ carries.T
+    between = [np.matmul(carries * lag[:, :, None, :], carries.T) for lag in (normal.lag1, normal.lag2)]
+    return np.ascontiguousarray(within), between[0], between[1]
+
+
+def _reduce(
+    forest: BoneForest, state: BoneState, tangents: Array, carried: tuple[Array, Array, Array], normal: Normal
+) -> tuple[BlockMatrix, Array]:
+    """Give the normal equations in the unknowns of the step."""
+    frames, points = state.directions.shape[:2]
+    n = forest.num_unknowns
+    carries = forest.carries
+    basis = np.zeros((frames, points, AXES, 3))
+    basis[..., :2] = tangents * forest.lengths_m[:, None, None]
+    basis[:, forest.roots] = np.eye(3)
+    summed = np.einsum("gi,tia->tga", carries, normal.gradient, optimize=True)
+    full = np.einsum("tga,tgak->tgk", summed, basis)
+    gradient = np.empty((frames, n))
+    columns, generators = _unknown_columns(forest)
+    gradient[:] = full[:, generators, columns]
+    bending = np.maximum(-(summed * state.directions).sum(axis=-1) * forest.lengths_m, 0.0)
+    bending[:, forest.roots] = 0.0
+
+    starts = forest.starts
+    diagonal = np.zeros((frames, n, n))
+    below = np.zeros((frames, 2, n, n))
+    _reduce_within(carried[0], basis, bending, starts, diagonal)
+    if frames > 1:
+        _reduce_between(carried[1], basis, starts, 1, below)
+    if frames > 2:
+        _reduce_between(carried[2], basis, starts, 2, below)
+    for pairs, weights, unit in normal.pairs:
+        moves = carries[:, pairs[:, 1]] - carries[:, pairs[:, 0]]
+        rows = np.einsum("gm,tma,tgak->tmgk", moves, unit, basis, optimize=True)[:, :, generators, columns]
+        diagonal += np.matmul(np.swapaxes(rows * weights[..., None], 1, 2), rows)
+    return BlockMatrix(diagonal=diagonal, below=below), gradient
+
+
+def _unknown_columns(forest: BoneForest) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Give for each unknown of a frame its column (0..2) and its point."""
+    widths = np.diff(forest.starts)
+    generators = np.repeat(np.arange(forest.num_points), widths)
+    columns = np.arange(forest.num_unknowns) - forest.starts[:-1][generators]
+    return columns, generators
+
+
+@numba.njit(cache=True, nogil=True)
+def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Array, diagonal: Array) -> None:
+    _, frames, points, _ = carried.shape
+    for t in range(frames):
+        for g in range(points):
+            for h in range(g + 1):
+                a, b, c = carried[0, t, g, h], carried[1, t, g, h], carried[2, t, g, h]
+                if a == 0.0 and b == 0.0 and c == 0.0:
+                    continue
+                for i in range(starts[g + 1] - starts[g]):
+                    x, y, z = a * basis[t, g, 0, i], b * basis[t, g, 1, i], c * basis[t, g, 2, i]
+                    for j in range(starts[h + 1] - starts[h]):
+                        value = x * basis[t, h, 0, j] + y * basis[t, h, 1, j] + z * basis[t, h, 2, j]
+                        diagonal[t, starts[g] + i, starts[h] + j] = value
+                        diagonal[t, starts[h] + j, starts[g] + i] = value
+            for i in range(starts[g], starts[g + 1]):
+                diagonal[t, i, i] += bending[t, g]
+
+
+@numba.njit(cache=True, nogil=True)
+def _reduce_between(carried: Array, basis: Array, starts: Array, lag: int, below: Array) -> None:
+    _, frames, points, _ = carried.shape
+    for t in range(frames):
+        for g in range(points):
+            for h in range(points):
+                a, b, c = carried[0, t, g, h], carried[1, t, g, h], carried[2, t, g, h]
+                if a == 0.0 and b == 0.0 and c == 0.0:
+                    continue
+                for i in range(starts[g + 1] - starts[g]):
+                    x = a * basis[t + lag, g, 0, i]
+                    y = b * basis[t + lag, g, 1, i]
+                    z = c * basis[t + lag, g, 2, i]
+                    for j in range(starts[h + 1] - starts[h]):
+                        below[t, lag - 1, starts[g] + i, starts[h] + j] = (
+                            x * basis[t, h, 0, j] + y * basis[t, h, 1, j] + z * basis[t, h, 2, j]
+                        )

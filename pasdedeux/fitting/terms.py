@@ -1,0 +1,242 @@
+"""Terms of a fit: squares of the positions of all points over time, with their gradient and curvature.
+
+A term gives E, half its gradient g (frame, point, 3) and half its Gauss-Newton curvature.  Curvature is kept in the
+structure that makes it cheap: a matrix over points within a frame for the horizontal and the vertical axes, diagonals
+between frames one and two apart, and rank-one parts between pairs of points.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+
+__all__ = ["AXES", "DifferenceTerm", "DistanceTerm", "Normal", "PointTerm", "QuadraticTerm", "Term"]
+
+Array = npt.NDArray[np.float64]
+
+AXES = 3
+
+
+@dataclass
+class Normal:
+    """Half gradient and half Gauss-Newton curvature of all terms at one motion of T frames and N points.
+
+    Args:
+        gradient: (T, N, 3).
+        matrix: Curvature within a frame (axis=3, T, N, N).
+        lag1: Between frames t and t+1 at the same point (axis=3, T-1, N).
+        lag2: Between frames t and t+2 (axis=3, T-2, N).
+        pairs: Rank-one parts: points i and j (m, 2), weights (T, m) and unit vectors (T, m, 3).
+    """
+
+    gradient: Array
+    matrix: Array
+    lag1: Array
+    lag2: Array
+    pairs: list[tuple[npt.NDArray[np.int64], Array, Array]] = field(default_factory=list)
+
+    @classmethod
+    def zeros(cls, num_frames: int, num_points: int) -> Normal:
+        """Start from nothing."""
+        return cls(
+            gradient=np.zeros((num_frames, num_points, AXES)),
+            matrix=np.zeros((AXES, num_frames, num_points, num_points)),
+            lag1=np.zeros((AXES, max(num_frames - 1, 0), num_points)),
+            lag2=np.zeros((AXES, max(num_frames - 2, 0), num_points)),
+        )
+
+
+class Term(ABC):
+    """One sum of weighted squares."""
+
+    is_quadratic = True
+    """The curvature does not depend on the positions, so it is added up once."""
+
+    @abstractmethod
+    def energy(self, positions_m: Array) -> float:
+        """Give E for positions (T, N, 3), metres."""
+
+    @abstractmethod
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+
+    @abstractmethod
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the Gauss-Newton curvature."""
+
+
+@dataclass(frozen=True)
+class PointTerm(Term):
+    """sum w |p - target|^2 per axis: points seen, anchored or held; a target that is NaN counts as not seen.
+
+    Args:
+        targets_m: (T, N, 3), metres.
+        weights: (T, N, 3) or what broadcasts to it; 0 leaves an axis free, as depth is for a camera.
+    """
+
+    targets_m: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        """Check the weights and give unseen targets none."""
+        weights = np.array(np.broadcast_to(self.weights, self.targets_m.shape), dtype=np.float64)
+        if not (np.isfinite(weights) & (weights >= 0)).all():
+            raise InputError("weights of a point term must be finite and 0 or more")
+        is_seen = np.isfinite(self.targets_m)
+        object.__setattr__(self, "weights", np.where(is_seen, weights, 0.0))
+        object.__setattr__(self, "targets_m", np.where(is_seen, self.targets_m, 0.0))
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        return float((self.weights * (positions_m - self.targets_m) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        normal.gradient += self.weights * (positions_m - self.targets_m)
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the curvature."""
+        points = np.arange(positions_m.shape[1])
+        normal.matrix[:, :, points, points] += np.moveaxis(self.weights, -1, 0)
+
+
+@dataclass(frozen=True)
+class DifferenceTerm(Term):
+    """sum w |D_k (p - reference)|^2: smoothness of first or second order, against a motion that need not be still.
+
+    Args:
+        reference_m: (T, N, 3), metres; zeros ask for a motion that is still (k = 1) or unaccelerated (k = 2).
+        weights: (T - k, N, 3) or what broadcasts to it.
+        order: k, 1 or 2.
+    """
+
+    reference_m: Array
+    weights: Array
+    order: int
+
+    def __post_init__(self) -> None:
+        """Check order and weights."""
+        if self.order not in (1, 2):
+            raise InputError(f"a difference term has order {self.order}; allowed are 1 and 2")
+        shape = (max(len(self.reference_m) - self.order, 0), *self.reference_m.shape[1:])
+        weights = np.array(np.broadcast_to(self.weights, shape), dtype=np.float64)
+        if not (np.isfinite(weights) & (weights >= 0)).all():
+            raise InputError("weights of a difference term must be finite and 0 or more")
+        object.__setattr__(self, "weights", weights)
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        return float((self.weights * np.diff(positions_m - self.reference_m, n=self.order, axis=0) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        pull = self.weights * np.diff(positions_m - self.reference_m, n=self.order, axis=0)
+        for shift, factor in enumerate(_STENCILS[self.order]):
+            normal.gradient[shift : shift + len(pull)] += factor * pull
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the curvature."""
+        stencil, points = _STENCILS[self.order], np.arange(positions_m.shape[1])
+        weights = np.moveaxis(self.weights, -1, 0)
+        count = weights.shape[1]
+        for i, left in enumerate(stencil):
+            normal.matrix[:, i : i + count, points, points] += left * left * weights
+            for j in range(i + 1, len(stencil)):
+                lag = normal.lag1 if j - i == 1 else normal.lag2
+                lag[:, i : i + count] += left * stencil[j] * weights
+
+
+_STENCILS = {1: (-1.0, 1.0), 2: (1.0, -2.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class QuadraticTerm(Term):
+    """x' K x - 2 b' x + c with x = p - origin: any sum of squares that is already added up.
+
+    Args:
+        origin_m: (T, N, 3), metres.
+        matrix: (axis=3, T, N, N), with the temporal terms' diagonals.
+        lag1: (axis=3, T-1, N).
+        lag2: (axis=3, T-2, N).
+        linear: b (T, N, 3).
+        constant: c, which makes E the sum of squares.
+    """
+
+    origin_m: Array
+    matrix: Array
+    lag1: Array
+    lag2: Array
+    linear: Array
+    constant: float = 0.0
+
+    def _apply(self, x: Array) -> Array:
+        product = np.einsum("atij,tja->tia", self.matrix, x, optimize=True)
+        for shift, lag in ((1, self.lag1), (2, self.lag2)):
+            if len(x) > shift:
+                coupling = np.moveaxis(lag, 0, -1)
+                product[:-shift] += coupling * x[shift:]
+                product[shift:] += coupling * x[:-shift]
+        return np.asarray(product)
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        x = positions_m - self.origin_m
+        return float((x * (self._apply(x) - 2.0 * self.linear)).sum() + self.constant)
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        normal.gradient += self._apply(positions_m - self.origin_m) - self.linear
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the curvature."""
+        normal.matrix += self.matrix
+        normal.lag1 += self.lag1
+        normal.lag2 += self.lag2
+
+
+@dataclass(frozen=True)
+class DistanceTerm(Term):
+    """sum w (|p_i - p_j| - length)^2: pairs of points that stay as far apart as they should.
+
+    Args:
+        pairs: Points (m, 2).
+        lengths_m: (T, m), metres.
+        weights: (T, m) or what broadcasts to it.
+    """
+
+    pairs: npt.NDArray[np.int64]
+    lengths_m: Array
+    weights: Array
+
+    is_quadratic = False
+
+    def __post_init__(self) -> None:
+        """Broadcast the weights."""
+        object.__setattr__(self, "weights", np.array(np.broadcast_to(self.weights, self.lengths_m.shape)))
+
+    def _vectors(self, positions_m: Array) -> tuple[Array, Array]:
+        vector = positions_m[:, self.pairs[:, 1]] - positions_m[:, self.pairs[:, 0]]
+        distance = np.sqrt((vector**2).sum(axis=-1))
+        return vector / np.maximum(distance, 1e-12)[..., None], distance
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        _, distance = self._vectors(positions_m)
+        return float((self.weights * (distance - self.lengths_m) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        unit, distance = self._vectors(positions_m)
+        pull = (self.weights * (distance - self.lengths_m))[..., None] * unit
+        for column, sign in ((1, 1.0), (0, -1.0)):
+            np.add.at(normal.gradient, (slice(None), self.pairs[:, column]), sign * pull)
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
+        unit, _ = self._vectors(positions_m)
+        normal.pairs.append((self.pairs, self.weights, unit))

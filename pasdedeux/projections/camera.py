@@ -1,0 +1,96 @@
+"""The camera of a projection database: how a pose before it falls on the image, in metres at the mid-hip."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import OP14
+
+__all__ = ["DatabaseCamera", "OrthographicCamera", "PinholeCamera", "camera_from_name"]
+
+_ANKLES = OP14.indices(["left_ankle", "right_ankle"])
+_ANKLE_HEIGHT_M = 0.07
+"""Height of the ankle joint over the sole (Winter 2009, fig. 4.1: 0.039 of stature)."""
+
+Floats = npt.NDArray[Any]
+
+
+class DatabaseCamera(ABC):
+    """A camera on the +Z side of the body; image x right, y up, metres at the depth of the mid-hip."""
+
+    @abstractmethod
+    def project(self, poses_m: Floats) -> Floats:
+        """Project poses (*batch, 14, 3), mid-hip at the origin, to (*batch, 14, 2), mid-hip at the origin."""
+
+    @property
+    def camera_from_upright_rotmat(self) -> Floats:
+        """Rotation (3, 3) from upright axes before the camera to the camera's own (x right, y up, z towards it)."""
+        return np.eye(3)
+
+
+@dataclass(frozen=True)
+class OrthographicCamera(DatabaseCamera):
+    """Parallel rays; a camera `pitch_rad` above the horizontal looks down on the body."""
+
+    pitch_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a camera that stands on its head."""
+        if not -np.pi / 2 < self.pitch_rad < np.pi / 2:
+            raise InputError(f"the camera's pitch is {self.pitch_rad} rad; it must lie between -pi/2 and pi/2")
+
+    @property
+    def camera_from_upright_rotmat(self) -> Floats:
+        """A camera that looks down sees the top of the head come nearer."""
+        cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+        return np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+
+    def project(self, poses_m: Floats) -> Floats:
+        """Drop the depth of the camera's axes."""
+        if self.pitch_rad == 0.0:
+            return poses_m[..., :2]
+        cosine, sine = np.cos(self.pitch_rad), np.sin(self.pitch_rad)
+        y = cosine * poses_m[..., 1] - sine * poses_m[..., 2]
+        return np.stack([poses_m[..., 0], y], axis=-1)
+
+
+@dataclass(frozen=True)
+class PinholeCamera(DatabaseCamera):
+    """A level pinhole at `height_m` over the floor and `distance_m` before the mid-hip, as in the paper (1.5 m).
+
+    The lower ankle of each pose stands on the floor, which fixes how far below the camera the mid-hip is.
+    """
+
+    height_m: float = 1.5
+    distance_m: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse a camera inside the body."""
+        if not (np.isfinite(self.distance_m) and self.distance_m > 1.5):
+            raise InputError(f"the camera's distance is {self.distance_m} m; it must be more than 1.5 m")
+        if not np.isfinite(self.height_m):
+            raise InputError(f"the camera's height is {self.height_m} m; it must be finite")
+
+    def project(self, poses_m: Floats) -> Floats:
+        """Divide by depth, then put the mid-hip's image at the origin and scale to metres at its depth."""
+        hip_height = _ANKLE_HEIGHT_M - np.min(poses_m[..., _ANKLES, 1], axis=-1, keepdims=True)
+        below = hip_height - poses_m.dtype.type(self.height_m)
+        shrink = self.distance_m / (self.distance_m - poses_m[..., 2])
+        x = poses_m[..., 0] * shrink
+        y = (poses_m[..., 1] + below) * shrink - below
+        return np.stack([x, y], axis=-1).astype(poses_m.dtype, copy=False)
+
+
+def camera_from_name(name: str, *, pitch_rad: float, height_m: float, distance_m: float) -> DatabaseCamera:
+    """Give the camera of a study's words: `orthographic` (uses the pitch) or `pinhole` (uses height and distance)."""
+    if name == "orthographic":
+        return OrthographicCamera(pitch_rad)
+    if name == "pinhole":
+        return PinholeCamera(height_m, distance_m)
+    raise InputError(f"camera '{name}' is not known; known cameras: orthographic, pinhole")

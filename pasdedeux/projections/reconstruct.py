@@ -1,0 +1,384 @@
+"""From a track of 2D keypoints to a 3D motion: place, search, choose over time, bridge, smooth, back to the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import rotate, swing_between
+from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
+from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
+from pasdedeux.projections.smoothing import bridge_gaps, smooth_savitzky_golay
+from pasdedeux.projections.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
+from pasdedeux.skeletons import OP14
+
+__all__ = [
+    "Lens",
+    "Matches",
+    "Method",
+    "Reconstruction",
+    "ReconstructionOptions",
+    "Searcher",
+    "Track",
+    "choose_pitch",
+    "floor_offset",
+    "match_track",
+    "reconstruct_track",
+]
+
+Array = npt.NDArray[np.float64]
+
+_FOCAL_OVER_WIDTH = 0.72
+"""Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
+
+
+class Method(StrEnum):
+    """How one candidate a frame is chosen, and what is done with it."""
+
+    NEAREST = "nearest"
+    WINDOW = "window"
+    VITERBI = "viterbi"
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
+
+    focal_px: float
+    principal_point_px: tuple[float, float]
+
+    @classmethod
+    def assumed(cls, width_px: int | None, height_px: int | None, keypoints_px: Array) -> Lens:
+        """Give the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
+        if width_px is None or height_px is None:
+            is_seen = np.isfinite(keypoints_px).all(axis=-1)
+            seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
+            # People are filmed about the middle, and an image is about 16:9.
+            middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+            width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
+            return cls(_FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
+        return cls(_FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
+
+
+@dataclass(frozen=True)
+class Track:
+    """One person's keypoints over the frames of a sequence.
+
+    Args:
+        keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
+        confidence: (frame, 14), 0 where not seen.
+        rate_hz: Frames per second.
+        lens: The camera as far as it is known.
+
+    Raises:
+        InputError: Shapes do not fit, no frame, negative confidences, a rate that is not positive.
+    """
+
+    keypoints_px: Array
+    confidence: Array
+    rate_hz: float
+    lens: Lens
+
+    def __post_init__(self) -> None:
+        """Check shapes; a joint without position gets confidence 0."""
+        frames = len(self.keypoints_px)
+        joints = OP14.num_joints
+        if self.keypoints_px.shape != (frames, joints, 2) or self.confidence.shape != (frames, joints) or frames == 0:
+            raise InputError(
+                f"track: keypoints {self.keypoints_px.shape} and confidences {self.confidence.shape}; "
+                f"expected (frames, {joints}, 2) and (frames, {joints}) with at least one frame"
+            )
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise InputError(f"track: the frame rate is {self.rate_hz}, it must be positive")
+        confidence = np.where(np.isfinite(self.keypoints_px).all(axis=-1), np.nan_to_num(self.confidence), 0.0)
+        if (confidence < 0).any():
+            raise InputError("track: a confidence is negative; 0 means not seen")
+        object.__setattr__(self, "confidence", confidence)
+
+
+@dataclass(frozen=True)
+class ReconstructionOptions:
+    """How a track is reconstructed.
+
+    Args:
+        num_candidates: Projections kept per frame for the choice over time.
+        num_placements: Rounds of search that scale and place are refined in.
+        min_joints: Frames with fewer joints seen are bridged.
+        temporal: Costs of the choice over time.
+        smoothing_s: Length of the smoothing window; 0 for none.
+        scale_window_s: Length of the window that a track's scale is the median of.
+    """
+
+    num_candidates: int = 50
+    num_placements: int = 3
+    min_joints: int = 4
+    temporal: TemporalWeights = field(default_factory=TemporalWeights)
+    smoothing_s: float = 0.375
+    scale_window_s: float = 1.5
+
+    def __post_init__(self) -> None:
+        """Refuse counts below one."""
+        if min(self.num_candidates, self.num_placements, self.min_joints) < 1:
+            raise InputError(f"reconstruction: candidates, placements and least joints must be at least 1: {self}")
+
+
+@dataclass(frozen=True)
+class Searcher:
+    """A database made ready for search under one camera."""
+
+    database: Database
+    index: ProjectionIndex
+    reference: ScaleReference
+
+    @classmethod
+    def of(cls, database: Database) -> Searcher:
+        """Build index and scale reference."""
+        return cls(database, build_index(database), ScaleReference.of(database))
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What a search found for a track.
+
+    Args:
+        neighbours: Candidates (frame, k).
+        query_m: Query of each frame (frame, 14, 2), metres about the mid-hip; NaN where not seen.
+        weights: Weights (frame, 14) of the joints; all 0 in frames to be bridged.
+        placement: Scale and place searched with; pixels with y up about the principal point, rays straightened.
+        towards_camera: Unit direction (frame, 3) from the mid-hip to the camera, camera axes.
+    """
+
+    neighbours: Neighbours
+    query_m: Array
+    weights: Array
+    placement: Placement
+    towards_camera: Array
+
+    @property
+    def mean_distance_m(self) -> float:
+        """Mean distance of the best match over the frames that were searched; inf when none was."""
+        best = self.neighbours.distance_m[:, 0]
+        return float(np.mean(best[np.isfinite(best)])) if np.isfinite(best).any() else float("inf")
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A reconstructed track, camera axes (x right, y up, z towards the camera), camera at the origin, metres.
+
+    Args:
+        positions_m: op14 positions (frame, 14, 3).
+        bone_unitquat: Rotations of the bones (frame, 14, 4), see `bones.bone_rotations`.
+        root_m: Mid-hip (frame, 3).
+        yaw_rad: Yaw of the matched projection (frame,); NaN where bridged.
+        score_m: Mean distance per seen joint to it (frame,); NaN where bridged.
+        row: Database row matched (frame,); -1 where bridged.
+        num_joints_seen: (frame,).
+        is_bridged: Too little was seen in the frame; the pose is interpolated (frame,).
+        metres_per_pixel: (frame,).
+    """
+
+    positions_m: Array
+    bone_unitquat: Array
+    root_m: Array
+    yaw_rad: Array
+    score_m: Array
+    row: npt.NDArray[np.int64]
+    num_joints_seen: npt.NDArray[np.int64]
+    is_bridged: npt.NDArray[np.bool_]
+    metres_per_pixel: Array
+
+
+def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions | None = None) -> Matches:
+    """Place a track and find each frame's candidates.
+
+    Rays are straightened first: keypoints are looked at as if the camera were turned towards the person, because the
+    database's camera looks straight at the body.
+
+    Raises:
+        InputError: No frame shows `min_joints` joints, or the size cannot be told.
+    """
+    options = options or ReconstructionOptions()
+    centred = (track.keypoints_px - np.array(track.lens.principal_point_px)) * np.array([1.0, -1.0])
+    is_seen = (track.confidence > 0).sum(axis=1) >= options.min_joints
+    weights = np.where(is_seen[:, None], track.confidence, 0.0)
+    if not is_seen.any():
+        raise InputError(
+            f"no frame of the track shows {options.min_joints} joints of the person; nothing to search for"
+        )
+    window = max(3, round(options.scale_window_s * track.rate_hz)) | 1
+    first = place_track(centred, weights, searcher.reference, window=window)
+    straight, towards = _straighten(centred, first.mid_hip_px, track.lens.focal_px)
+    placement = place_track(straight, weights, searcher.reference, window=window)
+    for round_number in range(options.num_placements):
+        query = placement.to_metres(straight)
+        is_last = round_number == options.num_placements - 1
+        neighbours = searcher.index.search(query, weights, num_neighbours=options.num_candidates if is_last else 1)
+        if not is_last:
+            matched = _projection_of(searcher.database, neighbours)
+            placement = refine_placement(straight, weights, matched, window=window, previous=placement)
+    return Matches(neighbours, np.where(weights[..., None] > 0, query, np.nan), weights, placement, towards)
+
+
+def choose_pitch(
+    databases: Sequence[Searcher],
+    tracks: Sequence[Track],
+    options: ReconstructionOptions | None = None,
+    *,
+    stride: int = 5,
+) -> int:
+    """Give the index of the searcher (one per camera pitch) that matches the tracks of a sequence best.
+
+    A camera does not change its pitch within a sequence, so every `stride`-th frame of all tracks decides together; the
+    sum of the mean distances of the tracks is compared, ties go to the first.
+    """
+    options = options or ReconstructionOptions()
+    thinned = [
+        replace(track, keypoints_px=track.keypoints_px[::stride], confidence=track.confidence[::stride])
+        for track in tracks
+    ]
+    costs = []
+    for searcher in databases:
+        found = [_mean_distance(searcher, track, options) for track in thinned]
+        costs.append(sum(found))
+    return int(np.argmin(costs))
+
+
+def _mean_distance(searcher: Searcher, track: Track, options: ReconstructionOptions) -> float:
+    try:
+        return match_track(searcher, track, replace(options, num_candidates=1)).mean_distance_m
+    except InputError:
+        return 0.0  # a track too thin to be searched has no say
+
+
+def reconstruct_track(
+    searcher: Searcher,
+    track: Track,
+    method: Method = Method.VITERBI,
+    options: ReconstructionOptions | None = None,
+    *,
+    matches: Matches | None = None,
+) -> Reconstruction:
+    """Give a track's motion before the camera.
+
+    Args:
+        searcher: Database made ready.
+        track: The keypoints.
+        method: `nearest` takes each frame's best match as it is (the baseline); `window` and `viterbi` choose over time
+            and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths).
+        options: How.
+        matches: Result of `match_track` for this track, where it is at hand.
+
+    Raises:
+        InputError: Nothing to search for; see `match_track`.
+    """
+    options = options or ReconstructionOptions()
+    found = matches or match_track(searcher, track, options)
+    database, neighbours = searcher.database, found.neighbours
+    if method is Method.NEAREST:
+        ranks = choose_nearest(neighbours)
+    elif method is Method.WINDOW:
+        ranks = choose_window(database, neighbours)
+    else:
+        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, weights=options.temporal)
+    is_known = ranks >= 0
+    frames = np.arange(len(ranks))
+    rank = np.maximum(ranks, 0)
+    row = np.where(is_known, neighbours.row[frames, rank], -1)
+    yaw_index = neighbours.yaw_index[frames, rank]
+    poses = database.turned(np.maximum(row, 0), yaw_index)
+    poses = np.einsum("ij,fnj->fni", database.camera.camera_from_upright_rotmat, poses)
+    unitquat = bridge_gaps(bone_rotations(poses), is_known)
+    placement = found.placement
+    if method is not Method.NEAREST:
+        unitquat = smooth_savitzky_golay(unitquat, num_frames=_odd_window(options.smoothing_s, track.rate_hz))
+    root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
+    relative = place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros(root.shape))
+    turn = swing_between(np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape), towards)
+    positions = rotate(turn[:, None], relative) + root[:, None]
+    return Reconstruction(
+        positions_m=positions,
+        bone_unitquat=bone_rotations(positions),
+        root_m=mid_hip(positions),
+        yaw_rad=np.where(is_known, yaw_index * database.yaw_step_rad, np.nan),
+        score_m=np.where(is_known, neighbours.distance_m[frames, rank], np.nan),
+        row=row,
+        num_joints_seen=(track.confidence > 0).sum(axis=1),
+        is_bridged=~is_known,
+        metres_per_pixel=placement.metres_per_pixel,
+    )
+
+
+def floor_offset(reconstructions: Sequence[Reconstruction], camera: OrthographicCamera | None = None) -> Array:
+    """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
+
+    The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
+    along the upright axis of the pitched camera, camera axes.
+    """
+    upright = np.eye(3) if camera is None else np.asarray(camera.camera_from_upright_rotmat)
+    ankles = OP14.indices(["left_ankle", "right_ankle"])
+    points = [found.positions_m @ upright for found in reconstructions]  # camera axes to upright axes: the transpose
+    floor = min(float(np.min(one[:, ankles, 1])) for one in points)
+    start = np.mean([mid_hip(one[0]) for one in points], axis=0)
+    return np.asarray(upright @ np.array([start[0], floor, start[2]]))
+
+
+def _odd_window(seconds: float, rate_hz: float) -> int:
+    """Give an odd number of frames of about this length, at least 3."""
+    return max(3, round(seconds * rate_hz)) | 1
+
+
+def _projection_of(database: Database, neighbours: Neighbours) -> Array:
+    """Give the projections (frame, 14, 2) of the best match of each frame; NaN where there is none."""
+    row, yaw = neighbours.row[:, 0], neighbours.yaw_index[:, 0]
+    turned = database.turned(np.maximum(row, 0), yaw)
+    projected = np.array(database.camera.project(turned), dtype=np.float64)
+    projected[row < 0] = np.nan
+    return projected
+
+
+def _straighten(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
+    """Give keypoints as a camera turned towards the mid-hip sees them, and the direction (frame, 3) back to the camera.
+
+    Rays behind the turned camera's horizon cannot be seen and come out as NaN.
+    """
+    is_known = np.asarray(np.isfinite(mid_hip_px).all(axis=-1))
+    hips = np.where(is_known[:, None], mid_hip_px, 0.0)
+    towards = np.concatenate([-hips, np.full((len(hips), 1), focal_px)], axis=-1)
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    axis = np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape)
+    back = swing_between(towards, axis)
+    rays = np.concatenate([centred_px, np.full((*centred_px.shape[:-1], 1), -focal_px)], axis=-1)
+    turned = rotate(np.broadcast_to(back[:, None], (*rays.shape[:-1], 4)), np.nan_to_num(rays))
+    depth = -turned[..., 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        straight = np.where(depth > 0.1 * focal_px, turned[..., :2] / depth * focal_px, np.nan)
+    return np.where(np.isfinite(centred_px), straight, np.nan), towards
+
+
+def _root_before_camera(
+    placement: Placement, towards_camera: Array, track: Track, is_known: npt.NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Give mid-hip (frame, 3) and direction to the camera (frame, 3) by weak perspective; unknown frames interpolated.
+
+    A person at `metres_per_pixel` s is s * focal away along the mid-hip's ray.
+    """
+    turn = swing_between(np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards_camera.shape), towards_camera)
+    scale = placement.metres_per_pixel
+    place = np.nan_to_num(placement.mid_hip_px) * scale[:, None]
+    depth = -scale * track.lens.focal_px
+    root = rotate(turn, np.concatenate([place, depth[:, None]], axis=-1))
+    frames = np.arange(len(root))
+    is_placed = np.logical_and(is_known, np.isfinite(placement.mid_hip_px).all(axis=-1))
+    if is_placed.any():
+        root = np.stack([np.interp(frames, frames[is_placed], column[is_placed]) for column in root.T], axis=-1)
+    towards = -root / np.linalg.norm(root, axis=-1, keepdims=True)
+    return root, towards

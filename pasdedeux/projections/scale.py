@@ -1,0 +1,177 @@
+"""Scale and place of a track of 2D keypoints: metres per pixel and the image of the mid-hip, over the joints seen.
+
+Eq. 1 compares images in metres about the mid-hip, so a track needs both.  The paper scales every frame's bounding box
+to one height, which a raised arm or a missing foot changes; here bone lengths of the reference body are used, over a
+track, and then the matched poses themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
+from pasdedeux.skeletons import OP14
+
+__all__ = ["Placement", "ScaleReference", "bounding_box_height", "place_track", "refine_placement", "running_median"]
+
+Array = npt.NDArray[np.float64]
+_PARENT = np.array([parent for parent, _ in OP14.bones])
+_CHILD = np.array([child for _, child in OP14.bones])
+_QUANTILE = 0.75
+_MIN_BONES = 3
+
+
+@dataclass(frozen=True)
+class ScaleReference:
+    """What a database looks like to the scale estimate.
+
+    Args:
+        typical_ratio: Median over projections of the upper quartile over bones of image length over bone length.
+        mean_m: Mean image position of each joint about the mid-hip (14, 2), metres.
+        variance_m2: Variance of each joint's image position (14,), square metres.
+    """
+
+    typical_ratio: float
+    mean_m: Array
+    variance_m2: Array
+
+    @classmethod
+    def of(cls, database: Database) -> ScaleReference:
+        """Learn it from up to 2,000 evenly spaced poses of a database."""
+        rows = np.unique(np.linspace(0, database.num_rows - 1, 2000).astype(int))
+        sample = Database(
+            poses_m=database.poses_m[rows],
+            is_sequence_start=np.ones(len(rows), dtype=bool),
+            num_yaws=database.num_yaws,
+            camera=database.camera,
+        )
+        projections = sample.project().reshape(-1, OP14.num_joints, 2).astype(np.float64)
+        return cls(
+            typical_ratio=float(np.median(_upper_ratio(projections, np.ones(projections.shape[:-1])))),
+            mean_m=projections.mean(axis=0),
+            variance_m2=projections.var(axis=0).sum(axis=-1) + 1e-4,
+        )
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Scale and place of every frame of a track.
+
+    Args:
+        metres_per_pixel: (frame,); NaN where nothing is known.
+        mid_hip_px: Image of the mid-hip (frame, 2), x right, y up; NaN where nothing is known.
+    """
+
+    metres_per_pixel: Array
+    mid_hip_px: Array
+
+    def to_metres(self, keypoints_px: Array) -> Array:
+        """Give keypoints (frame, 14, 2), pixels with y up, in metres about the mid-hip."""
+        return (keypoints_px - self.mid_hip_px[:, None]) * self.metres_per_pixel[:, None, None]
+
+
+def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, *, window: int = 31) -> Placement:
+    """Give a first scale and place of a track, from bone lengths and from where joints are on average.
+
+    A bone's image is at most its length, and some bones of a frame show nearly all of it; so the upper quartile over
+    bones of image length over reference length, divided by what that is in the database, gives pixels per metre.  The
+    running median over the track takes the noise and the bends out and follows people who come nearer.
+
+    Args:
+        keypoints_px: Keypoints (frame, 14, 2), pixels, x right, y up; NaN where not seen.
+        weights: Weights (frame, 14); 0 where not seen.
+        reference: What the database looks like.
+        window: Frames of the running median.
+
+    Returns:
+        The placement; frames with fewer than three bones take the scale of the frames about them.
+
+    Raises:
+        InputError: No frame of the track shows three bones, so nothing fixes the size.
+    """
+    pixels_per_metre = _upper_ratio(keypoints_px, weights) / reference.typical_ratio
+    if not np.isfinite(pixels_per_metre).any():
+        raise InputError("no frame of the track shows three bones of a person; its size cannot be told")
+    scale = 1.0 / running_median(pixels_per_metre, window)
+    joint_weight = np.where(weights > 0, weights, 0.0) / reference.variance_m2
+    has_any = joint_weight.sum(axis=1) > 0
+    joint_weight[~has_any] = 1.0
+    off_mean = np.nan_to_num(keypoints_px) - reference.mean_m / scale[:, None, None]
+    place = np.einsum("fj,fjd->fd", joint_weight, off_mean) / joint_weight.sum(axis=1)[:, None]
+    left, right = OP14.index("left_hip"), OP14.index("right_hip")
+    both_hips = (weights[:, left] > 0) & (weights[:, right] > 0)
+    place = np.where(both_hips[:, None], 0.5 * (keypoints_px[:, left] + keypoints_px[:, right]), place)
+    place[~has_any] = np.nan
+    return Placement(scale, place)
+
+
+def refine_placement(
+    keypoints_px: Array, weights: Array, matched_m: Array, *, window: int = 31, previous: Placement
+) -> Placement:
+    """Give scale and place anew from the projections (frame, 14, 2) matched to a track with the previous ones.
+
+    Per frame the least-squares scale about the weighted means of query and match; over the track its running median;
+    then the offset that lays the seen joints on the matched ones.  A frame that matches with less than three joints
+    keeps its neighbours' scale.
+    """
+    weight = np.where(weights > 0, weights, 0.0) * np.isfinite(matched_m).all(axis=-1)
+    total = weight.sum(axis=1)
+    is_usable = (weight > 0).sum(axis=1) >= _MIN_BONES
+    share = weight / np.where(total > 0, total, 1.0)[:, None]
+    points, match = np.nan_to_num(keypoints_px), np.nan_to_num(matched_m)
+    mean_px = np.einsum("fj,fjd->fd", share, points)
+    mean_m = np.einsum("fj,fjd->fd", share, match)
+    spread_px = np.einsum("fj,fjd->f", share, (points - mean_px[:, None]) ** 2)
+    spread_m = np.einsum("fj,fjd->f", share, (match - mean_m[:, None]) ** 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(is_usable, np.sqrt(spread_m / spread_px), np.nan)
+    ratio[~np.isfinite(ratio) | (ratio <= 0)] = np.nan
+    scale = running_median(ratio, window) if np.isfinite(ratio).any() else previous.metres_per_pixel
+    place = np.where(is_usable[:, None], mean_px - mean_m / scale[:, None], previous.mid_hip_px)
+    return Placement(scale, place)
+
+
+def bounding_box_height(keypoints: Array) -> Array:
+    """Give the height (*batch,) of the box of the seen joints (*batch, 14, 2), as the paper scales; NaN for none."""
+    y = keypoints[..., 1]
+    is_seen = np.isfinite(y)
+    high = np.max(np.where(is_seen, y, -np.inf), axis=-1)
+    low = np.min(np.where(is_seen, y, np.inf), axis=-1)
+    return np.where(is_seen.any(axis=-1), high - low, np.nan)
+
+
+def running_median(values: Array, window: int) -> Array:
+    """Give the median of the finite values (frame,) within half a window of each frame; the nearest where none is.
+
+    Raises:
+        InputError: No value is finite.
+    """
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) == 0:
+        raise InputError("no finite value to take a median of")
+    half = window // 2
+    result = np.empty(len(values))
+    first = np.searchsorted(finite, np.arange(len(values)) - half, side="left")
+    last = np.searchsorted(finite, np.arange(len(values)) + half, side="right")
+    for frame in range(len(values)):
+        near = finite[first[frame] : last[frame]]
+        if len(near) == 0:
+            near = finite[[np.argmin(np.abs(finite - frame))]]
+        result[frame] = np.median(values[near])
+    return result
+
+
+def _upper_ratio(points: Array, weights: Array) -> Array:
+    """Give the upper quartile over seen bones of image length over reference length (frame,); NaN below three bones."""
+    length = np.linalg.norm(points[..., _CHILD, :] - points[..., _PARENT, :], axis=-1)
+    is_seen = (weights[..., _CHILD] > 0) & (weights[..., _PARENT] > 0) & np.isfinite(length)
+    ratio = np.where(is_seen, length / REFERENCE_LENGTHS_M[_CHILD], np.nan)
+    enough = is_seen.sum(axis=-1) >= _MIN_BONES
+    ratio[~enough] = 0.0
+    upper = np.nanquantile(ratio, _QUANTILE, axis=-1)
+    return np.where(enough & (upper > 0), upper, np.nan)

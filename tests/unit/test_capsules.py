@@ -1,0 +1,104 @@
+"""Capsules round bones and their penetration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m, capsule_model, penetration, segment_distance
+from pasdedeux.plausibility.capsules_kernel import clip_penetration, pair_penetration
+from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
+from tests.unit.test_joint_limits import standing, wild
+
+MODEL = capsule_model(PAIR17)
+
+
+def brute_distance(ends: np.ndarray, steps: int = 400) -> float:
+    """Distance of two segments over a fine grid of their points."""
+    at = np.linspace(0.0, 1.0, steps + 1)[:, None]
+    a = ends[0] + at * (ends[1] - ends[0])
+    b = ends[2] + at * (ends[3] - ends[2])
+    return float(np.sqrt(((a[:, None] - b[None]) ** 2).sum(-1)).min())
+
+
+def random_pairs(seed: int, count: int) -> np.ndarray:
+    one, two = wild(seed, count), wild(seed + 1, count)
+    one -= one[:, :1]
+    two -= two[:, :1]
+    return np.stack([one, two + np.random.default_rng(seed).normal(scale=0.2, size=(count, 1, 3))], axis=1)
+
+
+@given(st.integers(0, 2**31))
+def test_segment_distance_agrees_with_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ends = rng.normal(size=(4, 3))
+    kind = rng.integers(5)
+    if kind == 1:
+        ends[1] = ends[0]
+    elif kind == 2:
+        ends[3] = ends[2] = ends[0]
+    elif kind == 3:
+        ends[3] = ends[2] + 0.7 * (ends[1] - ends[0])
+    elif kind == 4:
+        ends[2:] = ends[:2] + 0.4 * (ends[1] - ends[0])
+    exact = float(segment_distance(*ends))
+    brute = brute_distance(ends)
+    # The grid overestimates by at most half a step on each segment.
+    slack = (np.linalg.norm(ends[1] - ends[0]) + np.linalg.norm(ends[3] - ends[2])) / 800
+    assert exact <= brute + 1e-9
+    assert brute <= exact + slack + 1e-9
+
+
+def test_the_compiled_penetration_agrees_with_the_plain_one() -> None:
+    pairs = random_pairs(0, 300)
+    radii = MODEL.radii_of(pairs)
+    plain = penetration(pairs, radii, MODEL)
+    sums = clip_penetration(pairs, radii, MODEL.parents, MODEL.within, MODEL.between)
+    np.testing.assert_allclose(sums[:, :2], plain.within_m, atol=1e-12)
+    np.testing.assert_allclose(sums[:, 2], plain.between_m, atol=1e-12)
+    assert (plain.between_m > 0).mean() > 0.3
+    out = np.zeros(3)
+    total = pair_penetration(pairs[0], radii, MODEL.parents, MODEL.within, MODEL.between, out)
+    assert total == pytest.approx(plain.total_m[0])
+
+
+def test_penetration_is_symmetric_in_the_people_and_ignores_rigid_motion() -> None:
+    pairs = random_pairs(2, 50)
+    radii = MODEL.radii_of(pairs)
+    plain = penetration(pairs, radii, MODEL)
+    swapped = penetration(pairs[:, ::-1], radii[::-1], MODEL)
+    np.testing.assert_allclose(swapped.total_m, plain.total_m)
+    np.testing.assert_allclose(
+        penetration(pairs + np.array([1.0, 2.0, 3.0]), radii, MODEL).total_m, plain.total_m, atol=1e-9
+    )
+
+
+def test_standing_people_do_not_penetrate_until_they_are_pushed_into_each_other() -> None:
+    pose = standing()
+    radii = MODEL.radii_of(np.stack([pose, pose])[None])
+    height = body_height_m(PAIR17, bone_lengths(PAIR17, pose))
+    assert height == pytest.approx(1.72, abs=0.02)
+    facing = pose * [-1, 1, -1]
+    depths = [
+        float(penetration(np.stack([pose, facing + np.array([0, 0, gap])]), radii, MODEL).between_m)
+        for gap in (1.0, 0.2, 0.1)
+    ]
+    assert depths[0] == 0
+    assert depths[0] < depths[1] < depths[2]
+    assert penetration(np.stack([pose, facing + np.array([0, 0, 1.0])]), radii, MODEL).total_m == 0
+
+
+@pytest.mark.parametrize("skeleton", [PAIR17, BODY22])
+def test_every_bone_has_a_radius_and_neighbours_are_not_checked(skeleton: Skeleton) -> None:
+    model = capsule_model(skeleton)
+    assert (model.radius_per_height[model.bones] > 0).all()
+    assert len(model.between) == (skeleton.num_joints - 1) ** 2
+    for one, other in model.within:
+        assert len({one, other, skeleton.parents[one], skeleton.parents[other]}) == 4
+    index = skeleton.index
+    pairs = {tuple(pair) for pair in model.within.tolist()}
+    assert tuple(sorted((index("left_knee"), index("right_knee")))) in pairs
+    assert tuple(sorted((index("left_wrist"), index("right_ankle")))) in pairs

@@ -1,0 +1,145 @@
+"""Coverage of real pairs by draws: C(G, S) of eq. 13 (Yin et al. 2018), as a running curve over the draws.
+
+C is the mean over the real pairs G of the least dissimilarity to any draw in S, in D_I (interaction coordinates over
+Delaunay tetrahedra) and in D_C (mean joint distance after one proper rigid alignment of the pair).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
+from pasdedeux.interaction.kernels import EdgeTable, edge_table_3d, nearest_update
+
+__all__ = ["Coverage", "CoverageCurve", "coverage_curve", "plain_coverage"]
+
+Array = npt.NDArray[np.float64]
+
+_CHUNK = 512
+"""Draws taken at a time: bounds the memory for their edges."""
+
+
+@dataclass(frozen=True)
+class CoverageCurve:
+    """Coverage against the number of draws.
+
+    Args:
+        num_draws: Draws taken so far, (point,).
+        interaction_m: C(G, S) in D_I, (point,), metres.
+        cartesian_m: C(G, S) in D_C, (point,), metres.
+    """
+
+    num_draws: npt.NDArray[np.int64]
+    interaction_m: Array
+    cartesian_m: Array
+
+
+class Coverage:
+    """Running minima over draws that arrive in batches: memory does not grow with their number.
+
+    Args:
+        truth_m: Real pairs (truth, person=2, joint, 3), metres; at least one.
+
+    Raises:
+        InputError: There is no real pair, or a coordinate is not finite.
+    """
+
+    def __init__(self, truth_m: Array) -> None:
+        if len(truth_m) == 0:
+            raise InputError("coverage needs at least one real pair")
+        self._truth = _centred(truth_m)
+        self._table: EdgeTable = edge_table_3d(self._truth)
+        self._best = np.full((2, len(self._truth)), np.inf)
+        self._which = np.full((2, len(self._truth)), -1, dtype=np.int64)
+        self.num_draws = 0
+
+    def add(self, draws_m: Array) -> None:
+        """Take more draws (draw, person=2, joint, 3), metres, into account.
+
+        Raises:
+            InputError: A coordinate is not finite.
+        """
+        draws = _centred(draws_m)
+        for start in range(0, len(draws), _CHUNK):
+            part = draws[start : start + _CHUNK]
+            table = edge_table_3d(part)
+            nearest_update(
+                self._truth,
+                self._table.edges,
+                self._table.weights,
+                self._table.counts,
+                part,
+                table.edges,
+                table.weights,
+                table.counts,
+                self.num_draws,
+                self._best,
+                self._which,
+            )
+            self.num_draws += len(part)
+
+    @property
+    def interaction_m(self) -> Array:
+        """Least D_I of each real pair to any draw so far, (truth,), metres; inf before the first."""
+        return self._best[0].copy()
+
+    @property
+    def cartesian_m(self) -> Array:
+        """Least D_C of each real pair to any draw so far, (truth,), metres; inf before the first."""
+        return self._best[1].copy()
+
+    @property
+    def nearest_by_interaction(self) -> npt.NDArray[np.int64]:
+        """Index of the draw nearest to each real pair by D_I, (truth,); -1 before the first."""
+        return self._which[0].copy()
+
+    @property
+    def nearest_by_cartesian(self) -> npt.NDArray[np.int64]:
+        """Index of the draw nearest to each real pair by D_C, (truth,); -1 before the first."""
+        return self._which[1].copy()
+
+
+def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> CoverageCurve:
+    """Give the coverage of real pairs (truth, 2, joint, 3) after the first n draws (draw, 2, joint, 3), for several n.
+
+    Args:
+        truth_m: Real pairs, metres.
+        draws_m: Draws in the order in which they are to count, metres.
+        num_draws: Points of the curve; sorted, repeated ones and those beyond the draws there are dropped.
+
+    Raises:
+        InputError: There is no real pair, no point is between 1 and the number of draws, or a coordinate is not finite.
+    """
+    points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
+    if not points:
+        raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
+    coverage = Coverage(truth_m)
+    interaction, cartesian = [], []
+    for point in points:
+        coverage.add(draws_m[coverage.num_draws : point])
+        interaction.append(float(coverage.interaction_m.mean()))
+        cartesian.append(float(coverage.cartesian_m.mean()))
+    return CoverageCurve(
+        num_draws=np.array(points, dtype=np.int64),
+        interaction_m=np.array(interaction),
+        cartesian_m=np.array(cartesian),
+    )
+
+
+def plain_coverage(truth_m: Array, draws_m: Array) -> tuple[float, float]:
+    """Give C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
+    truth, draws = _centred(truth_m), _centred(draws_m)
+    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in truth]
+    cartesian = cartesian_dissimilarity(draws[None], truth[:, None]).min(axis=1)
+    return float(np.mean(interaction)), float(cartesian.mean())
+
+
+def _centred(pairs_m: Array) -> Array:
+    points = np.asarray(pairs_m, dtype=np.float64)
+    points = points.reshape(len(points), -1, 3)
+    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))

@@ -1,0 +1,218 @@
+"""The 108 parameters of a pair: what they mean, the pose they give, and the gauge that fixes rigid motion.
+
+Per person 54 numbers: root rotation (rotation vector, 3), root position (3), then for each of the 16 other joints of
+pair17 two rotations of its bone about its parent joint and one relative change of the bone's length (Yin et al. 2018,
+sections 3 and 6).  A joint's rotation carries everything beyond it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths
+from pasdedeux.kinematics.rotations import (
+    multiply,
+    rotate,
+    rotvec_from_unitquat,
+    unitquat_from_rotmat,
+    unitquat_from_rotvec,
+    yaw_rotmat,
+)
+from pasdedeux.skeletons import PAIR17
+
+__all__ = [
+    "LENGTH_INDICES",
+    "MIRRORED_LENGTH",
+    "NUM_BLOCKS",
+    "NUM_PARAMETERS",
+    "NUM_PER_PERSON",
+    "POSITION_INDICES",
+    "ROTATION_INDICES",
+    "PairChart",
+    "block_indices",
+    "gauge_fix",
+]
+
+Array = npt.NDArray[np.float64]
+
+NUM_JOINTS = PAIR17.num_joints
+NUM_PER_PERSON = 6 + 3 * (NUM_JOINTS - 1)
+NUM_PARAMETERS = 2 * NUM_PER_PERSON
+NUM_BLOCKS = 2 * NUM_JOINTS
+"""Blocks that a proposal moves as a whole: for each person the root and each of the other joints."""
+
+ROTATION_INDICES = np.array([[NUM_PER_PERSON * p + k for k in range(3)] for p in range(2)])
+POSITION_INDICES = ROTATION_INDICES + 3
+LENGTH_INDICES = np.array([[NUM_PER_PERSON * p + 3 + 3 * j + 2 for j in range(1, NUM_JOINTS)] for p in range(2)])
+"""Index of the length change of joints 1..16 of each person, (2, 16)."""
+MIRRORED_LENGTH = LENGTH_INDICES[:, [PAIR17.mirror[j] - 1 for j in range(1, NUM_JOINTS)]]
+"""Index of the length change of the left/right counterpart of joints 1..16, (2, 16)."""
+
+_PELVIS = PAIR17.root
+_ORDER = np.array(PAIR17.order)
+_PARENTS = np.array(PAIR17.parents)
+
+
+def block_indices(block: int) -> npt.NDArray[np.int64]:
+    """Give the parameters of a block: blocks 0..16 are person A's root and joints 1..16, 17..33 person B's."""
+    person, joint = divmod(block, NUM_JOINTS)
+    start = NUM_PER_PERSON * person
+    return np.arange(start, start + 6) if joint == 0 else np.arange(start + 3 + 3 * joint, start + 6 + 3 * joint)
+
+
+@dataclass(frozen=True)
+class PairChart:
+    """Parameters round a seed: rotations and length changes are measured from it, so the seed's own are zero.
+
+    Args:
+        seed_m: The seed, gauge-fixed or not, (person=2, joint=17, 3), metres.
+
+    Raises:
+        InputError: The seed is not finite or a bone has length zero.
+    """
+
+    seed_m: Array
+
+    def __post_init__(self) -> None:
+        """Check shape, finiteness and bones."""
+        if self.seed_m.shape != (2, NUM_JOINTS, 3):
+            raise InputError(f"a seed has shape {self.seed_m.shape}, expected (2, {NUM_JOINTS}, 3)")
+        if not np.isfinite(self.seed_m).all():
+            raise InputError("the seed has a position that is not finite")
+        is_empty = self.lengths_m[:, 1:] < 1e-6
+        if is_empty.any():
+            person, joint = np.argwhere(is_empty)[0]
+            raise InputError(
+                f"the seed's bone to '{PAIR17.joint_names[joint + 1]}' of person {'AB'[person]} has length zero"
+            )
+
+    @cached_property
+    def lengths_m(self) -> Array:
+        """Bone lengths of the seed (2, 17), metres; 0 for the roots."""
+        return bone_lengths(PAIR17, self.seed_m)
+
+    @cached_property
+    def directions(self) -> Array:
+        """Unit bone directions of the seed (2, 17, 3); 0 for the roots."""
+        return bone_directions(PAIR17, self.seed_m)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Two unit axes square to each bone of the seed and to each other, (2, 17, 2, 3): the bone turns about them."""
+        directions = self.directions
+        helper = np.eye(3)[np.argmin(np.abs(directions), axis=-1)]
+        first = np.cross(directions, helper)
+        first /= np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
+        return np.stack([first, np.cross(directions, first)], axis=-2)
+
+    def seed_parameters(self) -> Array:
+        """Give the parameters (108,) of the seed: zeros but for the positions of the roots."""
+        parameters = np.zeros(NUM_PARAMETERS)
+        for person in range(2):
+            parameters[POSITION_INDICES[person]] = self.seed_m[person, _PELVIS]
+        return parameters
+
+    def positions(self, parameters: Array) -> Array:
+        """Give the positions (*batch, person=2, joint=17, 3), metres, of parameters (*batch, 108)."""
+        batch = parameters.shape[:-1]
+        positions = np.empty((*batch, 2, NUM_JOINTS, 3))
+        for person in range(2):
+            own = parameters[..., NUM_PER_PERSON * person : NUM_PER_PERSON * (person + 1)]
+            frames: dict[int, Array] = {}
+            for joint in PAIR17.order:
+                if joint == _PELVIS:
+                    frames[joint] = unitquat_from_rotvec(own[..., :3])
+                    positions[..., person, joint, :] = own[..., 3:6]
+                    continue
+                parent = PAIR17.parents[joint]
+                start = 3 + 3 * joint
+                turn = np.einsum("...k,kx->...x", own[..., start : start + 2], self.axes[person, joint])
+                frames[joint] = multiply(frames[parent], unitquat_from_rotvec(turn))
+                length = self.lengths_m[person, joint] * (1.0 + own[..., start + 2])
+                bone = rotate(frames[joint], np.broadcast_to(self.directions[person, joint], (*batch, 3)))
+                positions[..., person, joint, :] = positions[..., person, parent, :] + length[..., None] * bone
+        return positions
+
+    def positions_fast(self, parameters: Array) -> Array:
+        """Give the positions (2, 17, 3) of one parameter vector (108,): `positions` as a compiled loop."""
+        positions = np.empty((2, NUM_JOINTS, 3))
+        _place(parameters, self.directions, self.axes, self.lengths_m, _ORDER, _PARENTS, positions)
+        return positions
+
+    def gauge_fixed(self, parameters: Array) -> Array:
+        """Give the parameters (108,) of the same pair, moved rigidly into the gauge of `gauge_fix`."""
+        positions = self.positions_fast(parameters)
+        rotmat, shift = _gauge(positions, self.seed_m)
+        quaternion = unitquat_from_rotmat(rotmat)
+        fixed = parameters.copy()
+        for person in range(2):
+            turned = multiply(quaternion, unitquat_from_rotvec(parameters[ROTATION_INDICES[person]]))
+            fixed[ROTATION_INDICES[person]] = rotvec_from_unitquat(turned)
+            fixed[POSITION_INDICES[person]] = rotmat @ parameters[POSITION_INDICES[person]] + shift
+        return fixed
+
+
+def gauge_fix(pair_m: Array, reference_m: Array | None = None) -> Array:
+    """Give the same pair (2, 17, 3), metres, moved rigidly into the gauge.
+
+    The pair's centroid is at the origin and the line between the roots has yaw 0 (it points along +X as far as the
+    horizontal plane shows it; a vertical line is left as it is).  Tilt, which the density does not see either, is that
+    of the best rigid fit to `reference_m` where it is given, and kept otherwise.
+    """
+    rotmat, shift = _gauge(pair_m, reference_m)
+    return np.asarray(pair_m @ rotmat.T + shift)
+
+
+def _gauge(pair_m: Array, reference_m: Array | None) -> tuple[Array, Array]:
+    points = pair_m.reshape(-1, 3)
+    tilt = np.eye(3) if reference_m is None else align_rigid(points, reference_m.reshape(-1, 3)).rotmat
+    line = tilt @ (pair_m[1, _PELVIS] - pair_m[0, _PELVIS])
+    is_vertical = np.hypot(line[0], line[2]) < 1e-9
+    yaw = 0.0 if is_vertical else float(np.arctan2(-line[2], line[0]))
+    rotmat = yaw_rotmat(-yaw) @ tilt
+    return rotmat, -(rotmat @ points.mean(axis=0))
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(parameters, directions, axes, lengths, order, parents, positions):  # type: ignore[no-untyped-def]
+    frames = np.empty((parents.shape[0], 4))
+    for person in range(2):
+        start = person * (6 + 3 * (parents.shape[0] - 1))
+        for at in range(order.shape[0]):
+            joint = order[at]
+            parent = parents[joint]
+            if parent < 0:
+                tx, ty, tz = parameters[start], parameters[start + 1], parameters[start + 2]
+            else:
+                first = start + 3 + 3 * joint
+                u, v = parameters[first], parameters[first + 1]
+                tx = u * axes[person, joint, 0, 0] + v * axes[person, joint, 1, 0]
+                ty = u * axes[person, joint, 0, 1] + v * axes[person, joint, 1, 1]
+                tz = u * axes[person, joint, 0, 2] + v * axes[person, joint, 1, 2]
+            angle = np.sqrt(tx * tx + ty * ty + tz * tz)
+            factor = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
+            x, y, z, w = tx * factor, ty * factor, tz * factor, np.cos(0.5 * angle)
+            if parent < 0:
+                frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = x, y, z, w
+                for axis in range(3):
+                    positions[person, joint, axis] = parameters[start + 3 + axis]
+                continue
+            px, py, pz, pw = frames[parent, 0], frames[parent, 1], frames[parent, 2], frames[parent, 3]
+            qx = pw * x + px * w + py * z - pz * y
+            qy = pw * y - px * z + py * w + pz * x
+            qz = pw * z + px * y - py * x + pz * w
+            qw = pw * w - px * x - py * y - pz * z
+            frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = qx, qy, qz, qw
+            dx, dy, dz = directions[person, joint, 0], directions[person, joint, 1], directions[person, joint, 2]
+            # v + 2 w (q x v) + 2 q x (q x v)
+            cx, cy, cz = 2.0 * (qy * dz - qz * dy), 2.0 * (qz * dx - qx * dz), 2.0 * (qx * dy - qy * dx)
+            length = lengths[person, joint] * (1.0 + parameters[start + 5 + 3 * joint])
+            positions[person, joint, 0] = positions[person, parent, 0] + length * (dx + qw * cx + qy * cz - qz * cy)
+            positions[person, joint, 1] = positions[person, parent, 1] + length * (dy + qw * cy + qz * cx - qx * cz)
+            positions[person, joint, 2] = positions[person, parent, 2] + length * (dz + qw * cz + qx * cy - qy * cx)

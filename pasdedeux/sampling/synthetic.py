@@ -1,0 +1,70 @@
+"""Random articulated pairs and annotations of them, for benchmarks and tests that need no captured motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import project_pair
+from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
+from pasdedeux.sampling.likelihood import AnnotatedPairs
+from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["random_annotations", "random_pairs", "standing_pair"]
+
+Array = npt.NDArray[np.float64]
+
+_STANDING = {
+    "pelvis": (0.0, 0.95, 0.0),
+    "spine": (0.0, 1.10, 0.01),
+    "chest": (0.0, 1.30, 0.0),
+    "neck": (0.0, 1.48, -0.01),
+    "head": (0.0, 1.65, 0.02),
+    "left_shoulder": (0.18, 1.42, 0.0),
+    "left_elbow": (0.24, 1.15, 0.04),
+    "left_wrist": (0.26, 0.97, 0.20),
+    "right_shoulder": (-0.18, 1.42, 0.0),
+    "right_elbow": (-0.24, 1.15, 0.04),
+    "right_wrist": (-0.26, 0.97, 0.20),
+    "left_hip": (0.10, 0.92, 0.0),
+    "left_knee": (0.11, 0.50, 0.03),
+    "left_ankle": (0.11, 0.09, -0.02),
+    "right_hip": (-0.10, 0.92, 0.0),
+    "right_knee": (-0.11, 0.50, 0.03),
+    "right_ankle": (-0.11, 0.09, -0.02),
+}
+"""A person standing with bent elbows, facing +Z, 1.75 m tall; metres, made up."""
+
+
+def standing_pair(*, distance_m: float = 0.6) -> Array:
+    """Give two people (2, 17, 3), metres, who stand `distance_m` apart and face each other along X."""
+    person = np.array([_STANDING[name] for name in PAIR17.joint_names])
+    first = person @ yaw_rotmat(np.pi / 2).T
+    second = person @ yaw_rotmat(-np.pi / 2).T
+    return np.stack([first - [distance_m / 2, 0, 0], second + [distance_m / 2, 0, 0]])
+
+
+def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
+    """Give articulated variations (pair, 2, 17, 3), metres, of the standing pair, with its bone lengths."""
+    chart = PairChart(standing_pair())
+    parameters = np.tile(chart.seed_parameters(), (num_pairs, 1))
+    noise = spread_rad * rng.normal(size=(num_pairs, NUM_PARAMETERS))
+    noise[:, LENGTH_INDICES.ravel()] = 0.0
+    noise[:, POSITION_INDICES.ravel()] *= 0.3
+    noise[:, ROTATION_INDICES[:, 0]] *= 0.5
+    noise[:, ROTATION_INDICES[:, 2]] *= 0.5
+    return chart.positions(parameters + noise)
+
+
+def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations: int) -> AnnotatedPairs:
+    """Give annotations of randomly chosen pairs (pair, 2, 17, 3) under random views around the horizon, true views kept."""
+    which = rng.integers(len(pairs_m), size=num_annotations)
+    directions = normalise(rng.normal(size=(num_annotations, 3)) * [1.0, 0.3, 1.0])
+    points = project_pair(pairs_m[which], directions)
+    turn = rng.normal(scale=0.1, size=num_annotations)
+    c, s = np.cos(turn)[:, None, None], np.sin(turn)[:, None, None]
+    turned = np.stack([c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]], axis=-1)
+    return AnnotatedPairs(
+        points_m=turned, directions=directions, annotation_index=np.arange(num_annotations, dtype=np.int64)
+    )

@@ -32,8 +32,8 @@ Indices = npt.NDArray[np.int64]
 LEG_PER_HEIGHT = 0.491
 """Length of thigh and shank together, as a share of the stature (Drillis and Contini 1966: 0.245 + 0.246)."""
 
-_TRUNK, _HIP, _GIRDLE, _NECK, _HEAD = 0.060, 0.040, 0.034, 0.034, 0.045
-_UPPER_ARM, _FOREARM, _THIGH, _SHANK, _FOOT = 0.028, 0.023, 0.042, 0.028, 0.020
+_TRUNK, _HIP, _GIRDLE, _NECK, _HEAD = 0.052, 0.040, 0.030, 0.030, 0.040
+_UPPER_ARM, _FOREARM, _THIGH, _SHANK, _FOOT = 0.025, 0.020, 0.040, 0.026, 0.018
 
 _TRUNK_BONES = dict.fromkeys(("spine", "chest", "spine1", "spine2", "spine3"), _TRUNK)
 _SIDED = {
@@ -55,8 +55,9 @@ RADIUS_PER_HEIGHT: Mapping[str, float] = {
 }
 """Radius of the capsule round each bone, named by its child joint, as a share of the stature.
 
-About the half depth of the trunk, and girth / 2 pi of the limbs, of an adult (girths of a median man at 1.75 m: upper
-arm 0.33, forearm 0.27, mid thigh 0.55, calf 0.38 m, less at the ends of a bone, which is why these are smaller).
+About four fifths of the half depth of the trunk and of girth / 2 pi of the limbs of an adult (a median man at 1.75 m:
+half depth of the chest 0.115, girth of upper arm 0.33, forearm 0.27, mid thigh 0.55, calf 0.38 m): limbs taper, and flesh
+gives way by a centimetre or two before bodies penetrate.
 """
 
 

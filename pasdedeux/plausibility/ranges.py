@@ -34,14 +34,14 @@ _LEFT_RIGHT = ("left", "right")
 
 ANGLES: tuple[AngleRange, ...] = (
     # How the hip joints sit on the pelvis, against the bone pelvis-spine.
-    *(AngleRange(f"{side}_hip", "elevation", -75.0, 30.0, "anatomy") for side in _LEFT_RIGHT),
-    AngleRange("pelvis", "hip_spread", 140.0, 220.0, "anatomy"),
+    *(AngleRange(f"{side}_hip", "elevation", -50.0, 20.0, "anatomy") for side in _LEFT_RIGHT),
+    AngleRange("pelvis", "hip_spread", 155.0, 205.0, "anatomy"),
     # The bend of the trunk at the spine joint; AAOS thoracolumbar spine.
     AngleRange("spine", "flexion", -30.0, 80.0, "AAOS"),
     AngleRange("spine", "lateral", -35.0, 35.0, "AAOS"),
     AngleRange("spine", "torsion", -45.0, 45.0, "AAOS"),
     # How the shoulders sit on the chest, against the bone spine-chest.
-    *(AngleRange(f"{side}_shoulder", "elevation", -30.0, 80.0, "anatomy") for side in _LEFT_RIGHT),
+    *(AngleRange(f"{side}_shoulder", "elevation", 0.0, 75.0, "anatomy") for side in _LEFT_RIGHT),
     AngleRange("chest", "shoulder_spread", 110.0, 250.0, "anatomy"),
     # The neck leaves the chest, the head leaves the neck; AAOS cervical spine.
     AngleRange("chest", "flexion", -45.0, 45.0, "AAOS"),
@@ -49,11 +49,13 @@ ANGLES: tuple[AngleRange, ...] = (
     AngleRange("neck", "flexion", -45.0, 45.0, "AAOS"),
     AngleRange("neck", "lateral", -45.0, 45.0, "AAOS"),
     # The upper arm in the frame of the chest: how far back (extension), how far across the body (horizontal flexion of
-    # 135 degrees is 45 beyond straight ahead; AAOS adduction 50), and its rotation, seen by a bent elbow.
+    # 135 degrees is 45 beyond straight ahead; AAOS adduction 50), and its rotation, seen by a bent elbow.  Rotation is
+    # stated for the arm held sideways (-70 to 90); the reference carried to a raised or hanging arm, whose shoulder
+    # blade turns too, is up to 45 and 20 degrees off.
     *(
         AngleRange(f"{side}_shoulder", angle, lower, upper, "AAOS")
         for side in _LEFT_RIGHT
-        for angle, lower, upper in (("extension", -90.0, 60.0), ("crossing", -90.0, 50.0), ("rotation", -70.0, 90.0))
+        for angle, lower, upper in (("extension", -90.0, 60.0), ("crossing", -90.0, 50.0), ("rotation", -90.0, 135.0))
     ),
     *(AngleRange(f"{side}_elbow", "flexion", 0.0, 152.9, "CDC") for side in _LEFT_RIGHT),
     # The thigh in the frame of the pelvis, and its rotation, seen by a bent knee.

@@ -84,7 +84,7 @@ def test_standing_people_do_not_penetrate_until_they_are_pushed_into_each_other(
     facing = pose * [-1, 1, -1]
     depths = [
         float(penetration(np.stack([pose, facing + np.array([0, 0, gap])]), radii, MODEL).between_m)
-        for gap in (1.0, 0.2, 0.1)
+        for gap in (1.0, 0.15, 0.1)
     ]
     assert depths[0] == 0
     assert depths[0] < depths[1] < depths[2]

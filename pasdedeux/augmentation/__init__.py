@@ -1,1 +1,56 @@
+"""Augmentation: a pair's motion for other body proportions, contacts kept and bone lengths exact."""
 
+from pasdedeux.augmentation.augment import AugmentationSettings, Augmenter, Variant
+from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
+from pasdedeux.augmentation.contacts import ContactSettings, UserContact
+from pasdedeux.augmentation.descent import descend
+from pasdedeux.augmentation.energy import energy_terms, total_energy
+from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
+from pasdedeux.augmentation.quality import Limit, Quality, QualityLimits
+from pasdedeux.augmentation.rotations import variant_rotations
+from pasdedeux.augmentation.source import Source, reference_motion
+from pasdedeux.augmentation.terms import Problem, Targets, Weights, build_problem, build_targets
+from pasdedeux.augmentation.variations import (
+    LIMB_GROUPS,
+    PAPER_SCALES,
+    Variation,
+    bone_variations,
+    drawn_variations,
+    group_variations,
+    scale_grid,
+    uniform_variations,
+)
+
+__all__ = [
+    "LIMB_GROUPS",
+    "PAPER_SCALES",
+    "AugmentationSettings",
+    "Augmenter",
+    "BulkSettings",
+    "BulkSolver",
+    "ContactSettings",
+    "InteractionMesh",
+    "Limit",
+    "Problem",
+    "Quality",
+    "QualityLimits",
+    "Source",
+    "Targets",
+    "UserContact",
+    "Variant",
+    "Variation",
+    "Weights",
+    "bone_variations",
+    "build_mesh",
+    "build_problem",
+    "build_targets",
+    "descend",
+    "drawn_variations",
+    "energy_terms",
+    "group_variations",
+    "reference_motion",
+    "scale_grid",
+    "total_energy",
+    "uniform_variations",
+    "variant_rotations",
+]

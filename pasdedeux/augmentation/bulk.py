@@ -47,9 +47,10 @@ class BulkSettings:
         InputError: A value that is not allowed.
     """
 
-    max_iterations: int = 30
+    max_iterations: int = 24
     tolerance_m: float = 5e-4
     penalty: float = 4.0
+    contact_penalty: float = 0.3
     relaxation: float = 1.6
     is_single_precision: bool = False
 
@@ -84,11 +85,12 @@ class BulkSolver:
         self.problem = problem
         self.settings = settings or BulkSettings()
         dtype = np.float32 if self.settings.is_single_precision else np.float64
-        penalty = _penalty_matrix(self.settings.penalty)
+        penalties = _penalties(problem, self.settings)
+        matrix = problem.matrix + _penalty_matrix(penalties)
         self._factors: list[Factor] = [
-            factorise(problem.matrix[group] + penalty, problem.lag1[group], problem.lag2[group]).astype(dtype)
-            for group in (0, 1)
+            factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
+        self._penalties = penalties.astype(dtype)
         self._dtype = dtype
 
     def solve(self, targets: Targets) -> BulkResult:
@@ -107,20 +109,20 @@ class BulkSolver:
         dual = np.zeros((3, frames, len(_EDGES), count), dtype)
         aim = np.empty_like(dual)
         squared = np.zeros((frames, count))
-        penalty = dtype(settings.penalty)
+        penalties = self._penalties
         iteration = 0
         view = (3, 2 * blocks, NUM_POINTS, count)
         _project_edges(
             offsets.reshape(view), reference.reshape(view), dual, aim, lengths, _EDGES, stiffness,
-            float(penalty), 1.0, True, squared,
+            penalties, 1.0, True, squared,
         )  # fmt: skip
         for iteration in range(1, settings.max_iterations + 1):
-            _assemble(linear.reshape(view), reference.reshape(view), aim, _EDGES, penalty, offsets.reshape(view))
+            _assemble(linear.reshape(view), reference.reshape(view), aim, _EDGES, penalties, offsets.reshape(view))
             for axis, group in enumerate(AXIS_GROUP):
                 solve(self._factors[group], offsets[axis])
             _project_edges(
                 offsets.reshape(view), reference.reshape(view), dual, aim, lengths, _EDGES, stiffness,
-                float(penalty), settings.relaxation, False, squared,
+                penalties, settings.relaxation, False, squared,
             )  # fmt: skip
             if np.sqrt(squared.max() / _NUM_BONES) < settings.tolerance_m:
                 break
@@ -150,13 +152,20 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
     return positions
 
 
-def _penalty_matrix(penalty: float) -> Array:
-    matrix = np.zeros((NUM_POINTS, NUM_POINTS))
-    for parent, child in _EDGES:
-        matrix[parent, parent] += penalty
-        matrix[child, child] += penalty
-        matrix[parent, child] -= penalty
-        matrix[child, parent] -= penalty
+def _penalties(problem: Problem, settings: BulkSettings) -> Array:
+    """Give the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration oscillates there."""
+    contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
+    stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
+    return np.asarray(settings.penalty * problem.weights.laplacian + settings.contact_penalty * stiffness)
+
+
+def _penalty_matrix(penalties: Array) -> Array:
+    matrix = np.zeros((len(penalties), NUM_POINTS, NUM_POINTS))
+    for (parent, child), penalty in zip(_EDGES, penalties.T, strict=True):
+        matrix[:, parent, parent] += penalty
+        matrix[:, child, child] += penalty
+        matrix[:, parent, child] -= penalty
+        matrix[:, child, parent] -= penalty
     return matrix
 
 
@@ -176,7 +185,7 @@ def _project_edges(
     lengths: Array,
     edges: Array,
     stiffness: Array,
-    penalty: float,
+    penalties: Array,
     relaxation: float,
     is_first: bool,
     squared: Array,
@@ -187,7 +196,7 @@ def _project_edges(
     for t in range(frames):
         for e in range(num_edges):
             parent, child = edges[e, 0], edges[e, 1]
-            k = stiffness[e]
+            k, penalty = stiffness[e], penalties[t, e]
             for v in range(count):
                 x = offsets[0, t, child, v] - offsets[0, t, parent, v] + reference[0, t, child, v] - reference[0, t, parent, v]
                 y = offsets[1, t, child, v] - offsets[1, t, parent, v] + reference[1, t, child, v] - reference[1, t, parent, v]
@@ -214,14 +223,14 @@ def _project_edges(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _assemble(linear: Array, reference: Array, aim: Array, edges: Array, penalty: float, rhs: Array) -> None:
+def _assemble(linear: Array, reference: Array, aim: Array, edges: Array, penalties: Array, rhs: Array) -> None:
     """Give b + penalty S^T (z - u - S r) in `rhs`."""
     frames, num_edges, count = aim.shape[1:]
     rhs[:] = linear
     for axis in range(3):
         for t in range(frames):
             for e in range(num_edges):
-                parent, child = edges[e, 0], edges[e, 1]
+                parent, child, penalty = edges[e, 0], edges[e, 1], penalties[t, e]
                 for v in range(count):
                     pull = penalty * (
                         aim[axis, t, e, v] - reference[axis, t, child, v] + reference[axis, t, parent, v]

@@ -1,0 +1,1 @@
+"""What happens, in order: studies, plans, the flows that run them, and the command line."""

@@ -1,0 +1,22 @@
+"""The command line `pasdedeux`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tasks.graph import Graph
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> None:
+    """Run the command line and leave with its exit code: 0 done, 1 failed work, 2 bad input, 130 interrupted.
+
+    Nothing is imported before it is called: a Dask worker imports this package by its entry point.
+    """
+    from flows.console.app import run_command_line
+
+    raise SystemExit(run_command_line(arguments, graph=graph))

@@ -1,0 +1,104 @@
+"""The command line's commands under one name, and what an error becomes: one sentence and an exit code."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from flows.console import bench, building, datasets, doctor, looking, studies
+from flows.console.context import Context
+from flows.planning import PlanError
+from flows.study import StudyError
+from pasdedeux.errors import InputError, PasdedeuxError
+from storage_schema import StorageError
+from tasks.graph import Graph, GraphError
+from tasks.shards import ClusterError, ShardError
+
+__all__ = ["run_command_line"]
+
+_DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
+
+# The class that typer's own usage errors share; typer carries its own click, so it cannot be imported by name.
+_UsageError: Any = typer.BadParameter.__mro__[typer.BadParameter.__mro__.index(Exception) - 1]
+
+_HELP = """Build large, checked datasets of two people in close contact.
+
+A study (a TOML file) says what is built; a store (a folder) keeps what was built.  Run the same command again after a
+change, a crash or an interruption: only what is not there yet is computed.
+
+\b
+  pasdedeux run                              build the built-in duets into ./store
+  pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
+  pasdedeux plan                             what a run would compute, and why; starts nothing
+  pasdedeux study new my.toml
+  pasdedeux run my.toml
+"""
+
+
+def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) -> int:
+    """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
+    context = Context(given_graph=graph)
+    try:
+        _app()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
+    except typer.Exit as leave:
+        return leave.exit_code
+    except _UsageError as error:
+        error.show()
+        return _BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort):
+        typer.echo("interrupted; the same command goes on from here", err=True)
+        return _INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - the outermost place: every error becomes a sentence
+        if context.is_debug:
+            traceback.print_exception(error, file=sys.stderr)
+            if isinstance(error, ShardError):
+                typer.echo(error.trace, err=True)
+        else:
+            typer.echo(f"error: {_sentence(error)}", err=True)
+        return exit_code_of(error)
+    return _DONE
+
+
+def exit_code_of(error: BaseException) -> int:
+    """Give 2 for what the user can put right in what was given, 1 for work that failed."""
+    if isinstance(error, StudyError | PlanError | GraphError | InputError | FileNotFoundError | PermissionError):
+        return _BAD_INPUT
+    if isinstance(error, StorageError) and error.is_input:
+        return _BAD_INPUT
+    return _FAILED
+
+
+def _sentence(error: BaseException) -> str:
+    if isinstance(error, StudyError):
+        return "\n       ".join(error.problems)
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, PlanError | GraphError | PasdedeuxError | StorageError | ShardError | ClusterError):
+        return str(error)
+    if type(error).__module__.startswith("flows."):
+        return str(error)
+    return f"{type(error).__name__}: {error} (run `pasdedeux --debug ...` for the whole story)"
+
+
+def _app() -> typer.Typer:
+    """Put the commands together."""
+    app = typer.Typer(help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+    @app.callback()
+    def options(
+        context: typer.Context,
+        debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+    ) -> None:
+        context.obj.is_debug = debug
+
+    building.register(app)
+    looking.register(app)
+    datasets.register(app)
+    studies.register(app)
+    bench.register(app)
+    doctor.register(app)
+    return app

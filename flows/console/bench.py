@@ -1,0 +1,78 @@
+"""`bench`: what the fast forms are worth on this machine, each beside its plain baseline in the same run."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import pkgutil
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+import pasdedeux
+from flows.console.context import JsonOption, print_json
+from flows.console.display import format_table
+from flows.planning import PlanError
+from pasdedeux.benchmark import BenchmarkResult
+from tasks.shards import worker_environment
+
+__all__ = ["find_benchmarks", "register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("bench", help="Measure the fast forms here, each beside its plain baseline in the same run.")(bench)
+
+
+def bench(
+    room: Annotated[
+        str | None, typer.Argument(metavar="[ROOM]", help="One part of the science; all when none.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure and show a table."""
+    os.environ.update(worker_environment())
+    found = find_benchmarks()
+    if room is not None and room not in found:
+        raise PlanError(f"there are no benchmarks for '{room}'; there are for: {', '.join(found) or 'nothing yet'}")
+    results: list[tuple[str, BenchmarkResult]] = []
+    for name, functions in found.items():
+        if room in (None, name):
+            for label, function in functions.items():
+                typer.echo(f"measuring {name}: {label}", err=True)
+                results.append((name, function()))
+    if as_json:
+        print_json([{"room": name, **asdict(result), "ratio": result.ratio} for name, result in results])
+        return
+    rows = [
+        (
+            f"{name}: {result.name}",
+            f"{_rate(result.fast_per_s)} ({result.fast_name})",
+            f"{_rate(result.plain_per_s)} ({result.plain_name})",
+            f"{result.unit}/s",
+            f"x {result.ratio:.1f}",
+            result.note,
+        )
+        for name, result in results
+    ]
+    for line in format_table(("benchmark", "fast", "plain", "unit", "ratio", "problem"), rows):
+        typer.echo(line)
+
+
+def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
+    """Give the benchmarks of every part of the science that has a module `benchmarks`, by its name."""
+    found: dict[str, dict[str, Callable[[], BenchmarkResult]]] = {}
+    for module in pkgutil.iter_modules(pasdedeux.__path__):
+        if not module.ispkg:
+            continue
+        name = f"pasdedeux.{module.name}.benchmarks"
+        if importlib.util.find_spec(name) is not None:
+            found[module.name] = dict(importlib.import_module(name).BENCHMARKS)
+    return found
+
+
+def _rate(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10 else f"{value:.3g}"

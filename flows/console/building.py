@@ -1,0 +1,242 @@
+"""`run`, `plan` and `status`: build a study, say what a build would do, say what was built."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flows.console.context import Context, JsonOption, StoreOption, StudyArgument, open_store, print_json
+from flows.console.display import format_table, make_listener, outcome_lines, plan_lines
+from flows.execution import Outcome, Run, settle
+from flows.planning import Plan, Selection, make_plan
+from flows.records import describe_runs, read_last_run
+from flows.study import Study, load_study
+from storage_schema import FullDisk, Store, latest_studies
+from tasks.graph import Graph
+from tasks.shards import ClusterSettings
+
+__all__ = ["register"]
+
+_LEAST_FREE_BYTES = 64 * 1024**2
+_GIB = 1024**3
+
+_RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
+
+\b
+Examples:
+  pasdedeux run                                  the built-in duets, into ./store
+  pasdedeux run my.toml --store /data/store --workers 8
+  pasdedeux run my.toml --set chains.num_chains=4 --until chains
+  pasdedeux run my.toml --scheduler tcp://cluster:8786
+"""
+_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
+_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
+
+\b
+fresh    it is there and nothing it depends on has changed
+missing  it was never built, or its files are gone
+stale    something it depends on has changed; says what
+pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+"""
+
+SettingOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
+]
+OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE", help="These stages alone.")]
+FromOption = Annotated[str | None, typer.Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
+UntilOption = Annotated[str | None, typer.Option("--until", metavar="STAGE", help="This stage and what it needs.")]
+ForceOption = Annotated[
+    list[str] | None, typer.Option("--force", metavar="STAGE", help="Compute this stage again even if it is fresh.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("run", help=_RUN)(run)
+    app.command("plan", help=_PLAN)(plan)
+    app.command("status", help=_STATUS)(status)
+
+
+def run(
+    context: typer.Context,
+    study: StudyArgument = "duets",
+    settings: _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
+
+\b
+Examples:
+  pasdedeux run                                  the built-in duets, into ./store
+  pasdedeux run my.toml --store /data/store --workers 8
+  pasdedeux run my.toml --set chains.num_chains=4 --until chains
+  pasdedeux run my.toml --scheduler tcp://cluster:8786
+"""
+_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
+_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
+
+\b
+fresh    it is there and nothing it depends on has changed
+missing  it was never built, or its files are gone
+stale    something it depends on has changed; says what
+pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+"""
+
+SettingOption = None,
+    store: StoreOption = Path("store"),
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Local worker processes; one per core when not given, 0 for none.")
+    ] = None,
+    worker_memory: Annotated[float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")] = 2.0,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786.")
+    ] = None,
+    only: OnlyOption = None,
+    start: FromOption = None,
+    until: UntilOption = None,
+    force: ForceOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Build a study."""
+    started = time.perf_counter()
+    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    chosen, graph, opened, made = _prepare(context, study, settings, store, selection)
+    if made.is_fresh:
+        outcome = settle(Run(chosen, graph, opened, selection), made)
+    else:
+        _refuse_full_disk(opened)
+        cluster = ClusterSettings(_num_workers(workers), int(worker_memory * _GIB), scheduler)
+        outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
+    seconds = time.perf_counter() - started
+    if as_json:
+        print_json({**outcome.to_json(), "seconds": round(seconds, 3)})
+        return
+    for line in (*outcome_lines(outcome), *(f"warning: {w}" for w in made.warnings)):
+        typer.echo(line)
+    if made.is_fresh:
+        typer.echo(f"everything is fresh, nothing to do ({seconds:.1f} s)")
+    else:
+        typer.echo(f"done: {outcome.num_computed} shards computed in {seconds:.1f} s")
+    if outcome.report is not None:
+        typer.echo(f"report: {_shown(outcome.report)}")
+
+
+def plan(
+    context: typer.Context,
+    study: StudyArgument = "duets",
+    settings: _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
+
+\b
+Examples:
+  pasdedeux run                                  the built-in duets, into ./store
+  pasdedeux run my.toml --store /data/store --workers 8
+  pasdedeux run my.toml --set chains.num_chains=4 --until chains
+  pasdedeux run my.toml --scheduler tcp://cluster:8786
+"""
+_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
+_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
+
+\b
+fresh    it is there and nothing it depends on has changed
+missing  it was never built, or its files are gone
+stale    something it depends on has changed; says what
+pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+"""
+
+SettingOption = None,
+    store: StoreOption = Path("store"),
+    only: OnlyOption = None,
+    start: FromOption = None,
+    until: UntilOption = None,
+    force: ForceOption = None,
+    is_long: Annotated[bool, typer.Option("--long", help="Show fresh partitions too.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what a run would compute and why."""
+    selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
+    _, _, _, made = _prepare(context, study, settings, store, selection)
+    if as_json:
+        print_json(made.to_json())
+        return
+    for line in plan_lines(made, is_long=is_long):
+        typer.echo(line)
+    typer.echo("everything is fresh" if made.is_fresh else "run it with: pasdedeux run " + study)
+
+
+def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Say what lies in a store: the studies built in it, its runs and its size."""
+    opened = open_store(store)
+    described = _describe(opened)
+    if as_json:
+        print_json(described)
+        return
+    if not described["studies"]:
+        typer.echo(f"store {store}: no study was built here yet")
+    for study in described["studies"]:
+        typer.echo(f"study {study['study']}, last run {study['run_id']}")
+        rows = [
+            (s["stage"], str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
+            for s in study["stages"]
+        ]
+        for line in format_table(("  stage", "shards", "there", "size"), [(f"  {row[0]}", *row[1:]) for row in rows]):
+            typer.echo(line)
+    for record in described["runs"][-5:]:
+        typer.echo(f"run {record['run_id']}: {record['status']}")
+
+
+def _prepare(
+    context: typer.Context, study: str, settings: list[str] | None, store: Path, selection: Selection
+) -> tuple[Study, Graph, Store, Plan]:
+    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    opened = open_store(store)
+    return chosen, graph, opened, make_plan(chosen, graph, opened, selection)
+
+
+def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:
+    """Run what is not fresh; only here are Prefect and Dask imported."""
+    from dataclasses import replace
+
+    listener = make_listener(is_quiet=is_quiet)
+    listener.note("loading Prefect")
+    try:
+        from flows.dataset import orchestrate
+
+        return orchestrate(replace(run, listener=listener), plan, cluster)
+    finally:
+        listener.close()
+
+
+def _num_workers(asked: int | None) -> int:
+    return asked if asked is not None else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+
+
+def _refuse_full_disk(store: Store) -> None:
+    """Refuse to begin where next to nothing can be written."""
+    folder = store.root
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    if free < _LEAST_FREE_BYTES:
+        raise FullDisk(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
+
+
+def _describe(store: Store) -> dict[str, Any]:
+    studies = []
+    for name in latest_studies(store):
+        last = read_last_run(store, name)
+        if last is None:
+            continue
+        stages = []
+        for stage, records in last.stages.items():
+            found = [manifest for record in records if (manifest := store.find(stage, record.key)) is not None]
+            num_bytes = sum(manifest.num_bytes for manifest in found)
+            stages.append({"stage": stage, "num_shards": len(records), "num_there": len(found), "bytes": num_bytes})
+        studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
+    return {"store": str(store.root), "studies": studies, "runs": describe_runs(store)}
+
+
+def _shown(path: Path) -> str:
+    page = path / "report.html"
+    return str(page if page.is_file() else path)

@@ -1,0 +1,43 @@
+"""What every command is given: the graph of stages, loaded when first asked for, and how to answer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from storage_schema import Store
+from tasks.graph import Graph, load_graph
+
+__all__ = ["Context", "JsonOption", "StoreOption", "StudyArgument", "open_store", "print_json"]
+
+StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")]
+StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
+
+
+@dataclass
+class Context:
+    """State of one call of the command line."""
+
+    given_graph: Graph | None = None
+    is_debug: bool = False
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Give the graph of all stages."""
+        return self.given_graph if self.given_graph is not None else load_graph()
+
+
+def open_store(folder: Path) -> Store:
+    """Give the store in a folder."""
+    return Store(folder)
+
+
+def print_json(value: Any) -> None:
+    """Print a JSON value on standard output."""
+    typer.echo(json.dumps(value, indent=1, ensure_ascii=False))

@@ -1,0 +1,97 @@
+"""`dataset create` and `dataset list`: names for what was built that never change their meaning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.console.context import JsonOption, StoreOption, open_store, print_json
+from flows.planning import PlanError
+from flows.records import read_last_run, report_folder
+from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
+
+__all__ = ["register"]
+
+_CREATE = """Give what the last run of a study built a name and a version that never change.
+
+\b
+  pasdedeux dataset create salsa --study cmu_salsa
+  pasdedeux dataset create salsa --study cmu_salsa --stage augmentation --version 2.0
+
+Then `variants:salsa@2.0` names its rows, here and in Python.
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    group = typer.Typer(
+        help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None
+    )
+    group.command("create", help=_CREATE)(create)
+    group.command("list", help="List the datasets of a store.")(show_all)
+    app.add_typer(group, name="dataset")
+
+
+def create(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
+    study: Annotated[str, typer.Option("--study", help="Study whose last run is meant.")] = "duets",
+    stages: Annotated[
+        list[str] | None, typer.Option("--stage", metavar="STAGE", help="This stage alone; may be given again.")
+    ] = None,
+    version: Annotated[str | None, typer.Option("--version", help="Version; the next number when not given.")] = None,
+    note: Annotated[str, typer.Option("--note", help="A line about it.")] = "",
+    store: StoreOption = Path("store"),
+    as_json: JsonOption = False,
+) -> None:
+    """Make a dataset of what the last run of a study built."""
+    opened = open_store(store)
+    refs, card = _built(opened, study, stages or [])
+    same = [known for known in list_datasets(opened) if known.name == name and list(known.refs) == refs]
+    if same and version is None:
+        dataset, words = same[-1], "is this already"
+    else:
+        dataset, words = create_dataset(opened, name, refs, version=version, note=note, attachments=card), "made"
+    if as_json:
+        print_json(_describe(dataset))
+    else:
+        typer.echo(f"{dataset.label} {words}: {len(dataset.refs)} artifacts, digest {dataset.digest[:12]}")
+
+
+def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """List the datasets of a store."""
+    found = list_datasets(open_store(store))
+    if as_json:
+        print_json([_describe(dataset) for dataset in found])
+        return
+    for dataset in found:
+        typer.echo(f"{dataset.label}  {len(dataset.refs)} artifacts  {dataset.created_at}  {dataset.note}".rstrip())
+    if not found:
+        typer.echo(f"store {store}: no dataset was made here yet")
+
+
+def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:
+    """Give the artifacts of a study's last run and its dataset card, if it has one."""
+    last = read_last_run(store, study)
+    if last is None:
+        raise PlanError(f"study '{study}' was not built in the store {store.root} yet; run it first")
+    unknown = [stage for stage in stages if stage not in last.stages]
+    if unknown:
+        raise PlanError(f"study '{study}' has no stage '{unknown[0]}'; it has: {', '.join(last.stages)}")
+    refs = [ref for stage in last.stages if not stages or stage in stages for ref in last.refs(stage)]
+    report = report_folder(store, last.run_id)
+    card = None if report is None else report / "card.md"
+    return refs, {} if card is None or not card.is_file() else {"card.md": card.read_bytes()}
+
+
+def _describe(dataset: Dataset) -> dict[str, object]:
+    return {
+        "name": dataset.name,
+        "version": dataset.version,
+        "num_artifacts": len(dataset.refs),
+        "digest": dataset.digest,
+        "note": dataset.note,
+        "created_at": dataset.created_at,
+        "folder": str(dataset.path),
+    }

@@ -1,0 +1,181 @@
+"""What a person sees: progress while a run works, and plans and results as short tables."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import typer
+
+from flows.execution import Outcome
+from flows.listener import Listener
+from flows.planning import Plan, StagePlan, State
+from tasks.shards import ShardDone
+
+__all__ = ["BarListener", "LineListener", "format_table", "make_listener", "outcome_lines", "plan_lines"]
+
+_BETWEEN_LINES_S = 5.0
+
+
+def make_listener(*, is_quiet: bool = False) -> Listener:
+    """Give bars at a terminal, lines elsewhere, nothing when asked to be quiet; all on standard error."""
+    if is_quiet:
+        return Listener()
+    return BarListener() if sys.stderr.isatty() else LineListener()
+
+
+class LineListener(Listener):
+    """Says one fact a line, at most one line in five seconds while a stage works."""
+
+    def __init__(self) -> None:
+        self._started = time.monotonic()
+        self._lock = threading.Lock()
+        self._num_done = 0
+        self._num_todo = 0
+        self._last_line = 0.0
+
+    def note(self, text: str) -> None:
+        """Say a sentence."""
+        self._say(text)
+
+    def stage_started(self, plan: StagePlan) -> None:
+        """Say what the stage has to do."""
+        self._num_done, self._num_todo = 0, len(plan.todo)
+        self._last_line = time.monotonic()
+        if plan.todo:
+            self._say(f"{plan.stage.name}: {len(plan.todo)} of {len(plan.shards)} shards to compute")
+        else:
+            self._say(f"{plan.stage.name}: all {len(plan.shards)} shards are fresh")
+
+    def shard_done(self, done: ShardDone) -> None:
+        """Say now and then how far the stage is."""
+        with self._lock:
+            self._num_done += 1
+            now = time.monotonic()
+            if now - self._last_line < _BETWEEN_LINES_S:
+                return
+            self._last_line = now
+            text = f"{done.shard.stage}: {self._num_done} of {self._num_todo}"
+        self._say(text)
+
+    def stage_finished(self, plan: StagePlan, seconds: float) -> None:
+        """Say that the stage is done."""
+        if plan.todo:
+            self._say(f"{plan.stage.name}: done in {seconds:.1f} s")
+
+    def _say(self, text: str) -> None:
+        typer.echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
+
+
+class BarListener(Listener):
+    """Shows a bar per stage that has work."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        self._progress: Any = Progress(
+            TextColumn("{task.description:<16}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[last]}"),
+            console=Console(stderr=True),
+        )
+        self._progress.start()
+        self._bar: Any = None
+
+    def note(self, text: str) -> None:
+        """Show a sentence above the bars."""
+        self._progress.console.print(text, markup=False, highlight=False)
+
+    def stage_started(self, plan: StagePlan) -> None:
+        """Show a bar with as much as is there already."""
+        num_fresh = len(plan.shards) - len(plan.todo)
+        self._bar = self._progress.add_task(plan.stage.name, total=len(plan.shards), completed=num_fresh, last="")
+
+    def shard_done(self, done: ShardDone) -> None:
+        """Move the bar."""
+        self._progress.update(self._bar, advance=1, last=f"{done.shard.partition} {done.shard.name}"[:40])
+
+    def stage_finished(self, plan: StagePlan, seconds: float) -> None:
+        """Let the finished bar stand."""
+        self._progress.update(self._bar, last="" if plan.todo else "fresh")
+        self._progress.stop_task(self._bar)
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        self._progress.stop()
+
+
+def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
+    """Give a plan as lines: a stage a line, then its partitions that need work (`is_long`: all), with the reason."""
+    lines: list[str] = []
+    for stage in plan.stages:
+        lines.append(f"{stage.stage.name:<16}{_stage_words(stage)}")
+        if stage.is_pending:
+            if is_long:
+                lines.extend(f"    {name:<28} {count} shards last time" for name, count in stage.last_partitions)
+            continue
+        groups: dict[tuple[str, str], list[str]] = {}
+        for name, items in stage.partitions().items():
+            todo = [item for item in items if item.state is not State.FRESH]
+            if not todo and not is_long:
+                continue
+            states = ", ".join(
+                f"{sum(i.state is state for i in items)} {state.value}"
+                for state in State
+                if any(i.state is state for i in items)
+            )
+            reasons = "; ".join(dict.fromkeys(item.reason for item in todo))
+            groups.setdefault((states, reasons), []).append(name)
+        for (states, reasons), names in groups.items():
+            lines.append(f"    {_names(names):<28} {states}" + (f": {reasons}" if reasons else ""))
+    lines.extend(f"warning: {warning}" for warning in plan.warnings)
+    return lines
+
+
+def outcome_lines(outcome: Outcome) -> list[str]:
+    """Give what a run did as a short table."""
+    rows = [
+        (
+            stage.name,
+            str(stage.num_shards),
+            str(stage.num_shards - stage.num_computed),
+            str(stage.num_computed),
+            f"{stage.seconds:.1f}",
+        )
+        for stage in outcome.stages
+    ]
+    return format_table(("stage", "shards", "fresh", "computed", "seconds"), rows)
+
+
+def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Give rows as aligned lines under a header; the first column to the left, the others to the right."""
+    rows = [tuple(row) for row in rows]
+    widths = [max(len(row[i]) for row in [tuple(header), *rows]) for i in range(len(header))]
+
+    def line(row: Sequence[str]) -> str:
+        cells = [f"{row[0]:<{widths[0]}}"] + [
+            f"{cell:>{width}}" for cell, width in zip(row[1:], widths[1:], strict=True)
+        ]
+        return "  ".join(cells).rstrip()
+
+    return [line(header), *(line(row) for row in rows)]
+
+
+def _stage_words(stage: StagePlan) -> str:
+    suffix = "" if stage.is_selected else " (not selected)"
+    if stage.is_pending:
+        return f"pending: {stage.pending_reason}{suffix}"
+    if stage.is_fresh:
+        return f"fresh, {len(stage.shards)} shards{suffix}"
+    counts = [f"{stage.count(state)} {state.value}" for state in State if stage.count(state)]
+    return f"{', '.join(counts)} of {len(stage.shards)} shards{suffix}"
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 3 else f"{names[0]} ... {names[-1]} ({len(names)})"

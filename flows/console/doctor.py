@@ -1,0 +1,137 @@
+"""`doctor`: what this machine is and whether everything a run needs is there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import typer
+
+from flows.console.context import JsonOption, StoreOption, print_json
+from flows.prefect_server import ServerError, check_server
+from tasks.shards import worker_environment
+
+__all__ = ["register"]
+
+_GIB = 1024**3
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "pyarrow",
+    "opencv-contrib-python-headless",
+    "prefect",
+    "distributed",
+    "pydantic",
+)
+_LEAST_MEMORY_BYTES = 2 * _GIB
+_LEAST_DISK_BYTES = _GIB
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at: what it is, what was found, and whether a run can do with it."""
+
+    name: str
+    found: str
+    is_ok: bool = True
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("doctor", help="Look whether everything a run needs is there; exit code 1 when something is not.")(
+        doctor
+    )
+
+
+def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Look at the machine and say what is found."""
+    findings = [
+        Finding("python", sys.version.split()[0], sys.version_info >= (3, 11)),
+        *(_package(name) for name in _PACKAGES),
+        _cores(),
+        _memory(),
+        _store(store),
+        _kernel_cache(),
+        _prefect(),
+        _dask(),
+    ]
+    if as_json:
+        print_json([{"name": f.name, "found": f.found, "is_ok": f.is_ok} for f in findings])
+    else:
+        for finding in findings:
+            typer.echo(f"{'ok  ' if finding.is_ok else 'BAD '} {finding.name:<34} {finding.found}")
+    if not all(finding.is_ok for finding in findings):
+        raise typer.Exit(1)
+
+
+def _package(name: str) -> Finding:
+    try:
+        return Finding(name, metadata.version(name))
+    except metadata.PackageNotFoundError:
+        return Finding(name, "not installed", is_ok=False)
+
+
+def _cores() -> Finding:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return Finding("cores", f"{usable} usable of {os.cpu_count()}; a run starts one worker per usable core")
+
+
+def _memory() -> Finding:
+    try:
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (ValueError, OSError):
+        return Finding("memory", "unknown")
+    return Finding("memory", f"{total / _GIB:.1f} GB; 2 GB per worker is planned for", total >= _LEAST_MEMORY_BYTES)
+
+
+def _store(store: Path) -> Finding:
+    folder = store.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    if not os.access(folder, os.W_OK):
+        return Finding("store", f"{store} cannot be written to", is_ok=False)
+    return Finding("store", f"{store} can be written to, {free / _GIB:.1f} GB free", free >= _LEAST_DISK_BYTES)
+
+
+def _kernel_cache() -> Finding:
+    """Say where compiled kernels are kept, trying to write there."""
+    import pasdedeux
+
+    folder = Path(worker_environment().get("NUMBA_CACHE_DIR") or Path(pasdedeux.__file__).parent)
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            return Finding("compiled kernels", f"kept in {folder}")
+    except OSError as error:
+        return Finding("compiled kernels", f"{folder} cannot be written to: {error.strerror}", is_ok=False)
+
+
+def _prefect() -> Finding:
+    from flows.prefect_server import telemetry_off
+
+    telemetry_off()
+    from prefect.settings import get_current_settings
+
+    address = get_current_settings().api.url
+    if address is None:
+        return Finding("prefect server", "none set (PREFECT_API_URL): a run starts its own and ends it")
+    try:
+        check_server(address)
+    except ServerError as error:
+        return Finding("prefect server", str(error), is_ok=False)
+    return Finding("prefect server", f"{address} answers")
+
+
+def _dask() -> Finding:
+    """Start one worker and ask it for its process id."""
+    from tasks.shards import ClusterSettings, connect
+
+    with tempfile.TemporaryDirectory() as folder, connect(ClusterSettings(num_workers=1), store_root=folder) as client:
+        answers = client.run(os.getpid)
+    return Finding("dask", f"a local worker starts and answers (process {next(iter(answers.values()))})")

@@ -1,0 +1,178 @@
+"""`show`, `verify` and `export`: look at what was built, check it, and take it out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flows.console.context import JsonOption, StoreOption, open_store, print_json
+from flows.console.exporting import ExportFormat, export_reference
+from storage_schema import TABLES, Store, lineage, parse_reference, resolve, source_files
+from storage_schema import verify as verify_store
+
+__all__ = ["register"]
+
+ReferenceArgument = Annotated[
+    str, typer.Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
+]
+
+_SHOW = """Show what a reference names: columns, rows, a look at the first ones, and where it comes from.
+
+\b
+  pasdedeux show poses:duets                 every part of a table, as the last run of a study made it
+  pasdedeux show scores:duets --rows 20
+  pasdedeux show draws@3fa9c0#17             one row
+"""
+_VERIFY = (
+    """Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."""
+)
+_EXPORT = """Write what a reference names into files, with licence and credits beside them.
+
+\b
+  bvh   motion files: poses (the source's own skeleton), variants (body22), motions (op14)
+  npz   numpy arrays, one file
+  csv   one line per row, arrays as columns
+\b
+  pasdedeux export variants:duets/waltz --format bvh --out waltz_variants
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("show", help=_SHOW)(show)
+    app.command("verify", help=_VERIFY)(verify)
+    app.command("export", help=_EXPORT)(export)
+
+
+def show(
+    reference: ReferenceArgument,
+    store: StoreOption = Path("store"),
+    rows: Annotated[int, typer.Option(min=0, help="Rows to show.")] = 5,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a reference names."""
+    described = _describe(open_store(store), reference, rows)
+    if as_json:
+        print_json(described)
+        return
+    typer.echo(f"{described['table']}: {described['meaning']}")
+    typer.echo(f"{described['num_rows']} rows in {len(described['artifacts'])} artifacts")
+    cells = [(c["name"], c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
+    widths = [max(len(cell[i]) for cell in cells) for i in range(3)]
+    for cell in cells:
+        typer.echo(f"  {cell[0]:<{widths[0]}}  {cell[1]:<{widths[1]}}  {cell[2]:<{widths[2]}}  {cell[3]}")
+    if described["rows"]:
+        typer.echo("first rows:" if described["row"] is None else "the row:")
+    for row in described["rows"]:
+        typer.echo("  " + ", ".join(f"{name}={value}" for name, value in row.items()))
+    typer.echo("comes from:")
+    for step in described["lineage"]:
+        typer.echo(
+            f"  {'  ' * step['depth']}{step['stage']}@{step['key'][:12]} {step['partition']} {step['name']}".rstrip()
+        )
+    for file in described["files"]:
+        typer.echo(f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})")
+    for source in described["sources"]:
+        typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
+
+
+def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Read every file of the store again."""
+    found = verify_store(open_store(store))
+    if as_json:
+        print_json(
+            {
+                "is_ok": found.is_ok,
+                "num_artifacts": found.num_artifacts,
+                "num_files": found.num_files,
+                "num_bytes": found.num_bytes,
+                "problems": [str(problem) for problem in found.problems],
+            }
+        )
+    else:
+        for problem in found.problems:
+            typer.echo(str(problem))
+        size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
+        typer.echo(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
+    if not found.is_ok:
+        raise typer.Exit(1)
+
+
+def export(
+    reference: ReferenceArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")] = ExportFormat.NPZ,
+    store: StoreOption = Path("store"),
+) -> None:
+    """Write what a reference names into files."""
+    written = export_reference(open_store(store), reference, file_format, out)
+    for path in written:
+        typer.echo(str(path))
+
+
+def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
+    reference = parse_reference(text)
+    refs = resolve(reference, store)
+    table = TABLES[reference.table]
+    manifests = [store.manifest(ref) for ref in refs]
+    steps: dict[str, dict[str, Any]] = {}
+    for ref in refs:
+        for step in lineage(store, ref):
+            manifest = step.manifest
+            steps.setdefault(
+                step.ref.key,
+                {
+                    "depth": step.depth,
+                    "stage": step.ref.stage,
+                    "key": step.ref.key,
+                    "partition": "" if manifest is None else manifest.partition,
+                    "name": "(gone)" if manifest is None else manifest.name,
+                },
+            )
+    files = sorted({use for ref in refs for use in source_files(store, ref)})
+    sources = {source.name: source for manifest in manifests for source in manifest.sources}
+    return {
+        "reference": text,
+        "table": table.name,
+        "meaning": table.meaning,
+        "row": reference.row,
+        "num_rows": sum(manifest.tables[table.name].rows for manifest in manifests),
+        "artifacts": [{"stage": ref.stage, "key": ref.key, "content_digest": ref.content_digest} for ref in refs],
+        "columns": [
+            {"name": c.name, "type": _type_words(c), "unit": c.unit, "meaning": c.meaning} for c in table.columns
+        ],
+        "rows": _first_rows(store, text, num_rows),
+        "lineage": list(steps.values()),
+        "files": [{"name": use.name, "sha256": use.sha256, "stage": use.stage} for use in files],
+        "sources": [{"name": s.name, "licence": s.licence, "credit": s.credit} for s in sources.values()],
+    }
+
+
+def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:
+    from storage_schema import iter_rows
+
+    rows: list[dict[str, Any]] = []
+    for batch in iter_rows(text, store):
+        for index in range(min(batch.num_rows, count - len(rows))):
+            rows.append({name: _short(value) for name, value in batch.row(index).items()})
+        if len(rows) >= count:
+            break
+    return rows
+
+
+def _short(value: Any) -> Any:
+    """Give a value a person can look at: a long array as its shape."""
+    if hasattr(value, "shape") and value.shape:
+        return f"array{list(value.shape)}" if value.size > 4 else [round(float(x), 4) for x in value.ravel()]
+    if hasattr(value, "item"):
+        value = value.item()
+    return round(value, 6) if isinstance(value, float) else value
+
+
+def _type_words(column: Any) -> str:
+    if column.shape:
+        axes = " x ".join(f"{length} {axis}" for axis, length in zip(column.axes, column.shape, strict=True))
+        return f"{column.type.value_type}[{axes}]"
+    return str(column.type).replace("list<item: ", "list of ").rstrip(">")

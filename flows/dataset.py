@@ -1,0 +1,205 @@
+"""The Prefect flows: one per stage, made from the registry, and one that runs the graph; Dask does the work.
+
+Importing this module imports Prefect, so nothing above it does so before there is work.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from flows.execution import Outcome, Partition, Run, begin, execute, partitions_to_run
+from flows.planning import Plan, StagePlan, make_plan
+from flows.prefect_server import check_server, running_server, telemetry_off
+from flows.study import load_study
+from storage_schema import Store
+from tasks.graph import load_graph
+from tasks.shards import (
+    ClusterSettings,
+    ShardError,
+    connect,
+    run_on_cluster,
+    run_serially,
+    worker_environment,
+)
+
+telemetry_off()
+
+# Telemetry is off first, so these imports come late.
+from prefect import flow, task  # noqa: E402
+from prefect.cache_policies import NO_CACHE  # noqa: E402
+from prefect.settings import (  # noqa: E402
+    PREFECT_API_URL,
+    PREFECT_FLOWS_HEARTBEAT_FREQUENCY,
+    get_current_settings,
+    temporary_settings,
+)
+from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["Workers", "dataset", "orchestrate"]
+
+_MAX_PARTITIONS_AT_ONCE = 16
+_IN_FLIGHT_PER_WORKER = 2
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who computes shards: a Dask client, or nobody but this process; `stop` ends the work of every thread."""
+
+    client: Client | None = None
+    num_workers: int = 0
+    stop: threading.Event = field(default_factory=threading.Event)
+
+    def run(self, run: Run, plan: StagePlan, partition: Partition) -> None:
+        """Compute and commit the shards of one partition."""
+        options: dict[str, Any] = {"on_done": run.listener.shard_done, "stop": self.stop}
+        root = str(run.store.root)
+        if self.client is None:
+            run_serially(plan.stage.run_shard, partition.shards, root, **options)
+        else:
+            window = max(_IN_FLIGHT_PER_WORKER * self.num_workers, 1)
+            run_on_cluster(self.client, plan.stage.run_shard, partition.shards, root, max_in_flight=window, **options)
+
+
+def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
+    """Run a study as Prefect flows on a Dask cluster that lives as long as the run; no workers is this process alone.
+
+    Prefect's server is the user's (PREFECT_API_URL, or their profile), else one that lives as long as the run.
+
+    Raises:
+        ServerError, ClusterError: Prefect's server or the Dask cluster cannot be used.
+        ShardError: A shard failed; what was committed before stays.
+    """
+    with _prefect_server(run), _workers(run, settings) as workers:
+        return _graph_flow(run, plan, workers)
+
+
+@flow(name="pasdedeux-dataset", retries=0, persist_result=False)
+def dataset(
+    study: str = "duets",
+    store: str = "store",
+    settings: Sequence[str] = (),
+    num_workers: int = 2,
+    worker_memory_gb: float = 2.0,
+    scheduler: str | None = None,
+) -> dict[str, int]:
+    """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage."""
+    chosen, graph = load_study(study, load_graph(), settings=settings)
+    run = Run(chosen, graph, Store(store))
+    plan = make_plan(chosen, graph, run.store)
+    if plan.is_fresh:
+        return {stage.stage.name: 0 for stage in plan.stages}
+    cluster = ClusterSettings(num_workers, int(worker_memory_gb * 1024**3), scheduler)
+    with _workers(run, cluster) as workers:
+        folder = begin(run, plan)
+        outcome = execute(run, folder, plan, partial(_run_stage, workers, folder.run_id))
+    return {stage.name: stage.num_computed for stage in outcome.stages}
+
+
+def _graph_flow(run: Run, plan: Plan, workers: Workers) -> Outcome:
+    """Run the whole graph as one flow whose stages are flows of their own."""
+    folder = begin(run, plan)
+
+    @flow(name="pasdedeux-dataset", flow_run_name=folder.run_id, retries=0, persist_result=False)
+    def build(study: str, run_id: str) -> Outcome:
+        return execute(run, folder, plan, partial(_run_stage, workers, run_id))
+
+    return build(study=run.study.name, run_id=folder.run_id)
+
+
+def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None:
+    """Run one stage as a flow with a task per partition, on threads of this process."""
+    partitions = partitions_to_run(plan)
+    failures: list[ShardError] = []
+    is_serial = workers.client is None
+    runner = ThreadPoolTaskRunner(max_workers=1 if is_serial else min(len(partitions), _MAX_PARTITIONS_AT_ONCE))
+
+    @task(
+        name=f"{plan.stage.name}-partition",
+        task_run_name="{name}",
+        retries=0,
+        cache_policy=NO_CACHE,
+        persist_result=False,
+    )
+    def build_partition(name: str) -> None:
+        try:
+            workers.run(run, plan, by_name[name])
+        except ShardError as error:
+            failures.append(error)
+            workers.stop.set()
+            raise
+
+    @flow(
+        name=plan.stage.name,
+        flow_run_name=f"{plan.stage.name}-{run_id}",
+        retries=0,
+        persist_result=False,
+        task_runner=runner,
+    )
+    def build_stage(study: str, run_id: str) -> None:
+        if is_serial:
+            for partition in partitions:
+                build_partition(partition.name)
+            return
+        futures: dict[str, Any] = {}
+        try:
+            for partition in partitions:
+                waits = [futures[name] for name in partition.needs]
+                futures[partition.name] = build_partition.submit(partition.name, wait_for=waits)
+            for future in futures.values():
+                future.result()
+        except BaseException:
+            workers.stop.set()
+            raise
+
+    by_name = {partition.name: partition for partition in partitions}
+    try:
+        build_stage(study=run.study.name, run_id=run_id)
+    except Exception:
+        if failures:
+            raise failures[0] from None
+        raise
+
+
+@contextmanager
+def _prefect_server(run: Run) -> Iterator[None]:
+    """Make sure that there is a Prefect server for this block."""
+    address = get_current_settings().api.url
+    if address is not None:
+        check_server(address)
+        yield
+        return
+    run.listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
+    # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
+    with (
+        running_server() as address,
+        temporary_settings({PREFECT_API_URL: address, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}),
+    ):
+        yield
+
+
+@contextmanager
+def _workers(run: Run, settings: ClusterSettings) -> Iterator[Workers]:
+    """Give the workers for this block."""
+    Path(run.store.root).mkdir(parents=True, exist_ok=True)
+    if settings.scheduler is None and settings.num_workers == 0:
+        os.environ.update(worker_environment())
+        with nullcontext():
+            yield Workers()
+        return
+    if settings.scheduler is None:
+        run.listener.note(f"starting {settings.num_workers} local workers")
+    else:
+        run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
+    with connect(settings, store_root=str(run.store.root)) as client:
+        num_workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        yield Workers(client, num_workers)

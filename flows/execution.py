@@ -1,0 +1,216 @@
+"""One run of a study: stage after stage, each planned when what it reads is there; who runs the shards is passed in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from flows.listener import Listener
+from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs
+from flows.records import begin_record, copy_report, end_record, read_last_run, record_stage, report_folder
+from flows.study import Study
+from storage_schema import ArtifactRef, Manifest, MissingArtifact, RunFolder, Store, new_run
+from tasks.graph import Graph
+from tasks.stage import Shard
+
+__all__ = [
+    "Outcome",
+    "Partition",
+    "Run",
+    "StageOutcome",
+    "StageRunner",
+    "begin",
+    "execute",
+    "partitions_to_run",
+    "settle",
+]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything one run needs to know; who computes its shards comes separately."""
+
+    study: Study
+    graph: Graph
+    store: Store
+    selection: Selection = field(default_factory=Selection)
+    listener: Listener = field(default_factory=Listener)
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Shards of one stage that a person sees as one step; `needs` are partitions that must be there before."""
+
+    name: str
+    shards: tuple[Shard, ...]
+    needs: tuple[str, ...] = ()
+
+
+class StageRunner(Protocol):
+    """Runs the shards of a stage that are not fresh, and commits them all or raises."""
+
+    def __call__(self, run: Run, plan: StagePlan) -> None:
+        """Compute `plan.todo`."""
+
+
+@dataclass(frozen=True)
+class StageOutcome:
+    """What a run did for one stage."""
+
+    name: str
+    num_shards: int
+    num_computed: int
+    seconds: float
+    artifacts: tuple[ArtifactRef, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Give it as JSON values."""
+        return {
+            "stage": self.name,
+            "num_shards": self.num_shards,
+            "num_computed": self.num_computed,
+            "seconds": round(self.seconds, 3),
+            "artifacts": [{"key": ref.key, "content_digest": ref.content_digest} for ref in self.artifacts],
+        }
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did, stage by stage, and where its report is (None when the study makes none)."""
+
+    run_id: str
+    stages: tuple[StageOutcome, ...]
+    report: Path | None
+
+    @property
+    def num_computed(self) -> int:
+        """Give the number of shards computed."""
+        return sum(stage.num_computed for stage in self.stages)
+
+    def to_json(self) -> dict[str, Any]:
+        """Give it as JSON values."""
+        return {
+            "run_id": self.run_id,
+            "num_computed": self.num_computed,
+            "report": None if self.report is None else str(self.report),
+            "stages": [stage.to_json() for stage in self.stages],
+        }
+
+
+def execute(run: Run, folder: RunFolder, plan: Plan, run_stage: StageRunner) -> Outcome:
+    """Bring every selected stage of the study up to date; the record of the last run follows stage by stage.
+
+    Args:
+        run: What is to be built.
+        folder: Where the run is recorded, from `begin`.
+        plan: The plan made beforehand.
+        run_stage: Runs the shards of one stage.
+    """
+    status = "failed"
+    outcomes: list[StageOutcome] = []
+    try:
+        manifests: dict[str, Sequence[Manifest]] = {}
+        for first in plan.stages:
+            name = first.stage.name
+            manifests[name] = first.manifests
+            if first.is_selected:
+                outcome, manifests[name] = _bring_up_to_date(run, folder.run_id, first, manifests, run_stage)
+                outcomes.append(outcome)
+        status = "finished"
+    except KeyboardInterrupt:
+        status = "interrupted"
+        raise
+    finally:
+        end_record(folder, run.study.name, status, [outcome.to_json() for outcome in outcomes])
+    return Outcome(folder.run_id, tuple(outcomes), copy_report(run.store, folder, _reporting(run, outcomes)))
+
+
+def begin(run: Run, plan: Plan) -> RunFolder:
+    """Make the folder of a new run and write down what is about to be done."""
+    folder = new_run(run.store, run.study.name)
+    begin_record(folder, run.study.name, run.study.resolved(), plan.to_json())
+    return folder
+
+
+def settle(run: Run, plan: Plan) -> Outcome:
+    """Give the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
+    last = read_last_run(run.store, run.study.name)
+    is_on_record = last is not None and all(
+        last.refs(stage.stage.name) == [m.ref for m in stage.manifests] for stage in plan.stages if stage.is_selected
+    )
+    if last is None or not is_on_record or report_folder(run.store, last.run_id) is None:
+        return execute(run, begin(run, plan), plan, _no_work)
+    outcomes = tuple(
+        StageOutcome(stage.stage.name, len(stage.shards), 0, 0.0, tuple(m.ref for m in stage.manifests))
+        for stage in plan.stages
+        if stage.is_selected
+    )
+    return Outcome(last.run_id, outcomes, report_folder(run.store, last.run_id))
+
+
+def partitions_to_run(plan: StagePlan) -> list[Partition]:
+    """Give the shards that are not fresh by partition, each partition after those whose shards it reads.
+
+    Partitions that read each other's shards crosswise become one.
+    """
+    home = {shard.key: shard.partition for shard in plan.todo}
+    shards: dict[str, list[Shard]] = {}
+    needs: dict[str, set[str]] = {}
+    for shard in plan.todo:
+        shards.setdefault(shard.partition, []).append(shard)
+        needs.setdefault(shard.partition, set()).update(
+            home[key] for key in shard.after if home.get(key, shard.partition) != shard.partition
+        )
+    order: list[str] = []
+    while len(order) < len(shards):
+        ready = [name for name in shards if name not in order and needs[name] <= set(order)]
+        if not ready:
+            tangled = [name for name in shards if name not in order]
+            merged = tuple(shard for name in tangled for shard in shards[name])
+            whole = Partition(" + ".join(tangled), merged, tuple(order))
+            return [*(Partition(n, tuple(shards[n]), tuple(sorted(needs[n]))) for n in order), whole]
+        order.extend(ready)
+    return [Partition(name, tuple(shards[name]), tuple(sorted(needs[name]))) for name in order]
+
+
+def _bring_up_to_date(
+    run: Run, run_id: str, first: StagePlan, manifests: dict[str, Sequence[Manifest]], run_stage: StageRunner
+) -> tuple[StageOutcome, tuple[Manifest, ...]]:
+    """Plan one stage on what is there now, compute what is not fresh, and record it."""
+    stage, study = first.stage, run.study
+    started = time.perf_counter()
+    plan = first
+    is_forced = stage.name in run.selection.force
+    if first.is_pending:
+        inputs = stage_inputs(
+            stage, study.head.seed, {name: manifests[name] for name in run.graph.upstream[stage.name]}
+        )
+        plan = plan_stage(stage, study, inputs, run.store, is_forced=is_forced)
+    run.listener.stage_started(plan)
+    if plan.todo:
+        for manifest in plan.manifests if is_forced else ():
+            run.store.discard(manifest.ref)
+        run_stage(run, plan)
+    found: list[Manifest] = []
+    for item in plan.shards:
+        manifest_or_none = run.store.find(stage.name, item.shard.key)
+        if manifest_or_none is None:
+            raise MissingArtifact(f"stage {stage.name} left no artifact for {item.shard.partition} {item.shard.name}")
+        found.append(manifest_or_none)
+    record_stage(run.store, study.name, run_id, stage.name, found)
+    seconds = time.perf_counter() - started
+    run.listener.stage_finished(plan, seconds)
+    outcome = StageOutcome(stage.name, len(found), len(plan.todo), seconds, tuple(m.ref for m in found))
+    return outcome, tuple(found)
+
+
+def _no_work(run: Run, plan: StagePlan) -> None:
+    raise AssertionError(f"stage {plan.stage.name} has work although all of it is fresh")
+
+
+def _reporting(run: Run, outcomes: Sequence[StageOutcome]) -> list[ArtifactRef]:
+    """Give the artifacts of the stage that writes `scores`: the report is attached to them."""
+    return [ref for o in outcomes if "scores" in run.graph.stage(o.name).writes for ref in o.artifacts]

@@ -1,0 +1,281 @@
+"""The rerun rule: what of a study is fresh, missing, stale or pending, and why; nothing is started to find out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from flows.reasons import Past, describe_inputs, why_not_fresh
+from flows.records import last_sections, read_last_run
+from flows.study import Study
+from storage_schema import Manifest, Store
+from storage_schema.provenance import source_digest
+from tasks.graph import Graph, GraphError
+from tasks.stage import Shard, Stage, StageInputs
+
+__all__ = [
+    "Plan",
+    "PlanError",
+    "Selection",
+    "ShardPlan",
+    "StagePlan",
+    "State",
+    "make_plan",
+    "plan_stage",
+    "stage_inputs",
+]
+
+
+class PlanError(Exception):
+    """A study cannot be planned as asked; the message is one clear sentence."""
+
+
+class State(StrEnum):
+    """How a shard stands: `fresh` needs no work, `pending` cannot be told before what it reads is there."""
+
+    FRESH = "fresh"
+    MISSING = "missing"
+    STALE = "stale"
+    PENDING = "pending"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which stages a run may work on; all of them when nothing is said.
+
+    Args:
+        only: These stages alone.
+        start: This stage and everything that follows from it.
+        until: This stage and everything it needs.
+        force: These stages are computed again even when they are fresh.
+    """
+
+    only: tuple[str, ...] = ()
+    start: str | None = None
+    until: str | None = None
+    force: tuple[str, ...] = ()
+
+    def stages(self, graph: Graph) -> frozenset[str]:
+        """Give the names of the selected stages; PlanError for a name that is not in the graph."""
+        try:
+            for name in (*self.only, *self.force, *filter(None, (self.start, self.until))):
+                graph.stage(name)
+        except GraphError as error:
+            raise PlanError(str(error)) from None
+        names = set(graph.names)
+        if self.only:
+            names &= set(self.only)
+        if self.start is not None:
+            names &= {self.start, *graph.below(self.start)}
+        if self.until is not None:
+            names &= {self.until, *graph.above(self.until)}
+        return frozenset(names)
+
+
+@dataclass(frozen=True)
+class ShardPlan:
+    """One shard and how it stands; `manifest` is there when it is fresh, or forced and there."""
+
+    shard: Shard
+    state: State
+    reason: str = ""
+    manifest: Manifest | None = None
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """One stage and how its shards stand; a pending stage has no shards yet, but knows the partitions it had."""
+
+    stage: Stage
+    is_selected: bool
+    shards: tuple[ShardPlan, ...] = ()
+    pending_on: tuple[str, ...] = ()
+    last_partitions: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def is_pending(self) -> bool:
+        """Tell whether the stage cannot be planned before what it reads is there."""
+        return bool(self.pending_on)
+
+    @property
+    def is_fresh(self) -> bool:
+        """Tell whether nothing of the stage has to be computed."""
+        return not self.is_pending and all(item.state is State.FRESH for item in self.shards)
+
+    @property
+    def pending_reason(self) -> str:
+        """Give what the stage waits for, in words."""
+        return f"depends on {', '.join(self.pending_on)}; rebuilt only if its bytes change"
+
+    @property
+    def todo(self) -> tuple[Shard, ...]:
+        """Give the shards that have to be computed."""
+        return tuple(item.shard for item in self.shards if item.state is not State.FRESH)
+
+    @property
+    def manifests(self) -> tuple[Manifest, ...]:
+        """Give the artifacts that are there, in the order of the plan."""
+        return tuple(item.manifest for item in self.shards if item.manifest is not None)
+
+    def count(self, state: State) -> int:
+        """Give the number of shards in a state."""
+        return sum(item.state is state for item in self.shards)
+
+    def to_json(self) -> dict[str, Any]:
+        """Give the stage's plan as JSON values."""
+        described: dict[str, Any] = {"stage": self.stage.name, "is_selected": self.is_selected}
+        if self.is_pending:
+            partitions = [{"partition": name, "num_shards": count} for name, count in self.last_partitions]
+            return {**described, "state": "pending", "reason": self.pending_reason, "last_partitions": partitions}
+        shards = [
+            {
+                "partition": item.shard.partition,
+                "shard": item.shard.name,
+                "key": item.shard.key,
+                "state": item.state.value,
+                "reason": item.reason,
+            }
+            for item in self.shards
+        ]
+        return {**described, "state": "fresh" if self.is_fresh else "unfinished", "shards": shards}
+
+    def partitions(self) -> dict[str, list[ShardPlan]]:
+        """Give the shards by partition, both in the order of the plan."""
+        found: dict[str, list[ShardPlan]] = {}
+        for item in self.shards:
+            found.setdefault(item.shard.partition, []).append(item)
+        return found
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study's stages in the order they run, and how each stands."""
+
+    study: str
+    stages: tuple[StagePlan, ...]
+
+    @property
+    def is_fresh(self) -> bool:
+        """Tell whether a run would have nothing to do."""
+        return all(stage.is_fresh for stage in self.stages if stage.is_selected)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Say which fresh stages were computed by other sources under the same version."""
+        now = source_digest()
+        names = [s.stage.name for s in self.stages if any(m.source_digest != now for m in s.manifests)]
+        if not names:
+            return ()
+        since = f"since {', '.join(names)} {'was' if len(names) == 1 else 'were'} computed"
+        advice = "if results change, raise the stage's VERSION or use --force"
+        return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
+
+    def to_json(self) -> dict[str, Any]:
+        """Give the plan as JSON values, for programs and for the record."""
+        return {
+            "study": self.study,
+            "is_fresh": self.is_fresh,
+            "warnings": list(self.warnings),
+            "stages": [stage.to_json() for stage in self.stages],
+        }
+
+    def stage(self, name: str) -> StagePlan:
+        """Give the plan of one stage."""
+        return next(item for item in self.stages if item.stage.name == name)
+
+
+def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | None = None) -> Plan:
+    """Tell for every stage how it stands; reads manifests and the headers of source files, computes nothing.
+
+    Raises:
+        PlanError: An unknown stage is selected, or a selected stage needs one that is neither fresh nor selected.
+        InputError, StorageError, OSError: From a stage's own plan: its sources or parameters cannot be used.
+    """
+    selection = selection or Selection()
+    selected = selection.stages(graph)
+    past = _Pasts(store, study.name)
+    plans: dict[str, StagePlan] = {}
+    for stage in graph.stages:
+        waiting = tuple(name for name in graph.upstream[stage.name] if not plans[name].is_fresh)
+        barred = [name for name in waiting if name not in selected]
+        if barred and stage.name in selected:
+            raise PlanError(
+                f"stage {stage.name} needs {barred[0]}, which is not finished and not selected; "
+                f"run without --only and --from, or build it first with --until {barred[0]}"
+            )
+        if waiting:
+            plans[stage.name] = StagePlan(
+                stage=stage,
+                is_selected=stage.name in selected,
+                pending_on=waiting,
+                last_partitions=_count_partitions(r.partition for r in past.of(stage.name).shards or ()),
+            )
+            continue
+        inputs = stage_inputs(
+            stage, study.head.seed, {name: plans[name].manifests for name in graph.upstream[stage.name]}
+        )
+        plan = _plan_stage(stage, study, inputs, store, past.of(stage.name), is_forced=stage.name in selection.force)
+        plans[stage.name] = replace(plan, is_selected=stage.name in selected)
+    return Plan(study=study.name, stages=tuple(plans.values()))
+
+
+def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manifest]]) -> StageInputs:
+    """Give what a stage may read: for each table it declares, the upstream artifacts that hold a part of it."""
+    return StageInputs(
+        manifests={
+            table: tuple(m for artifacts in manifests.values() for m in artifacts if table in m.tables)
+            for table in stage.reads
+        },
+        seed=seed,
+    )
+
+
+def plan_stage(stage: Stage, study: Study, inputs: StageInputs, store: Store, *, is_forced: bool = False) -> StagePlan:
+    """Ask a stage for its shards and tell how each stands against the store and the last run."""
+    return _plan_stage(stage, study, inputs, store, _Pasts(store, study.name).of(stage.name), is_forced=is_forced)
+
+
+def _plan_stage(
+    stage: Stage, study: Study, inputs: StageInputs, store: Store, past: Past, *, is_forced: bool
+) -> StagePlan:
+    parameters = study.parameters[stage.name]
+    section: dict[str, Any] = parameters.model_dump(mode="json")
+    described = describe_inputs([m for artifacts in inputs.manifests.values() for m in artifacts])
+    shards: list[ShardPlan] = []
+    seen: dict[str, Shard] = {}
+    for shard in stage.plan(inputs, parameters):
+        twin = seen.setdefault(shard.key, shard)
+        if twin is not shard:
+            raise PlanError(
+                f"stage {stage.name} plans {shard.partition} {shard.name} twice (also as {twin.partition} {twin.name})"
+            )
+        manifest = store.find(stage.name, shard.key)
+        if manifest is not None and not is_forced:
+            shards.append(ShardPlan(shard, State.FRESH, manifest=manifest))
+        elif manifest is not None:
+            shards.append(ShardPlan(shard, State.STALE, "forced", manifest))
+        else:
+            is_stale, reason = why_not_fresh(stage, section, shard, described, past)
+            shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))
+    return StagePlan(stage=stage, is_selected=True, shards=tuple(shards))
+
+
+class _Pasts:
+    """Every stage as the last run of a study left it."""
+
+    def __init__(self, store: Store, study: str) -> None:
+        self._last = read_last_run(store, study)
+        self._sections = last_sections(store, self._last)
+
+    def of(self, stage: str) -> Past:
+        shards = self._last.stages.get(stage) if self._last is not None else None
+        return Past(shards, self._sections.get(stage, {}))
+
+
+def _count_partitions(partitions: Iterable[str]) -> tuple[tuple[str, int], ...]:
+    counts: dict[str, int] = {}
+    for partition in partitions:
+        counts[partition] = counts.get(partition, 0) + 1
+    return tuple(counts.items())

@@ -1,0 +1,121 @@
+"""A Prefect server for the length of one run: a process of its own that ends with the run, however that ends.
+
+Run as a module it is the server; it prints its address and serves until its standard input is closed, which the
+system does when the process that started it dies, also by `kill -9`. (Prefect's own temporary server outlives that.)
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+__all__ = ["ServerError", "check_server", "running_server", "telemetry_off"]
+
+_STARTUP_TIMEOUT_VARIABLE = "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS"
+_STARTUP_TIMEOUT_S = 120.0
+_QUIET = {
+    "DO_NOT_TRACK": "1",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "PREFECT_SERVER_UI_ENABLED": "false",
+    _STARTUP_TIMEOUT_VARIABLE: str(int(_STARTUP_TIMEOUT_S)),
+}
+
+
+class ServerError(Exception):
+    """Prefect's server did not start or does not answer; the message says which and what to do."""
+
+
+def telemetry_off() -> None:
+    """Set Prefect's environment before it is imported: no telemetry, and time for a cold start; what is set stays."""
+    for name, value in _QUIET.items():
+        os.environ.setdefault(name, value)
+    os.environ.setdefault("PREFECT_LOGGING_LEVEL", "CRITICAL")
+
+
+@contextmanager
+def running_server() -> Iterator[str]:
+    """Start a server on a free local port and give the address of its API; it ends with this block.
+
+    Raises:
+        ServerError: It ended or did not answer in time.
+    """
+    telemetry_off()
+    timeout_s = float(os.environ.get(_STARTUP_TIMEOUT_VARIABLE, _STARTUP_TIMEOUT_S))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "flows.prefect_server"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        address = process.stdout.readline().strip()
+        if not address:
+            raise ServerError(f"Prefect's local server ended with code {process.wait()} instead of starting")
+        deadline = time.monotonic() + timeout_s
+        while not _answers(address):
+            if process.poll() is not None:
+                raise ServerError(f"Prefect's local server ended with code {process.returncode} instead of starting")
+            if time.monotonic() > deadline:
+                raise ServerError(
+                    f"Prefect's local server did not answer within {timeout_s:.0f} s; "
+                    f"set {_STARTUP_TIMEOUT_VARIABLE} to wait longer"
+                )
+            time.sleep(0.1)
+        yield address
+    finally:
+        process.kill()
+        process.wait()
+        process.stdin.close()
+        process.stdout.close()
+
+
+def check_server(address: str) -> None:
+    """Refuse the address of a server that does not answer."""
+    if not _answers(address):
+        raise ServerError(f"Prefect's server at {address} does not answer; start it, or unset PREFECT_API_URL")
+
+
+def _answers(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(f"{address}/health", timeout=5) as answer:
+            return bool(answer.status == 200)
+    except (urllib.error.URLError, OSError, ValueError):
+        return False
+
+
+def _serve() -> None:
+    """Be the server."""
+    telemetry_off()
+    listening = socket.socket()
+    listening.bind(("127.0.0.1", 0))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    sys.stdout.write(f"http://127.0.0.1:{listening.getsockname()[1]}/api\n")
+    sys.stdout.flush()
+
+    import uvicorn
+    from prefect.server.api.server import create_app
+
+    config = uvicorn.Config(create_app(ephemeral=True, final=True), log_level="critical", lifespan="on")
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _end_with_parent() -> None:
+    """Leave at once when standard input is closed: the process that started this one has ended."""
+    sys.stdin.read()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    _serve()

@@ -1,0 +1,140 @@
+"""Why a shard has to be computed again, in words: the shard as it is now against the shard of the last run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
+from storage_schema.keys import plain_json
+from tasks.stage import Shard, Stage
+
+__all__ = ["Past", "describe_inputs", "why_not_fresh"]
+
+_MOST = 3  # differences named one by one; more are counted
+_LONGEST = 40  # characters of a value shown
+
+
+@dataclass(frozen=True)
+class Past:
+    """A stage as the last run left it: its shards (None when it never ran) and its section of the study then."""
+
+    shards: Sequence[ShardRecord] | None
+    section: Mapping[str, Any]
+
+
+def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
+    """Give for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
+    described = {}
+    for manifest in manifests:
+        place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
+        is_take = manifest.facts.get("kind") == "take"
+        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _call(place))
+    return described
+
+
+def why_not_fresh(
+    stage: Stage,
+    section: Mapping[str, Any],
+    shard: Shard,
+    inputs: Mapping[str, tuple[InputRecord, str]],
+    past: Past,
+) -> tuple[bool, str]:
+    """Tell whether a shard without an artifact is stale (else it is missing), and why, in words.
+
+    Args:
+        stage: The shard's stage.
+        section: The stage's parameters now, as JSON values.
+        shard: The shard that has no valid artifact.
+        inputs: What `describe_inputs` says of everything the stage may read.
+        past: The stage in the last run.
+    """
+    if past.shards is None:
+        return False, "never built"
+    settings = _changes(stage.name, past.section, section) if past.section else []
+    old = next((r for r in past.shards if (r.partition, r.name) == (shard.partition, shard.name)), None)
+    if old is None:
+        return False, f"new: {_several(settings)}" if settings else "new"
+    if old.key == shard.key:
+        return False, "its files are gone or not whole"
+    words = []
+    if old.version != shard.version:
+        words.append(f"stage version {old.version} -> {shard.version}")
+    if old.seed != shard.seed:
+        words.append(f"study.seed {old.seed} -> {shard.seed}")
+    own = _changes(stage.name, old.parameters, shard.parameters)
+    if own:
+        words.extend(settings or own)
+    words.extend(_file_changes(old, shard))
+    words.extend(_input_changes(old, shard, inputs))
+    if not words and shard.after:
+        words.append("a shard before it changed")
+    return True, _several(words) if words else "store schema or program changed"
+
+
+def _changes(prefix: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Name the leaves that differ: `chains.num_chains 2 -> 4`."""
+    before, after = _leaves(prefix, plain_json(dict(old))), _leaves(prefix, plain_json(dict(new)))
+    words = []
+    for name in dict.fromkeys([*after, *before]):
+        if name not in before:
+            words.append(f"{name} is new")
+        elif name not in after:
+            words.append(f"{name} is gone")
+        elif before[name] != after[name]:
+            words.append(f"{name} {_short(before[name])} -> {_short(after[name])}")
+    return words
+
+
+def _file_changes(old: ShardRecord, shard: Shard) -> list[str]:
+    before = dict(old.files)
+    now = {Path(file.path).name: file.sha256 for file in shard.files}
+    return _differences({f"file {n}": d for n, d in before.items()}, {f"file {n}": d for n, d in now.items()})
+
+
+def _input_changes(old: ShardRecord, shard: Shard, inputs: Mapping[str, tuple[InputRecord, str]]) -> list[str]:
+    """Name the inputs that changed; many of them by stage only."""
+    names = {_call(place): label for place, label in inputs.values()}
+    before = {names.get(_call(record), _call(record)): record.content_digest for record in old.inputs}
+    now: dict[str, str] = {}
+    for ref in shard.inputs:
+        now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
+    words = _differences(before, now)
+    if len(words) <= _MOST:
+        return words
+    digests = {record.content_digest for record in old.inputs}
+    stages = dict.fromkeys(ref.stage for ref in shard.inputs if ref.content_digest not in digests)
+    return [f"input {name} changed" for name in stages] or ["inputs are gone"]
+
+
+def _differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    return [
+        *(f"{name} changed" for name in now if name in before and before[name] != now[name]),
+        *(f"{name} is new" for name in now if name not in before),
+        *(f"{name} is gone" for name in before if name not in now),
+    ]
+
+
+def _call(place: InputRecord) -> str:
+    return f"{place.stage} {place.partition}" + ("" if place.name == place.partition else f" {place.name}")
+
+
+def _leaves(prefix: str, value: Any) -> dict[str, Any]:
+    if isinstance(value, dict) and value:
+        found: dict[str, Any] = {}
+        for name, item in value.items():
+            found.update(_leaves(f"{prefix}.{name}", item))
+        return found
+    return {prefix: value}
+
+
+def _short(value: Any) -> str:
+    text = canonical_json(value).decode()
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def _several(words: Sequence[str]) -> str:
+    shown = ", ".join(words[:_MOST])
+    return shown if len(words) <= _MOST else f"{shown} and {len(words) - _MOST} more"

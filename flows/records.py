@@ -1,0 +1,145 @@
+"""What is remembered of a run beside its artifacts: the settings, the plan, the machine, how it ended, the report."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from storage_schema import (
+    ArtifactRef,
+    CorruptArtifact,
+    LatestRun,
+    Manifest,
+    MissingArtifact,
+    RunFolder,
+    ShardRecord,
+    Store,
+    list_runs,
+    open_run,
+    read_latest,
+    record_latest,
+)
+
+__all__ = [
+    "begin_record",
+    "copy_report",
+    "describe_runs",
+    "end_record",
+    "last_sections",
+    "read_last_run",
+    "record_stage",
+    "report_folder",
+]
+
+_PACKAGES = ("pasdedeux", "numpy", "scipy", "numba", "pyarrow", "prefect", "dask", "distributed", "pydantic")
+_RUN, _STUDY, _PLAN, _ENVIRONMENT = "run.json", "study.json", "plan.json", "environment.json"
+
+
+def read_last_run(store: Store, study: str) -> LatestRun | None:
+    """Give what the last run of a study made; None when there was none or its record is damaged.
+
+    The record only serves to explain: what is fresh is decided by keys. So a damaged one costs words, not work.
+    """
+    try:
+        return read_latest(store, study)
+    except CorruptArtifact:
+        return None
+
+
+def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
+    """Give the resolved study of the last run, section by section; empty when it is gone."""
+    if last is None:
+        return {}
+    try:
+        sections: dict[str, Any] = json.loads(open_run(store, last.run_id).read(_STUDY))
+    except (MissingArtifact, ValueError):
+        return {}
+    return sections
+
+
+def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: Sequence[Manifest]) -> None:
+    """Record what a stage consists of now, if that is not on record already."""
+    last = read_last_run(store, study)
+    if last is not None and stage in last.stages and last.refs(stage) == [manifest.ref for manifest in manifests]:
+        return
+    record_latest(store, study, run_id, {stage: [ShardRecord.of(manifest, store) for manifest in manifests]})
+
+
+def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], plan: Mapping[str, Any]) -> None:
+    """Write what is about to be done: the resolved study, the plan, the machine."""
+    folder.write(_STUDY, sections)
+    folder.write(_PLAN, plan)
+    folder.write(_ENVIRONMENT, _environment())
+    folder.write(_RUN, {**_identity(folder, study), "status": "running"})
+
+
+def end_record(folder: RunFolder, study: str, status: str, stages: Sequence[Mapping[str, Any]]) -> None:
+    """Write how the run ended and what it did, stage by stage."""
+    folder.write(_RUN, {**_identity(folder, study), "status": status, "stages": list(stages)})
+
+
+def describe_runs(store: Store) -> list[dict[str, str]]:
+    """Give the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
+    found = []
+    for folder in list_runs(store):
+        try:
+            record = json.loads(folder.read(_RUN))
+        except (MissingArtifact, ValueError):
+            continue
+        status = record["status"]
+        if status == "running" and record["host"] == platform.node() and not _is_alive(record["pid"]):
+            status = "killed"
+        found.append({"run_id": folder.run_id, "study": record["study"], "status": status})
+    return found
+
+
+def report_folder(store: Store, run_id: str) -> Path | None:
+    """Give the folder of a run's report, None when it has none."""
+    folder = store.root / "runs" / run_id / "report"
+    return folder if run_id and folder.is_dir() else None
+
+
+def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) -> Path | None:
+    """Copy what these artifacts attached (report page, dataset card, clips) into the run's folder."""
+    report = folder.path / "report"
+    for ref in refs:
+        for name in store.manifest(ref).attachments:
+            report.mkdir(parents=True, exist_ok=True)
+            (report / name).write_bytes(store.attachment(ref, name))
+    return report if report.is_dir() else None
+
+
+def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
+    return {"study": study, "run_id": folder.run_id, "pid": os.getpid(), "host": platform.node()}
+
+
+def _environment() -> dict[str, Any]:
+    """Give what the run ran on, for the record; nothing of it enters a key."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "num_cores": os.cpu_count(),
+        "packages": versions,
+    }
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

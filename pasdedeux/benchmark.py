@@ -1,0 +1,72 @@
+"""What a benchmark reports: work per second of the fast form and of its plain baseline, measured in the same run.
+
+A room offers benchmarks as `BENCHMARKS: dict[str, Callable[[], BenchmarkResult]]` in its module `benchmarks`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pasdedeux.errors import InputError
+
+__all__ = ["BenchmarkResult", "measure_rate"]
+
+
+@dataclass(frozen=True)
+class BenchmarkResult:
+    """Throughput of a fast form beside its plain one.
+
+    Args:
+        name: What was measured.
+        unit: What is counted: `pose pairs`, `frames`, `likelihoods`.
+        fast_name: The form that ships.
+        fast_per_s: Its work per second.
+        plain_name: The baseline.
+        plain_per_s: The baseline's work per second.
+        note: Sizes of the problem, in words.
+
+    Raises:
+        InputError: A rate is not positive.
+    """
+
+    name: str
+    unit: str
+    fast_name: str
+    fast_per_s: float
+    plain_name: str
+    plain_per_s: float
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse rates that say nothing."""
+        if not (self.fast_per_s > 0 and self.plain_per_s > 0):
+            raise InputError(f"benchmark {self.name}: rates are {self.fast_per_s} and {self.plain_per_s}, not positive")
+
+    @property
+    def ratio(self) -> float:
+        """How many times faster the fast form is."""
+        return self.fast_per_s / self.plain_per_s
+
+
+def measure_rate(work: Callable[[], object], *, count: int = 1, least_s: float = 0.3, repeats: int = 3) -> float:
+    """Give the work done per second, the best of some repeats; the first call, which may compile, is not timed.
+
+    Args:
+        work: Does `count` pieces of work per call.
+        count: Pieces of work in a call.
+        least_s: Least time of one repeat, seconds.
+        repeats: Repeats, of which the best counts: what else the machine does only slows work down.
+    """
+    work()
+    best = 0.0
+    for _ in range(repeats):
+        calls = 0
+        started = time.perf_counter()
+        while (elapsed := time.perf_counter() - started) < least_s or calls == 0:
+            work()
+            calls += 1
+        elapsed = time.perf_counter() - started
+        best = max(best, calls * count / elapsed)
+    return best

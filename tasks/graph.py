@@ -1,0 +1,118 @@
+"""The graph of stages: found in this package, ordered by the tables they declare to read and write."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+
+import tasks
+from tasks.stage import Stage
+
+__all__ = ["Graph", "GraphError", "load_graph"]
+
+_NOT_STAGES = frozenset({"stage", "graph", "shards"})
+
+
+class GraphError(Exception):
+    """The declared reads and writes do not form a graph that can be run."""
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Stages in an order in which each comes after every stage that writes what it reads.
+
+    Raises:
+        GraphError: Two stages have one name or write one table, a stage reads a table that a stage of the graph
+            can never have written (a cycle), or nothing writes a table that is read.
+    """
+
+    stages: tuple[Stage, ...]
+    upstream: dict[str, tuple[str, ...]] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Order the stages and refuse cycles."""
+        by_name: dict[str, Stage] = {}
+        writer: dict[str, str] = {}
+        for stage in self.stages:
+            if stage.name in by_name:
+                raise GraphError(f"two stages are named '{stage.name}'")
+            by_name[stage.name] = stage
+            for table in stage.writes:
+                if table in writer:
+                    raise GraphError(f"table '{table}' is written by two stages, '{writer[table]}' and '{stage.name}'")
+                writer[table] = stage.name
+        needs = {
+            stage.name: {writer[table] for table in stage.reads if table in writer and writer[table] != stage.name}
+            for stage in self.stages
+        }
+        for stage in self.stages:
+            if any(table in stage.writes for table in stage.reads):
+                raise GraphError(f"stage '{stage.name}' reads a table that it writes itself")
+        try:
+            order = _stable_order([stage.name for stage in self.stages], needs)
+        except CycleError as error:
+            raise GraphError(f"the stages form a cycle: {' -> '.join(error.args[1])}") from None
+        object.__setattr__(self, "stages", tuple(by_name[name] for name in order))
+        object.__setattr__(self, "upstream", {n: tuple(m for m in order if m in needs[n]) for n in order})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Give the stages' names in the order they run."""
+        return tuple(stage.name for stage in self.stages)
+
+    def stage(self, name: str) -> Stage:
+        """Give the stage of this name, or a GraphError that lists the known ones."""
+        for stage in self.stages:
+            if stage.name == name:
+                return stage
+        raise GraphError(f"unknown stage '{name}'; known stages: {', '.join(self.names)}")
+
+    def above(self, name: str) -> frozenset[str]:
+        """Give the names of every stage whose results can reach this one."""
+        self.stage(name)
+        found: set[str] = set()
+        todo = list(self.upstream[name])
+        while todo:
+            other = todo.pop()
+            if other not in found:
+                found.add(other)
+                todo.extend(self.upstream[other])
+        return frozenset(found)
+
+    def below(self, name: str) -> frozenset[str]:
+        """Give the names of every stage that this one's results can reach."""
+        return frozenset(other for other in self.names if name in self.above(other))
+
+    def only(self, names: Iterable[str]) -> Graph:
+        """Give the graph of these stages alone; what the others write is then simply not there to be read."""
+        wanted = set(names)
+        for name in sorted(wanted):
+            self.stage(name)
+        return Graph(tuple(stage for stage in self.stages if stage.name in wanted))
+
+
+def load_graph() -> Graph:
+    """Import every stage of this package (a module with a `STAGE`) and give their graph."""
+    found: list[Stage] = []
+    for module in pkgutil.iter_modules(tasks.__path__):
+        if module.name in _NOT_STAGES or module.name.startswith("_"):
+            continue
+        stage = getattr(importlib.import_module(f"tasks.{module.name}"), "STAGE", None)
+        if isinstance(stage, Stage):
+            found.append(stage)
+    return Graph(tuple(found))
+
+
+def _stable_order(names: Sequence[str], needs: dict[str, set[str]]) -> list[str]:
+    """Order names so that each follows its needs; ties are broken alphabetically, so the order never varies."""
+    sorter = TopologicalSorter({name: needs[name] for name in sorted(names)})
+    sorter.prepare()
+    order: list[str] = []
+    while sorter.is_active():
+        ready = sorted(sorter.get_ready())
+        order.extend(ready)
+        sorter.done(*ready)
+    return order

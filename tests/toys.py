@@ -1,0 +1,230 @@
+"""Small stages for tests of the runner: real shards in a real store, with gates to stop at and a record of what ran.
+
+Environment: TOY_FOLDER is a folder for gates and records. A shard named `<stage>-<partition>-<name>` waits while the
+file `hold-<that>` is there, dies while `kill-<that>` is there, fails while `fail-<that>` is there; it leaves a line in
+`ran.txt` when it begins to compute.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.errors import InputError
+from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.graph import Graph
+from tasks.stage import Parameters, Shard, SourceFile, Stage, StageInputs, commit, merge_takes, stream
+
+__all__ = ["TOYS"]
+
+HOLD_LIMIT_S = 60.0
+
+
+def note_and_obey(shard: Shard) -> None:
+    folder = Path(os.environ.get("TOY_FOLDER", "/nonexistent"))
+    if not folder.is_dir():
+        return
+    name = f"{shard.stage}-{shard.partition}-{shard.name}"
+    with (folder / "ran.txt").open("a") as file:
+        file.write(f"{name} {os.getpid()}\n")
+    if (folder / f"kill-{name}").exists():
+        os.kill(os.getpid(), signal.SIGKILL)
+    if (folder / f"fail-{name}").exists():
+        raise OSError(28, "No space left on device")
+    deadline = time.monotonic() + HOLD_LIMIT_S
+    while (folder / f"hold-{name}").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+class GrowParameters(Parameters):
+    num_takes: int = Field(2, ge=1, le=50, description="Takes")
+    num_segments: int = Field(3, ge=1, description="Segments of each take, each from the one before")
+    scale: float = Field(1.0, gt=0, description="Scale of the values")
+    source: Path | None = Field(None, description="A file whose bytes enter")
+
+
+class BendParameters(Parameters):
+    step: int = Field(1000, ge=1, description="Values are rounded to multiples of this")
+
+
+class JudgeParameters(Parameters):
+    title: str = Field("toys", description="Title of the report")
+
+
+class AsideParameters(Parameters):
+    size: int = Field(4, ge=1, description="Rows")
+
+
+def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
+    files: tuple[SourceFile, ...] = ()
+    if parameters.source is not None:
+        if not parameters.source.is_file():
+            raise InputError(f"grow.source: {parameters.source.name} does not exist")
+        import hashlib
+
+        files = (SourceFile(str(parameters.source), hashlib.sha256(parameters.source.read_bytes()).hexdigest()),)
+    shards: list[Shard] = []
+    for take in range(parameters.num_takes):
+        before: tuple[str, ...] = ()
+        for segment in range(parameters.num_segments):
+            shard = Shard(
+                stage="grow",
+                version=1,
+                partition=f"t{take}",
+                name=f"s{segment}",
+                parameters={"take": take, "segment": segment, "scale": parameters.scale},
+                files=files,
+                after=before,
+                seed=inputs.seed,
+            )
+            before = (shard.key,)
+            shards.append(shard)
+    return shards
+
+
+def run_grow(shard: Shard, store: Store) -> ArtifactRef:
+    note_and_obey(shard)
+    value = 0.0
+    for key in shard.after:
+        before = store.find("grow", key)
+        assert before is not None, "the segment before is not committed"
+        value = float(store.read(before.ref, "training_log")["value"][-1])
+    noise = stream(shard.seed, "grow", shard.partition, int(shard.parameters["segment"])).normal(size=5)
+    values = value + np.cumsum(np.abs(noise)) * shard.parameters["scale"]
+    return commit(
+        shard,
+        store,
+        tables={
+            "training_log": {
+                "split": [shard.partition] * 5,
+                "model": ["grow"] * 5,
+                "step": np.arange(5),
+                "quantity": ["value"] * 5,
+                "value": values,
+            }
+        },
+        facts={"kind": "take", "take_id": shard.partition, "takes": [shard.partition]},
+        sources=[SourceCredit(name=shard.partition, licence="CC0-1.0", credit="made for a test")],
+    )
+
+
+def plan_bend(inputs: StageInputs, parameters: BendParameters) -> list[Shard]:
+    return [
+        Shard(
+            stage="bend",
+            version=1,
+            partition=manifest.partition,
+            name=manifest.name,
+            parameters={"step": parameters.step},
+            inputs=(manifest.ref,),
+            seed=inputs.seed,
+        )
+        for manifest in inputs.of("training_log")
+    ]
+
+
+def run_bend(shard: Shard, store: Store) -> ArtifactRef:
+    note_and_obey(shard)
+    step = shard.parameters["step"]
+    values = np.floor(store.read(shard.inputs[0], "training_log")["value"] / step) * step
+    return commit(
+        shard,
+        store,
+        tables={
+            "models": {
+                "split": [shard.partition],
+                "model": ["bend"],
+                "array_name": ["values"],
+                "array_shape": [np.array([5], dtype=np.int32)],
+                "values": [values],
+            }
+        },
+        facts={"takes": merge_takes(store.manifest(shard.inputs[0]))},
+    )
+
+
+def plan_judge(inputs: StageInputs, parameters: JudgeParameters) -> list[Shard]:
+    manifests = inputs.of("models")
+    return [
+        Shard(
+            stage="judge",
+            version=1,
+            partition="all",
+            name="all",
+            parameters={"title": parameters.title},
+            inputs=tuple(manifest.ref for manifest in manifests),
+            seed=inputs.seed,
+        )
+    ]
+
+
+def run_judge(shard: Shard, store: Store) -> ArtifactRef:
+    note_and_obey(shard)
+    total = sum(float(store.read(ref, "models")["values"][0].sum()) for ref in shard.inputs)
+    return commit(
+        shard,
+        store,
+        tables={
+            "scores": {
+                "topic": ["models"],
+                "metric": ["total"],
+                "method": ["sum"],
+                "is_baseline": [False],
+                "split": ["all"],
+                "item": ["all"],
+                "at": [float("nan")],
+                "value": [total],
+                "unit": [""],
+                "count": [len(shard.inputs)],
+            }
+        },
+        facts={"takes": []},
+        attachments={"report.html": f"<h1>{shard.parameters['title']}</h1>".encode()},
+    )
+
+
+def plan_aside(inputs: StageInputs, parameters: AsideParameters) -> list[Shard]:
+    return [
+        Shard(
+            stage="aside",
+            version=1,
+            partition="aside",
+            name="all",
+            parameters={"size": parameters.size},
+            seed=inputs.seed,
+        )
+    ]
+
+
+def run_aside(shard: Shard, store: Store) -> ArtifactRef:
+    note_and_obey(shard)
+    size = shard.parameters["size"]
+    columns = {
+        "cluster": np.arange(size),
+        "representative_m": np.zeros((size, 14, 2)),
+        "members": [np.arange(i, dtype=np.int64) for i in range(size)],
+    }
+    return commit(shard, store, tables={"codebook": columns}, facts={"takes": []})
+
+
+TOYS = Graph(
+    (
+        Stage("judge", 1, ("models",), ("scores",), JudgeParameters, plan_judge, run_judge, "adds it all up"),
+        Stage("grow", 1, (), ("training_log",), GrowParameters, plan_grow, run_grow, "makes values"),
+        Stage("bend", 1, ("training_log",), ("models",), BendParameters, plan_bend, run_bend, "rounds them"),
+        Stage("aside", 1, (), ("codebook",), AsideParameters, plan_aside, run_aside, "stands alone"),
+    )
+)
+
+
+if __name__ == "__main__":
+    from flows.console import main
+    from tests import toys  # by its name: workers must find the stages there, not in __main__
+
+    main(sys.argv[1:], graph=toys.TOYS)

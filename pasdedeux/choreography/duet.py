@@ -1,0 +1,208 @@
+"""A duet: two motions, and what is known to be true of them because it was built that way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.figure import SIDES, Figure
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import Motion
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["BonePoint", "Contact", "Duet", "Setting", "Stance", "check_style", "finish"]
+
+Array = npt.NDArray[np.float64]
+
+_LIMITS = {"duration_s": (0.5, 600.0), "rate_hz": (1.0, 1000.0)}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What every duet takes: length, rate, sizes, and which take of the same dance.
+
+    Args:
+        duration_s: Length; frames lie at 0, 1 / rate, ... before it.
+        rate_hz: Frames per second.
+        heights_m: Standing heights of person A and person B.
+        variation: 0 for the dance as written; another number gives another take with slightly other style.
+
+    Raises:
+        InputError: A number is outside its range, or not finite.
+    """
+
+    duration_s: float = 10.0
+    rate_hz: float = 60.0
+    heights_m: tuple[float, float] = (1.82, 1.65)
+    variation: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name, (low, high) in _LIMITS.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"duet: {name} is {value:g}, allowed are {low:g} to {high:g}")
+        if len(self.heights_m) != 2:
+            raise InputError(f"duet: heights_m has {len(self.heights_m)} values, two people need two")
+        if self.variation < 0:
+            raise InputError(f"duet: variation is {self.variation}, allowed are 0 and up")
+
+    @property
+    def time_s(self) -> Array:
+        """Times of the frames (frame,)."""
+        return np.arange(max(1, round(self.duration_s * self.rate_hz))) / self.rate_hz
+
+    def vary(self, count: int) -> Array:
+        """Give `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
+        if self.variation == 0:
+            return np.zeros(count)
+        return np.random.default_rng(np.random.SeedSequence(self.variation)).uniform(-1.0, 1.0, count)
+
+
+@dataclass(frozen=True)
+class BonePoint:
+    """A point on a person's bone: a share of the way from the parent joint (0) to the named joint (1).
+
+    Args:
+        person: 0 is A, 1 is B.
+        bone: Joint of `body22` in which the bone ends.
+        fraction: Share of the bone.
+    """
+
+    person: int
+    bone: str
+    fraction: float = 1.0
+
+    def position_m(self, positions_m: Array) -> Array:
+        """Give the point (frame, 3) from positions of the pair (frame, person, 22, 3)."""
+        child = BODY22.index(self.bone)
+        end = positions_m[:, self.person, child]
+        start = positions_m[:, self.person, BODY22.parents[child]]
+        return np.asarray(start + self.fraction * (end - start))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A known contact: two points that keep a constant distance from one time to another.
+
+    Args:
+        name: What touches what.
+        point_a: A point of one person.
+        point_b: A point of the other person.
+        start_s: First time at which it holds.
+        stop_s: Time from which on it need not hold.
+        distance_m: Distance of the two points while it holds: sum of the radii there, plus the gap if there is one.
+    """
+
+    name: str
+    point_a: BonePoint
+    point_b: BonePoint
+    start_s: float
+    stop_s: float
+    distance_m: float
+
+    def distances_m(self, positions_m: Array) -> Array:
+        """Give the distance of the points in every frame (frame,), whether the contact holds or not."""
+        apart = self.point_a.position_m(positions_m) - self.point_b.position_m(positions_m)
+        return np.asarray(np.linalg.norm(apart, axis=-1))
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A foot that stands: `foot` ankle and toe are constant from `start_s` to `stop_s` (exclusive), both to the bit."""
+
+    person: int
+    foot: str
+    start_s: float
+    stop_s: float
+
+
+@dataclass(frozen=True)
+class Duet:
+    """Two people's motion with its truth.
+
+    Args:
+        name: Which dance.
+        motions: Person A and person B on `body22`, world frame, Y up, floor at 0.
+        bodies: Sizes and girths.
+        contacts: Known contacts, by start.
+        stances: Known stances, by person and foot.
+        parameters: Everything it was made from.
+    """
+
+    name: str
+    motions: tuple[Motion, Motion]
+    bodies: tuple[Body, Body]
+    contacts: tuple[Contact, ...]
+    stances: tuple[Stance, ...]
+    parameters: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return self.motions[0].num_frames
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second."""
+        return self.motions[0].rate_hz
+
+    def positions_m(self) -> Array:
+        """Give world positions of the pair (frame, person, 22, 3)."""
+        return np.stack([motion.world()[0] for motion in self.motions], axis=1)
+
+    def frames(self, interval: Contact | Stance) -> npt.NDArray[np.intp]:
+        """Give the frames (n,) in which a contact or stance holds."""
+        time_s = np.arange(self.num_frames) / self.rate_hz
+        holds = (time_s >= interval.start_s - 1e-9) & (time_s < interval.stop_s - 1e-9)
+        return np.flatnonzero(holds)
+
+
+def check_style(name: str, style: Mapping[str, tuple[float, float, float]]) -> dict[str, object]:
+    """Give the values of style parameters (value, least, greatest) by name.
+
+    Raises:
+        InputError: A value is outside its range, or not a number.
+    """
+    for key, (value, low, high) in style.items():
+        if not low <= value <= high:
+            raise InputError(f"duet '{name}': {key} is {value:g}, allowed are {low:g} to {high:g}")
+    return {key: value for key, (value, _, _) in style.items()}
+
+
+def finish(
+    name: str,
+    setting: Setting,
+    figures: tuple[Figure, Figure],
+    contacts: list[Contact],
+    parameters: Mapping[str, object],
+) -> Duet:
+    """Make the duet of two solved figures: motions, stances from the feet, contacts that fall into its time."""
+    stop = setting.duration_s
+    stances = [
+        Stance(person=person, foot=side, start_s=max(0.0, plant.land_s), stop_s=min(stop, plant.lift_s))
+        for person, figure in enumerate(figures)
+        for side, foot in zip(SIDES, figure.feet, strict=True)
+        for plant in foot.plants
+        if plant.lift_s > 0.0 and plant.land_s < stop
+    ]
+    return Duet(
+        name=name,
+        motions=(figures[0].motion(setting.rate_hz), figures[1].motion(setting.rate_hz)),
+        bodies=(figures[0].body, figures[1].body),
+        contacts=tuple(
+            sorted((c for c in contacts if c.stop_s > 0.0 and c.start_s < stop), key=lambda contact: contact.start_s)
+        ),
+        stances=tuple(stances),
+        parameters={
+            "duration_s": setting.duration_s,
+            "rate_hz": setting.rate_hz,
+            "heights_m": setting.heights_m,
+            "variation": setting.variation,
+            **parameters,
+        },
+    )

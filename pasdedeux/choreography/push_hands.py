@@ -1,0 +1,154 @@
+"""Push-hands: two people in bow stance, wrists and elbows in touch, circling as the weight goes to and fro."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.choreography.anthropometry import Body, make_body
+from pasdedeux.choreography.curves import blend
+from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Setting, check_style, finish
+from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
+from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
+from pasdedeux.kinematics.rotations import normalise
+
+__all__ = ["make_push_hands"]
+
+Array = npt.NDArray[np.float64]
+
+_AHEAD, _BEHIND, _ASIDE = 0.165, -0.175, 0.062
+"""Where the feet stand from the middle of the stance: front foot, back foot, each to its side; fraction of height."""
+_FRONT_YAW_RAD, _BACK_YAW_RAD = -0.05, 0.75
+_GAP_M = 0.004
+"""Cloth between two arms in touch."""
+
+
+def make_push_hands(
+    *,
+    duration_s: float = 10.0,
+    rate_hz: float = 60.0,
+    heights_m: tuple[float, float] = (1.82, 1.65),
+    variation: int = 0,
+    circle_s: float = 2.6,
+    width: float = 0.050,
+    depth: float = 0.055,
+    shift: float = 0.050,
+    apart: float = 0.385,
+) -> Duet:
+    """Make push-hands: right foot in front, the feet never move, right wrists circle, left hands at the right elbows.
+
+    The circle lies level at first and stands upright in the second half.  Contacts, all the time: right wrist on right
+    wrist, A's left wrist at B's right elbow, B's left wrist at A's right elbow.
+
+    Args:
+        duration_s: Length.
+        rate_hz: Frames per second.
+        heights_m: Heights of A and B.
+        variation: Another take of the same dance.
+        circle_s: Time of one circle; 1.8 to 6.
+        width: Half width of the circle, fraction of mean height; 0 to 0.06.
+        depth: Half depth of the circle, likewise; 0 to 0.07.
+        shift: How far the pelvis goes forward and back from the middle, likewise; 0 to 0.06.
+        apart: Distance of the two stances, likewise; 0.37 to 0.40.
+
+    Raises:
+        InputError: A number is outside its range.
+    """
+    setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
+    parameters = check_style(
+        "push_hands",
+        {
+            "circle_s": (circle_s, 1.8, 6.0),
+            "width": (width, 0.0, 0.06),
+            "depth": (depth, 0.0, 0.07),
+            "shift": (shift, 0.0, 0.06),
+            "apart": (apart, 0.37, 0.40),
+        },
+    )
+    vary = setting.vary(5)
+    time_s = setting.time_s
+    bodies = (make_body(heights_m[0]), make_body(heights_m[1]))
+    mean_m = float(np.mean(heights_m))
+    phase = 2.0 * np.pi * time_s / (circle_s * (1.0 + 0.08 * vary[0])) + np.pi * float(vary[1])
+    phase = phase + 0.15 * (1.0 + vary[2]) * np.sin(0.37 * phase)
+    push = shift * mean_m * np.cos(phase - 0.35)
+    figures = (
+        _stand(0, bodies[0], apart * mean_m, push, phase, time_s),
+        _stand(1, bodies[1], apart * mean_m, push, phase, time_s),
+    )
+    # The point of touch, nearer to the shorter arm; level circle first, upright circle later.
+    upright = blend(time_s, 0.42 * duration_s, 0.62 * duration_s) * (0.85 + 0.15 * float(vary[3]))
+    size = mean_m * (1.0 - 0.1 * abs(float(vary[4])))
+    share = heights_m[0] / sum(heights_m) - 0.5
+    chest_m = 0.5 * (bodies[0].standing_m("spine3") + bodies[1].standing_m("spine3"))
+    point = np.stack(
+        [
+            width * size * np.sin(phase) * (1.0 - 0.6 * upright),
+            chest_m - 0.005 * mean_m + width * size * np.sin(phase) * (0.15 + 0.85 * upright),
+            share * apart * mean_m + depth * size * np.cos(phase),
+        ],
+        axis=-1,
+    )
+    return finish("push_hands", setting, figures, _touch(figures, point, phase, duration_s), parameters)
+
+
+def _stand(person: int, body: Body, apart_m: float, push: Array, phase: Array, time_s: Array) -> Figure:
+    """Place trunk and feet: A stands at -Z and looks along +Z, B the other way round."""
+    yaw = 0.0 if person == 0 else np.pi
+    sign = 1.0 if person == 0 else -1.0
+    middle = np.array([0.0, 0.0, -0.5 * sign * apart_m])
+    forward = sign * push
+    feet = (
+        _foot(time_s, body, middle, yaw, _ASIDE, _BEHIND, _BACK_YAW_RAD),
+        _foot(time_s, body, middle, yaw, -_ASIDE, _AHEAD, _FRONT_YAW_RAD),
+    )
+    where = middle + facing(yaw, 0.004 * body.height_m * np.sin(phase), 0.0, forward - 0.01 * body.height_m)
+    waist = 0.24 * np.sin(phase + 0.3) + 0.10
+    still = np.zeros_like(phase)
+    trunk = Trunk(
+        x_m=where[:, 0],
+        z_m=where[:, 2],
+        height_m=body.standing_m("pelvis") - body.height_m * (0.052 + 0.006 * np.cos(phase)),
+        unitquat=turn(yaw + 0.16 + 0.30 * waist, 0.04 + 0.25 * forward, still),
+        spine_rotvec=np.stack([0.05 + 0.35 * forward, 0.55 * waist, 0.03 * np.sin(phase)], axis=-1),
+        head_rotvec=np.stack([still + 0.05, -0.12 - 0.7 * waist, still], axis=-1),
+    )
+    return Figure(body=body, trunk=trunk, feet=feet)
+
+
+def _foot(time_s: Array, body: Body, middle: Array, yaw: float, aside: float, ahead: float, out: float) -> FootPath:
+    at = middle + facing(yaw, aside * body.height_m, 0.0, ahead * body.height_m)
+    # It stands long before the beginning and long after the end.
+    plant = Plant(x_m=float(at[0]), z_m=float(at[2]), yaw_rad=yaw + out, land_s=-1.0, lift_s=float(time_s[-1]) + 1e3)
+    return walk_foot(time_s, body, [plant])
+
+
+def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_s: float) -> list[Contact]:
+    """Bring right wrists to the point of touch, then left wrists to the other's right elbow."""
+    bodies = tuple(figure.body for figure in figures)
+    wrists_m = bodies[0].radius_m("left_wrist") + bodies[1].radius_m("left_wrist") + _GAP_M
+    tilt = 0.5 * np.sin(phase)
+    across = np.stack([np.cos(tilt), np.sin(tilt), 0.0 * tilt], axis=-1)
+    contacts = [
+        Contact("wrist on wrist", BonePoint(0, "right_wrist"), BonePoint(1, "right_wrist"), 0.0, duration_s, wrists_m)
+    ]
+    for figure, sign in zip(figures, (-1.0, 1.0), strict=True):
+        outward = figure.chest_vector(-0.9, -1.0, 0.0)
+        figure.reach_hand(
+            "right", point + 0.5 * sign * wrists_m * across, outward, palm=figure.chest_vector(0.6, 0.0, -0.4)
+        )
+    for person, figure in enumerate(figures):
+        other = figures[1 - person]
+        radius_m = figure.body.radius_m("left_wrist") + other.body.radius_m("left_elbow") + _GAP_M
+        elbow = other.joint("right_elbow")
+        arm = normalise(elbow - other.joint("right_shoulder"))
+        # The outside of the elbow; a much taller partner's arm comes from above and lies higher on it.
+        above = max(0.0, figure.body.height_m / other.body.height_m - 1.0)
+        towards = other.chest_vector(-0.8, 1.5 * above - 0.3, 0.5)
+        side = normalise(towards - np.sum(towards * arm, axis=-1, keepdims=True) * arm)
+        target = elbow + radius_m * side
+        figure.reach_hand("left", target, figure.chest_vector(0.8, -1.0, -0.1), palm=elbow - target)
+        name = f"{'AB'[person]}'s left hand at {'AB'[1 - person]}'s elbow"
+        ends = (BonePoint(person, "left_wrist"), BonePoint(1 - person, "right_elbow"))
+        contacts.append(Contact(name, *ends, 0.0, duration_s, radius_m))
+    return contacts

@@ -1,0 +1,164 @@
+"""Feet: plants that do not move and smooth swings between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.curves import blend, bump
+from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["FootPath", "Plant", "clear_other_foot", "spread_feet", "walk_foot"]
+
+Array = npt.NDArray[np.float64]
+
+_PEEL = 0.22
+"""Share of a swing during which the heel rises over the ball of the foot that still stands."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A foot on the floor: the point under the ankle and the way the foot points, from landing to lift-off.
+
+    Args:
+        x_m: Ankle, world X.
+        z_m: Ankle, world Z.
+        yaw_rad: Direction of the foot about +Y, 0 along +Z.
+        land_s: When the foot is flat and still.
+        lift_s: When the heel begins to rise.
+        bow_m: How far the swing that ends here bows to the left of the foot's way (negative: to the right).
+    """
+
+    x_m: float
+    z_m: float
+    yaw_rad: float
+    land_s: float
+    lift_s: float
+    bow_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class FootPath:
+    """A foot over time: ankle (frame, 3), world rotation (frame, 4), yaw (frame,), and its plants in order."""
+
+    ankle_m: Array
+    unitquat: Array
+    yaw_rad: Array
+    plants: tuple[Plant, ...]
+
+
+def walk_foot(
+    time_s: Array, body: Body, plants: Sequence[Plant], *, clearance: float = 0.018, heel: float = 1.0
+) -> FootPath:
+    """Walk a foot from plant to plant.
+
+    Between plants the heel rises over the standing ball of the foot, which then swings over in an arc.
+
+    Args:
+        time_s: Times (frame,).
+        body: Whose foot.
+        plants: Plants in order of time, at least one; the first holds before, the last after.
+        clearance: Height of the arc of a step, fraction of body height.
+        heel: How much the heel rises, 1 for a plain walk.
+    """
+    ankle_to_toe = body.rest_offsets_m[BODY22.index("left_toe")]  # the right one is the same
+    ball = np.array([_ball(plant, ankle_to_toe) for plant in plants])
+    position = np.broadcast_to(ball[0], (len(time_s), 3)).copy()
+    yaw = np.full(len(time_s), plants[0].yaw_rad)
+    pitch = np.zeros(len(time_s))
+    position[:, 1] = body.standing_m("left_toe")
+    for before, after, start, stop in zip(plants[:-1], plants[1:], ball[:-1], ball[1:], strict=True):
+        fraction = (time_s - before.lift_s) / (after.land_s - before.lift_s)
+        flight = (fraction - _PEEL) / (1.0 - _PEEL)
+        weight = blend(flight, 0.0, 1.0)
+        length = float(np.linalg.norm(stop - start)) / body.height_m
+        forward = float((stop - start) @ [np.sin(before.yaw_rad), 0.0, np.cos(before.yaw_rad)]) / body.height_m
+        position += weight[:, None] * (stop - start)
+        position[:, 1] += clearance * body.height_m * min(1.0, 0.5 + length) * bump(flight)
+        way = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-9)
+        position += (after.bow_m * bump(weight))[:, None] * np.array([way[2], 0.0, -way[0]])
+        yaw += weight * (after.yaw_rad - before.yaw_rad)
+        pitch += (
+            heel * (0.08 + 0.3 * min(length, 0.5) + 0.8 * float(np.clip(forward, 0.0, 0.5))) * bump(fraction, fall=4)
+        )
+    unitquat = multiply(
+        unitquat_from_rotvec(np.stack([0 * yaw, yaw, 0 * yaw], axis=-1)),
+        unitquat_from_rotvec(np.stack([pitch, 0 * yaw, 0 * yaw], axis=-1)),
+    )
+    ankle = position - rotate(unitquat, np.broadcast_to(ankle_to_toe, position.shape))
+    return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw, plants=tuple(plants))
+
+
+def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
+    forward = ankle_to_toe[2]
+    return np.array([plant.x_m + forward * np.sin(plant.yaw_rad), 0.0, plant.z_m + forward * np.cos(plant.yaw_rad)])
+
+
+def spread_feet(
+    body: Body, left: Sequence[Plant], right: Sequence[Plant], *, gap: float = 0.085
+) -> tuple[list[Plant], list[Plant]]:
+    """Move plants outward where a foot would land too near the one that stands, each looked at against the one before.
+
+    Args:
+        body: Whose feet.
+        left: Plants of the left foot.
+        right: Plants of the right foot.
+        gap: Least distance of the ankles, fraction of body height.
+    """
+    plants = sorted([(p, 1.0) for p in left] + [(p, -1.0) for p in right], key=lambda item: item[0].land_s)
+    moved = plants[:1]
+    for plant, sign in plants[1:]:
+        before = moved[-1][0]
+        yaw = 0.5 * (plant.yaw_rad + before.yaw_rad)
+        away = np.array([plant.x_m - before.x_m, plant.z_m - before.z_m])
+        outward = sign * np.array([np.cos(yaw), -np.sin(yaw)])
+        aside = float(away @ outward)
+        ahead = float(np.sqrt(max(float(away @ away) - aside**2, 0.0)))
+        wanted = float(np.sqrt(max((gap * body.height_m) ** 2 - ahead**2, 0.0)))
+        shift = max(0.0, wanted - aside) * outward
+        moved.append((replace(plant, x_m=plant.x_m + float(shift[0]), z_m=plant.z_m + float(shift[1])), sign))
+    return [p for p, sign in moved if sign > 0], [p for p, sign in moved if sign < 0]
+
+
+def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant], *, gap: float = 0.062) -> list[Plant]:
+    """Bow swings sideways, away from the foot that stands meanwhile, so that the feet do not touch.
+
+    Args:
+        body: Whose feet.
+        plants: Plants of one foot.
+        other: Plants of the other foot.
+        gap: Wanted distance of the feet when one passes the other, fraction of body height.
+    """
+    result = [plants[0]]
+    for before, after in pairwise(plants):
+        middle_s = 0.5 * (before.lift_s + after.land_s)
+        standing = [plant for plant in other if plant.land_s <= middle_s <= plant.lift_s]
+        bow = _bow(before, after, standing[0], gap * body.height_m) if standing else 0.0
+        result.append(replace(after, bow_m=bow))
+    return result
+
+
+def _bow(before: Plant, after: Plant, standing: Plant, gap_m: float) -> float:
+    """Give the bow that keeps a straight swing off a standing foot; the swing passes on the side where it begins."""
+    start, stop = np.array([before.x_m, before.z_m]), np.array([after.x_m, after.z_m])
+    way = stop - start
+    length = float(np.linalg.norm(way))
+    if length < 1e-6:
+        return 0.0
+    left = np.array([way[1], -way[0]]) / length
+    obstacle = np.array([standing.x_m, standing.z_m])
+    share = float(np.clip((obstacle - start) @ way / length**2, 0.0, 1.0))
+    aside = float((start + share * way - obstacle) @ left)
+    # Which side is free: that of the middle of the two plants, seen from the standing foot.
+    side = 1.0 if aside >= 0.0 else -1.0
+    reach = float(bump(np.array(share)))
+    missing = gap_m - abs(aside)
+    if missing <= 0.0 or reach < 0.2:
+        return 0.0
+    return side * min(missing / reach, 2.0 * gap_m)

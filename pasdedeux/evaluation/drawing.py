@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["PERSON_COLOURS", "Panel", "Pose", "figure_png", "pair_panel", "skeleton_sheet"]
+__all__ = ["PERSON_COLOURS", "TRUTH_COLOUR", "Panel", "Pose", "figure_png", "pair_panel", "skeleton_sheet"]
 
 Array = npt.NDArray[np.float64]
 

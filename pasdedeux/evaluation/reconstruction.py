@@ -1,0 +1,89 @@
+"""Reconstructed motions against the truth: errors per method, and pictures of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.evaluation.drawing import PERSON_COLOURS, TRUTH_COLOUR, Panel, Pose, skeleton_sheet
+from pasdedeux.evaluation.reconstruction_metrics import (
+    jitter_m,
+    root_centred_error_m,
+    root_removed_error_m,
+    scale_free_error_m,
+)
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
+
+__all__ = ["Reconstructed", "reconstruction_scores", "reconstruction_sheet"]
+
+Array = npt.NDArray[np.float64]
+_BASELINE = "nearest"
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """One person's motion as reconstructed by several methods, and the truth, all in camera axes.
+
+    Args:
+        item: Sequence and person, for the table.
+        truth_m: True op14 positions (frame, 14, 3), metres.
+        found_m: By method, positions (frame, 14, 3) of the same frames.
+    """
+
+    item: str
+    truth_m: Array
+    found_m: Mapping[str, Array]
+
+
+def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
+    """Score every method: mean errors over op14 with root rotation kept, removed, and free of scale; and jitter.
+
+    `standing_still` is the baseline that always answers with the mean true pose of the motion, which no method may use:
+    it says how much the person moves at all.
+    """
+    still = np.broadcast_to((person.truth_m - mid_hip(person.truth_m)[:, None]).mean(axis=0), person.truth_m.shape)
+    scores = []
+    for method, found in {**person.found_m, "standing_still": still}.items():
+        figures = {
+            "error_root_kept": float(root_centred_error_m(found, person.truth_m).mean()),
+            "error_root_removed": float(root_removed_error_m(found, person.truth_m).mean()),
+            "error_scale_free": float(scale_free_error_m(found, person.truth_m).mean()),
+            "jitter": jitter_m(found),
+        }
+        scores += [
+            Score(
+                topic="reconstruction",
+                metric=metric,
+                method=method,
+                value=value,
+                unit="m",
+                is_baseline=method in (_BASELINE, "standing_still"),
+                split=split,
+                item=person.item,
+                count=len(person.truth_m),
+            )
+            for metric, value in figures.items()
+        ]
+    scores.append(Score("reconstruction", "jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
+    return scores
+
+
+def reconstruction_sheet(person: Reconstructed, method: str, *, num_moments: int = 7) -> bytes:
+    """Draw moments of a reconstruction over the grey truth, both centred on the mid-hip; PNG bytes."""
+    frames = np.unique(np.linspace(0, len(person.truth_m) - 1, num_moments).round().astype(int))
+    panels = []
+    for frame in frames:
+        truth, found = (
+            pose - mid_hip(pose) + [0.0, 1.0, 0.0] for pose in (person.truth_m[frame], person.found_m[method][frame])
+        )
+        error = float(root_centred_error_m(found, truth)) * 100
+        poses = (Pose(OP14, truth, TRUTH_COLOUR), Pose(OP14, found, PERSON_COLOURS[0]))
+        panels.append(Panel(title=f"frame {frame}: {error:.1f} cm", poses=poses))
+    return skeleton_sheet(
+        panels, title=f"{person.item}, {method}: truth in grey; as the camera sees it (top), from its side (bottom)"
+    )

@@ -1,0 +1,77 @@
+"""How far a reconstructed motion is from the truth, as the projection-database paper measures it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat
+from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
+
+__all__ = ["foot_slide_m", "jitter_m", "root_centred_error_m", "root_removed_error_m", "scale_free_error_m"]
+
+Array = npt.NDArray[np.float64]
+
+
+def _centred(positions_m: Array) -> Array:
+    if positions_m.shape[-2:] != (OP14.num_joints, 3):
+        raise InputError(f"op14 positions have shape {positions_m.shape}, expected (..., {OP14.num_joints}, 3)")
+    return np.asarray(positions_m - mid_hip(positions_m)[..., None, :])
+
+
+def _without_root_rotation(centred_m: Array) -> Array:
+    rotmat = rotmat_from_unitquat(bone_rotations(centred_m)[..., OP14.root, :])
+    return np.asarray(np.einsum("...ji,...nj->...ni", rotmat, centred_m))
+
+
+def root_centred_error_m(found_m: Array, true_m: Array) -> Array:
+    """Give the mean joint distance (*batch,) of op14 poses (*batch, 14, 3): mid-hips together, root rotation kept."""
+    return np.asarray(np.linalg.norm(_centred(found_m) - _centred(true_m), axis=-1).mean(axis=-1))
+
+
+def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
+    """Give the same with the rotation of the root removed too, as Yiannakides et al. (2019, section 6.2) do.
+
+    The root's rotation is the frame of the body: up from mid-hip to neck, left from hips and shoulders.
+    """
+    found, true = _without_root_rotation(_centred(found_m)), _without_root_rotation(_centred(true_m))
+    return np.asarray(np.linalg.norm(found - true, axis=-1).mean(axis=-1))
+
+
+def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
+    """Give the root-centred error (frame,) after one scale for the whole track that fits best, in metres of the truth.
+
+    One camera does not see how large a person is, so the size of a body is no part of this error.
+    """
+    found, true = _centred(found_m), _centred(true_m)
+    power = float(np.sum(found**2))
+    scale = float(np.sum(found * true)) / power if power > 0 else 1.0
+    return np.asarray(np.linalg.norm(scale * found - true, axis=-1).mean(axis=-1))
+
+
+def jitter_m(positions_m: Array) -> float:
+    """Give the mean length of the second difference of joints (frame, joint, 3) over time; 0 below three frames."""
+    if len(positions_m) < 3:
+        return 0.0
+    second = positions_m[2:] - 2.0 * positions_m[1:-1] + positions_m[:-2]
+    return float(np.linalg.norm(second, axis=-1).mean())
+
+
+def foot_slide_m(positions_m: Array, *, up_axis: int = 1, height_m: float = 0.05) -> float:
+    """Give the mean horizontal way per frame of an ankle while it is within `height_m` of its lowest in the motion.
+
+    Args:
+        positions_m: op14 positions (frame, 14, 3), upright axes, with the true root motion.
+        up_axis: Axis that points up.
+        height_m: How far over its lowest place an ankle still counts as standing.
+    """
+    ankles = positions_m[:, OP14.indices(["left_ankle", "right_ankle"])]
+    if len(ankles) < 2:
+        return 0.0
+    is_low = ankles[..., up_axis] < ankles[..., up_axis].min(axis=0) + height_m
+    stands = is_low[1:] & is_low[:-1]
+    way = np.linalg.norm(np.delete(np.diff(ankles, axis=0), up_axis, axis=-1), axis=-1)
+    return float(way[stands].mean()) if stands.any() else 0.0

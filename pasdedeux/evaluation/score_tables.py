@@ -1,0 +1,48 @@
+"""Scores as tables for people: one row per figure and item, one column per method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pasdedeux.evaluation.report import TextTable
+from pasdedeux.evaluation.scores import Score
+
+__all__ = ["format_value", "score_table"]
+
+_HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
+"""Lengths are shown in centimetres."""
+
+
+def format_value(value: float, unit: str) -> str:
+    """Give a figure with its unit, three significant digits, lengths in cm."""
+    shown_unit, factor = _HUNDREDTHS.get(unit, (unit, 1.0))
+    scaled = value * factor
+    text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
+    return f"{text} {shown_unit}".strip() if np.isfinite(value) else "-"
+
+
+def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
+    """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
+
+    Baselines stand in columns of their own, marked as such.
+    """
+    single = [score for score in scores if np.isnan(score.at)]
+    methods = sorted({(score.is_baseline, score.method) for score in single})
+    keys = sorted({(score.metric, score.split, score.item) for score in single}, key=_all_first)
+    cells = {(s.metric, s.split, s.item, s.method): format_value(s.value, s.unit) for s in single}
+    headings = tuple(f"{method} (baseline)" if is_baseline else method for is_baseline, method in methods)
+    return TextTable(
+        caption=caption,
+        headings=("figure", "part", "item", *headings),
+        rows=tuple(
+            (metric.replace("_", " "), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
+            for metric, split, item in keys
+        ),
+    )
+
+
+def _all_first(key: tuple[str, str, str]) -> tuple[str, str, bool, str]:
+    metric, split, item = key
+    return metric, split, item != "all", item

@@ -1,0 +1,133 @@
+"""Quality of augmentation: figures over scales beside plain forward kinematics, and pictures beside the source."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
+from pasdedeux.evaluation.figures import Curve, curve_figure
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["QUALITY_COLUMNS", "VariantQualities", "drift_figure", "quality_scores", "variant_sheet", "verdict_scores"]
+
+Array = npt.NDArray[np.float64]
+
+QUALITY_COLUMNS = {
+    "bone_error_m": "m",
+    "contact_drift_m": "m",
+    "laplacian_error_m": "m",
+    "foot_slide_m": "m",
+    "floor_penetration_m": "m",
+    "penetration_m": "m",
+    "jerk_ratio": "",
+}
+"""Columns of a variant's quality that are scored, with their units."""
+
+_CONTACT_M = 0.2
+"""Joints of the two people under this distance in the source are drawn as contacts (DESIGN: source distance 0.2 m)."""
+
+
+@dataclass(frozen=True)
+class VariantQualities:
+    """Quality of the variants of one take.
+
+    Args:
+        take_id: Name of the take.
+        scale: Uniform scale of person A, (variant,); NaN where not uniform.
+        values: Quality columns by name, each (variant,).
+        drift_fk_m: Contact drift of plain forward kinematics, (variant,), metres: the baseline.
+        verdicts: pass, warn or fail of each variant.
+    """
+
+    take_id: str
+    scale: Array
+    values: Mapping[str, Array]
+    drift_fk_m: Array
+    verdicts: Sequence[str]
+
+
+def quality_scores(qualities: VariantQualities) -> list[Score]:
+    """Give mean and worst of every quality column over the variants of a take, contact drift beside its baseline."""
+    scores = []
+    columns = [(name, "interaction_mesh", values, False) for name, values in qualities.values.items()]
+    columns.append(("contact_drift_m", "naive_fk", qualities.drift_fk_m, True))
+    for name, method, values, is_baseline in columns:
+        finite = values[np.isfinite(values)]
+        if not len(finite):
+            continue
+        for kind, value in (("mean", finite.mean()), ("worst", finite.max())):
+            scores.append(
+                Score(
+                    topic="augmentation",
+                    metric=f"{name.removesuffix('_m')}_{kind}",
+                    method=method,
+                    value=float(value),
+                    unit=QUALITY_COLUMNS[name],
+                    is_baseline=is_baseline,
+                    item=qualities.take_id,
+                    count=len(finite),
+                )
+            )
+    return scores
+
+
+def verdict_scores(qualities: VariantQualities) -> list[Score]:
+    """Count the variants that passed, warned and failed."""
+    return [
+        Score(
+            topic="augmentation",
+            metric=f"variants_{verdict}",
+            method="interaction_mesh",
+            value=float(sum(found == verdict for found in qualities.verdicts)),
+            item=qualities.take_id,
+            count=len(qualities.verdicts),
+        )
+        for verdict in ("pass", "warn", "fail")
+    ]
+
+
+def drift_figure(qualities: VariantQualities) -> bytes:
+    """Draw contact drift against the scale of person A, ours beside plain forward kinematics; PNG bytes."""
+    order = np.argsort(qualities.scale)
+    order = order[np.isfinite(qualities.scale[order])]
+    scale = qualities.scale[order]
+    return curve_figure(
+        [
+            Curve("interaction mesh", scale, 1e3 * qualities.values["contact_drift_m"][order]),
+            Curve("plain forward kinematics", scale, 1e3 * qualities.drift_fk_m[order], is_baseline=True),
+        ],
+        title=f"{qualities.take_id}: contacts kept",
+        x_label="scale of person A",
+        y_label="mean change of contact distance (mm)",
+    )
+
+
+def variant_sheet(take_id: str, source_m: Array, variants_m: Mapping[str, Array], *, num_moments: int = 4) -> bytes:
+    """Draw moments of the source and of variants side by side with the source's contacts as green lines; PNG bytes.
+
+    Args:
+        take_id: Name of the take.
+        source_m: Source, (frame, 2, 22, 3), metres.
+        variants_m: Variants by name, each (frame, 2, 22, 3).
+        num_moments: Moments drawn, evenly spread.
+    """
+    frames = np.linspace(0, len(source_m) - 1, num_moments + 2).round().astype(int)[1:-1]
+    panels: list[Panel] = []
+    for frame in frames:
+        first, second = _contacts(source_m[frame])
+        for name, motion in {"source": source_m, **variants_m}.items():
+            pair = motion[frame]
+            links = np.stack([pair[0, first], pair[1, second]], axis=1)
+            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, pair, links))
+    return skeleton_sheet(panels, title=f"{take_id}: source beside variants, contacts in green")
+
+
+def _contacts(pair_m: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    distance = np.linalg.norm(pair_m[0, :, None] - pair_m[1, None], axis=-1)
+    first, second = np.nonzero(distance < _CONTACT_M)
+    return first, second

@@ -1,0 +1,49 @@
+"""Accuracy of estimated views against the true cameras of virtual video."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import angle_between_directions
+from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.kinematics.rotations import normalise
+
+__all__ = ["view_scores"]
+
+Array = npt.NDArray[np.float64]
+
+
+def view_scores(estimated: Array, weight: Array, truth: Array, *, split: str) -> list[Score]:
+    """Score view hypotheses by their angle to the truth, beside the mean view of all annotations.
+
+    Args:
+        estimated: Views (annotation, hypothesis, 3), coordinates in the pair's local frame; NaN where there is none.
+        weight: Their weights (annotation, hypothesis); 0 where there is none.
+        truth: True views (annotation, 3).
+        split: Part of the data.
+    """
+    is_there = np.isfinite(estimated).all(axis=-1) & (weight > 0)
+    angle = np.where(is_there, angle_between_directions(estimated, truth[:, None, :]), np.inf)
+    best = np.argmax(weight, axis=1)
+    heaviest = np.take_along_axis(angle, best[:, None], axis=1)[:, 0]
+    chosen = np.take_along_axis(estimated, best[:, None, None], axis=1)[:, 0]
+    is_known = np.isfinite(heaviest)
+    mean_view = normalise(chosen[is_known].mean(axis=0)) if is_known.any() else np.full(3, np.nan)
+    methods = {
+        "heaviest_hypothesis": (heaviest, False),
+        "best_hypothesis": (angle.min(axis=1), False),
+        "mean_view": (angle_between_directions(np.broadcast_to(mean_view, truth.shape), truth), True),
+    }
+    scores = []
+    for method, (values, is_baseline) in methods.items():
+        scores += summarise(
+            np.rad2deg(values[is_known]),
+            topic="views",
+            metric="view_error",
+            method=method,
+            unit="degrees",
+            is_baseline=is_baseline,
+            split=split,
+        )
+    return scores

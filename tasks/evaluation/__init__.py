@@ -1,0 +1,94 @@
+"""Evaluation: a shard per topic and item scores what the stages made; the last assembles report, card and scores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pydantic import Field
+
+from storage_schema import ArtifactRef, Store
+from tasks.evaluation import augmentation, chains, clips, coverage, models, reconstruction, report, takes, views
+from tasks.evaluation.topic import STAGE_NAME, VERSION, TopicResult, commit_topic
+from tasks.stage import Parameters, Shard, Stage, StageInputs
+
+__all__ = ["STAGE", "EvaluationParameters"]
+
+
+class EvaluationParameters(Parameters):
+    """What is scored and shown."""
+
+    title: str = Field("A dataset of close two-person motion", description="Title of the report and the card")
+    description: str = Field(
+        "Made with pasdedeux from the takes and annotations named in the study.",
+        description="What the study makes, a sentence or two for the report and the card",
+    )
+    num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
+    num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
+    clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
+    clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
+
+
+_RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
+    takes.TOPIC: takes.run,
+    clips.TOPIC: clips.run,
+    views.TOPIC: views.run,
+    chains.TOPIC: chains.run,
+    coverage.TOPIC: coverage.run,
+    reconstruction.TOPIC: reconstruction.run,
+    augmentation.TOPIC: augmentation.run,
+    models.TOPIC: models.run,
+    report.TOPIC: report.run,
+}
+
+
+def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
+    """Plan the topics there is something for, and the report over them."""
+    topics = [
+        *takes.shards(inputs),
+        *clips.shards(inputs, seconds=parameters.clip_seconds, rate_hz=parameters.clip_rate_hz),
+        *views.shards(inputs),
+        *chains.shards(inputs),
+        *coverage.shards(
+            inputs, num_truth_pairs=parameters.num_truth_pairs, num_curve_points=parameters.num_curve_points
+        ),
+        *reconstruction.shards(inputs),
+        *augmentation.shards(inputs),
+        *models.shards(inputs),
+    ]
+    if not topics:
+        return []
+    return [*topics, report.shard(inputs, topics, title=parameters.title, description=parameters.description)]
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Score one topic, or assemble the report."""
+    return commit_topic(shard, store, _RUN[shard.partition](shard, store))
+
+
+STAGE = Stage(
+    name=STAGE_NAME,
+    version=VERSION,
+    reads=(
+        "takes",
+        "poses",
+        "annotations",
+        "cameras",
+        "torso_basis",
+        "joint_limits",
+        "views",
+        "seeds",
+        "draws",
+        "chain_info",
+        "projections",
+        "motions",
+        "variants",
+        "variant_quality",
+        "models",
+        "training_log",
+    ),
+    writes=("scores",),
+    parameters=EvaluationParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
+)

@@ -1,0 +1,84 @@
+"""Topic `augmentation`: how good the variants of each take are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.evaluation.variants import (
+    QUALITY_COLUMNS,
+    VariantQualities,
+    drift_figure,
+    quality_scores,
+    variant_sheet,
+    verdict_scores,
+)
+from storage_schema import ArtifactRef, Store
+from tasks.evaluation.topic import TopicResult, make_shard, read_people
+from tasks.stage import Shard, StageInputs
+
+__all__ = ["TOPIC", "run", "shards"]
+
+TOPIC = "augmentation"
+
+
+def shards(inputs: StageInputs) -> list[Shard]:
+    """One shard per take that has variants."""
+    found = []
+    for take in inputs.of("poses"):
+        take_id = take.facts["take_id"]
+        variants = [manifest for manifest in inputs.of("variants") if manifest.facts["takes"] == [take_id]]
+        if variants:
+            found.append(
+                make_shard(topic=TOPIC, name=take_id, inputs=[take, *variants], parameters={}, seed=inputs.seed)
+            )
+    return found
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Score the variants of one take and draw the extremes beside the source."""
+    take, *parts = shard.inputs
+    take_id = store.manifest(take).facts["take_id"]
+    tables = [store.read(ref, "variant_quality") for ref in parts]
+    names = [name for table in tables for name in table["variant_id"]]
+    homes = [ref for ref, table in zip(parts, tables, strict=True) for _ in range(table.num_rows)]
+    qualities = VariantQualities(
+        take_id=take_id,
+        scale=np.concatenate([table["scale_a"] for table in tables]),
+        values={name: np.concatenate([table[name] for table in tables]) for name in QUALITY_COLUMNS},
+        drift_fk_m=np.concatenate([table["contact_drift_fk_m"] for table in tables]),
+        verdicts=[verdict for table in tables for verdict in table["verdict"]],
+    )
+    reasons = [
+        f"{take_id}, {table['variant_id'][row]}: {table['verdict'][row]} - {table['reason'][row]}."
+        for table in tables
+        for row in np.nonzero(table["verdict"] == "fail")[0]
+    ]
+    source = read_people(store, take, "body22_m")
+    drawn = _extremes(qualities)
+    sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})
+    pictures = {f"variants-{take_id}.png": sheet, f"drift-{take_id}.png": drift_figure(qualities)}
+    captions = {
+        f"variants-{take_id}.png": f"{take_id}: source, the smallest and greatest scale, and the worst contact drift.",
+        f"drift-{take_id}.png": f"{take_id}: how far contacts moved apart or together against the source.",
+    }
+    return TopicResult(
+        scores=[*quality_scores(qualities), *verdict_scores(qualities)],
+        pictures=pictures,
+        captions=captions,
+        notes=reasons,
+    )
+
+
+def _extremes(qualities: VariantQualities) -> list[int]:
+    """Give the variants to draw: least and greatest scale, and the worst contact drift."""
+    scale = np.nan_to_num(qualities.scale, nan=1.0)
+    worst = np.nan_to_num(qualities.values["contact_drift_m"], nan=np.inf)
+    return sorted({int(np.argmin(scale)), int(np.argmax(scale)), int(np.argmax(worst))})
+
+
+def _read_variant(store: Store, ref: ArtifactRef, variant_id: str) -> np.ndarray:
+    """Read one variant's positions (frame, 2, 22, 3) without holding the others."""
+    parts = []
+    for batch in store.iter_batches(ref, "variants", columns=["variant_id", "body22_m"]):
+        parts.append(batch["body22_m"][batch["variant_id"] == variant_id].astype(np.float64))
+    return np.concatenate(parts)

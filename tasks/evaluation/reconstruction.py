@@ -1,0 +1,69 @@
+"""Topic `reconstruction`: reconstructed motions against the truth of virtual video."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.evaluation.reconstruction import Reconstructed, reconstruction_scores, reconstruction_sheet
+from storage_schema import Store
+from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.stage import Shard, StageInputs
+
+__all__ = ["TOPIC", "run", "shards"]
+
+TOPIC = "reconstruction"
+
+
+def shards(inputs: StageInputs) -> list[Shard]:
+    """One shard per reconstructed sequence whose truth is known."""
+    found = []
+    for motions in inputs.of("motions"):
+        if not motions.facts["sequence_takes"]:
+            continue
+        used = {ref.key for ref in motions.inputs}
+        annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in used]
+        takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
+        found.append(
+            make_shard(
+                topic=TOPIC,
+                name=motions.partition,
+                inputs=[motions, *annotations, *takes],
+                parameters={"num_annotations": len(annotations)},
+                seed=inputs.seed,
+            )
+        )
+    return found
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Score one sequence."""
+    motions, *others = shard.inputs
+    facts = store.manifest(motions).facts
+    refuse_overlap(
+        f"the projection database of sequence {shard.name}", facts["database_takes"], facts["sequence_takes"]
+    )
+    annotations = others[: shard.parameters["num_annotations"]]
+    takes = read_takes(store, others[shard.parameters["num_annotations"] :], "op14_m")
+    cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)
+    split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
+    table = store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "method", "op14_m"])
+    scores, pictures, captions = [], {}, {}
+    for person in np.unique(table["person_id"]):
+        is_person = table["person_id"] == person
+        sequence_id = str(table["sequence_id"][0])
+        found = {
+            str(method): table["op14_m"][is_person & (table["method"] == method)].astype(np.float64)
+            for method in dict.fromkeys(table["method"])
+        }
+        first = next(iter(found))
+        seen = [frames[sequence_id, int(frame)] for frame in table["frame"][is_person & (table["method"] == first)]]
+        world = np.stack([takes[take][frame, person] for take, frame in seen])
+        truth = world @ cameras[sequence_id].camera_from_world_rotmat.T
+        result = Reconstructed(item=f"{sequence_id} person {person}", truth_m=truth, found_m=found)
+        scores += reconstruction_scores(result, split=split)
+        best = list(found)[-1]
+        name = f"reconstruction-{sequence_id.replace('/', '-')}-{person}.png"
+        pictures[name] = reconstruction_sheet(result, best)
+        captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
+    return TopicResult(scores=scores, pictures=pictures, captions=captions)

@@ -1,0 +1,155 @@
+"""Topic `report`: everything that was found as one page, the dataset card, and one table of scores."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pasdedeux.evaluation.card import CardSource, DatasetCard, render_card
+from pasdedeux.evaluation.report import Picture, Report, Section, render_report
+from pasdedeux.evaluation.score_tables import score_table
+from pasdedeux.evaluation.scores import Score
+from storage_schema import Manifest, Store
+from tasks.evaluation.topic import STAGE_NAME, TopicResult
+from tasks.stage import Shard, StageInputs
+
+__all__ = ["TOPIC", "run", "shard"]
+
+TOPIC = "report"
+
+_SECTIONS = {
+    "takes": ("Takes", "The 3D motion that came in, at the study's rate, in body22."),
+    "clips": ("Sequences", "The 2D poses of each sequence as its camera saw them."),
+    "views": ("Views", "Estimated views against the true cameras of virtual video; the mean view is the baseline."),
+    "chains": (
+        "Chains",
+        "How the Markov chains went: acceptance, effective sample size, R-hat per seed.",
+    ),
+    "coverage": (
+        "Coverage",
+        "Mean distance from real pairs to their nearest draw as draws increase, beside chains that know the physical "
+        "prior only, and beside sets of real frames.",
+    ),
+    "reconstruction": (
+        "Reconstruction",
+        "Motions reconstructed from 2D against the truth; nearest neighbour is the baseline. "
+        "Errors are means over op14, centred on the mid-hip.",
+    ),
+    "augmentation": (
+        "Augmentation",
+        "Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",
+    ),
+    "models": (
+        "Models",
+        "Models that predict a variant from the source and its bone scales; copy and naive forward kinematics are the "
+        "baselines.",
+    ),
+}
+"""Heading and introduction of each topic, in the order of the page."""
+
+_CAUTIONS = (
+    "Draws are a mixture over the chains of the study's seeds, not independent samples of one distribution.",
+    "The density knows nothing of ground contact, and one view does not see the relative depth of the two people.",
+    "Virtual video is made from motion capture: its 2D noise is simulated.",
+    "Models are scored on takes that they saw at other scales (cross-scale split) unless the split says otherwise.",
+)
+
+
+def shard(inputs: StageInputs, topics: Sequence[Shard], *, title: str, description: str) -> Shard:
+    """Give the shard that assembles what all other topics found."""
+    counted = {manifest.ref.key: manifest for table in inputs.manifests for manifest in inputs.of(table)}
+    return Shard(
+        stage=STAGE_NAME,
+        version=topics[0].version,
+        partition=TOPIC,
+        name=TOPIC,
+        parameters={"topic": TOPIC, "title": title, "description": description},
+        inputs=tuple(manifest.ref for manifest in counted.values()),
+        after=tuple(topic.key for topic in topics),
+        seed=inputs.seed,
+    )
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Assemble the page, the card and the table of scores."""
+    found = [manifest for key in shard.after if (manifest := store.find(STAGE_NAME, key)) is not None]
+    assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
+    inputs = [store.manifest(ref) for ref in shard.inputs]
+    scores = {topic: _scores(store, found, topic) for topic in _SECTIONS}
+    skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
+    card = render_card(_card(shard, inputs, skipped))
+    sections = [_section(store, found, topic, scores[topic]) for topic in _SECTIONS]
+    closing = Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",))
+    sources = Section(
+        heading="Sources and licences",
+        paragraphs=tuple(f"{source.name}: {source.licence}. {source.credit}" for source in _sources(inputs)),
+    )
+    page = render_report(
+        Report(
+            title=shard.parameters["title"],
+            summary=(shard.parameters["description"],),
+            sections=[section for section in sections if section is not None] + [closing, sources],
+        )
+    )
+    return TopicResult(
+        scores=[score for topic in scores.values() for score in topic],
+        pictures={"report.html": page.encode(), "card.md": card.encode()},
+        captions={"report.html": "The report", "card.md": "The dataset card"},
+    )
+
+
+def _scores(store: Store, found: Sequence[Manifest], topic: str) -> list[Score]:
+    names = ("topic", "metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
+    scores = []
+    for manifest in found:
+        if manifest.facts["topic"] == topic and "scores" in manifest.tables:
+            table = store.read(manifest.ref, "scores")
+            columns = [table[name].tolist() for name in names]
+            scores += [Score(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
+    return scores
+
+
+def _section(store: Store, found: Sequence[Manifest], topic: str, scores: Sequence[Score]) -> Section | None:
+    """Give a topic's section, or None when nothing was found."""
+    heading, introduction = _SECTIONS[topic]
+    parts = [manifest for manifest in found if manifest.facts["topic"] == topic]
+    if not parts:
+        return None
+    pictures = tuple(
+        Picture(name=name, caption=manifest.facts["captions"][name], content=store.attachment(manifest.ref, name))
+        for manifest in parts
+        for name in sorted(manifest.attachments)
+    )
+    notes = tuple(note for manifest in parts for note in manifest.facts["notes"])
+    tables = (score_table(scores, caption=f"{heading}: figures"),) if scores else ()
+    return Section(heading=heading, paragraphs=(introduction, *notes), tables=tables, pictures=pictures)
+
+
+def _skipped(manifest: Manifest) -> list[str]:
+    return list(manifest.facts.get("skipped", []))
+
+
+def _sources(inputs: Sequence[Manifest]) -> list[CardSource]:
+    named = {(s.name, s.licence, s.credit) for manifest in inputs for s in manifest.sources}
+    return [CardSource(*source) for source in sorted(named)]
+
+
+def _card(shard: Shard, inputs: Sequence[Manifest], skipped: Sequence[str]) -> DatasetCard:
+    rows: dict[str, int] = {}
+    for manifest in inputs:
+        for table, part in manifest.tables.items():
+            rows[table] = rows.get(table, 0) + part.rows
+    takes = [manifest.facts for manifest in inputs if "poses" in manifest.tables]
+    return DatasetCard(
+        title=shard.parameters["title"],
+        description=shard.parameters["description"],
+        rows=_without(rows, "scores"),
+        takes=sorted(facts["take_id"] for facts in takes),
+        held_out=sorted(facts["take_id"] for facts in takes if facts["is_held_out"]),
+        sources=_sources(inputs),
+        skipped=skipped,
+        cautions=_CAUTIONS,
+    )
+
+
+def _without(rows: Mapping[str, int], name: str) -> dict[str, int]:
+    return {table: count for table, count in rows.items() if table != name}

@@ -1,0 +1,49 @@
+"""Reading the truth behind virtual video: true cameras, and the takes' poses behind annotated frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from pasdedeux.cameras import PinholeCamera
+from storage_schema import ArtifactRef, Store
+from tasks.evaluation.topic import read_people
+
+__all__ = ["read_cameras", "read_take_frames", "read_takes"]
+
+
+def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, PinholeCamera]:
+    """Give the true camera of every virtual sequence."""
+    cameras = {}
+    for ref in refs:
+        if "cameras" not in store.manifest(ref).tables:
+            continue
+        table = store.read(ref, "cameras")
+        for row, sequence_id in enumerate(table["sequence_id"]):
+            cameras[sequence_id] = PinholeCamera(
+                focal_px=float(table["focal_px"][row]),
+                principal_point_px=table["principal_point_px"][row],
+                camera_from_world_rotmat=table["camera_from_world_rotmat"][row],
+                position_m=table["camera_position_m"][row],
+                image_size_px=(int(table["image_width_px"][row]), int(table["image_height_px"][row])),
+            )
+    return cameras
+
+
+def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
+    """Give one positions column of every take as (frame, person, joint, 3)."""
+    return {store.manifest(ref).facts["take_id"]: read_people(store, ref, column) for ref in refs}
+
+
+def read_take_frames(store: Store, refs: Iterable[ArtifactRef]) -> dict[tuple[str, int], tuple[str, int]]:
+    """Give the take and its frame behind every (sequence, frame) of virtual video."""
+    frames = {}
+    for ref in refs:
+        table = store.read(ref, "annotations", columns=["sequence_id", "frame", "take_id", "take_frame"])
+        for sequence_id, frame, take_id, take_frame in zip(
+            table["sequence_id"], table["frame"], table["take_id"], table["take_frame"], strict=True
+        ):
+            if take_id is not None:
+                frames[sequence_id, int(frame)] = (take_id, int(take_frame))
+    return frames

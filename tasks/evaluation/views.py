@@ -1,0 +1,96 @@
+"""Topic `views`: estimated views against the true cameras of virtual video."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pasdedeux.cameras import true_direction
+from pasdedeux.evaluation.figures import view_figure
+from pasdedeux.evaluation.views import view_scores
+from storage_schema import Store, TableData
+from tasks.evaluation.topic import TopicResult, make_shard
+from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.stage import Shard, StageInputs
+
+__all__ = ["TOPIC", "run", "shards"]
+
+TOPIC = "views"
+
+
+def shards(inputs: StageInputs) -> list[Shard]:
+    """One shard over all views that were estimated."""
+    estimated = inputs.of("views")
+    if not estimated:
+        return []
+    known = {ref.key for manifest in estimated for ref in manifest.inputs}
+    annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in known]
+    return [
+        make_shard(
+            topic=TOPIC,
+            name="accuracy",
+            inputs=[*estimated, *annotations, *inputs.of("poses")],
+            parameters={"num_views": len(estimated), "num_annotations": len(annotations)},
+            seed=inputs.seed,
+        )
+    ]
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Score and draw the views."""
+    num_views, num_annotations = shard.parameters["num_views"], shard.parameters["num_annotations"]
+    views = [store.read(ref, "views") for ref in shard.inputs[:num_views]]
+    annotated = shard.inputs[num_views : num_views + num_annotations]
+    takes = read_takes(store, shard.inputs[num_views + num_annotations :], "pair17_m")
+    cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
+    held_out = {
+        ref_take for ref in annotated if store.manifest(ref).facts["is_held_out"] for ref_take in _takes(store, ref)
+    }
+    scores = []
+    for split in ("annotated", "held_out"):
+        rows = [
+            (table, start, stop, truth)
+            for table in views
+            for start, stop in _annotations(table)
+            if (truth := frames.get((table["sequence_id"][start], int(table["frame"][start])))) is not None
+            and (truth[0] in held_out) == (split == "held_out")
+        ]
+        if rows:
+            estimated, weight = _hypotheses(rows)
+            true = np.stack(
+                [true_direction(takes[take][frame], cameras[t["sequence_id"][a]]) for t, a, _, (take, frame) in rows]
+            )
+            scores += view_scores(estimated, weight, true, split=split)
+    psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
+    picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
+    skipped = [note for ref in shard.inputs[:num_views] for note in store.manifest(ref).facts.get("skipped", [])]
+    return TopicResult(
+        scores=scores,
+        pictures={"views.png": picture},
+        captions={"views.png": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
+        notes=skipped,
+    )
+
+
+def _takes(store: Store, ref: object) -> Sequence[str]:
+    return list(store.manifest(ref).facts["takes"])  # type: ignore[arg-type]
+
+
+def _annotations(table: TableData) -> list[tuple[int, int]]:
+    """Give the row range of each annotation's hypotheses."""
+    if not table.num_rows:
+        return []
+    is_new = (table["sequence_id"][1:] != table["sequence_id"][:-1]) | (table["frame"][1:] != table["frame"][:-1])
+    starts = np.concatenate([[0], np.nonzero(is_new)[0] + 1])
+    return list(zip(starts.tolist(), [*starts[1:].tolist(), table.num_rows], strict=True))
+
+
+def _hypotheses(rows: Sequence[tuple[TableData, int, int, tuple[str, int]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Give directions (annotation, hypothesis, 3), NaN where there are fewer, and weights, 0 there."""
+    most = max(stop - start for _, start, stop, _ in rows)
+    directions, weights = np.full((len(rows), most, 3), np.nan), np.zeros((len(rows), most))
+    for index, (table, start, stop, _) in enumerate(rows):
+        directions[index, : stop - start] = table["direction"][start:stop]
+        weights[index, : stop - start] = table["weight"][start:stop]
+    return directions, weights

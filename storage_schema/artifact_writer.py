@@ -67,7 +67,13 @@ class ArtifactWriter:
             StorageError: The name is no plain file name, or is taken.
             FullDisk: There is no room left.
         """
-        if Path(name).name != name or name.startswith(".") or name == MANIFEST_NAME or not name.isprintable():
+        if (
+            not name
+            or Path(name).name != name
+            or name.startswith(".")
+            or name == MANIFEST_NAME
+            or not name.isprintable()
+        ):
             raise StorageError(f"'{name}' cannot name an attachment: a plain file name is needed, not {MANIFEST_NAME}")
         if name in self._attachments or name.removesuffix(".parquet") in TABLES:
             raise StorageError(f"'{name}' is already the name of a file of this artifact")

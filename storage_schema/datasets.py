@@ -120,7 +120,7 @@ def _publish(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -
     values = {**asdict(dataset), "schema_version": SCHEMA_VERSION}
     del values["path"]
     with write_errors(store.root):
-        staging = StagingFolder(store.root / "tmp")
+        staging = StagingFolder(store.staging_root)
         try:
             for name, data in attachments.items():
                 write_file(staging.path / name, data)

@@ -6,7 +6,6 @@ import errno
 import hashlib
 import io
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 
 from storage_schema.errors import FullDisk, StorageError
 
-__all__ = ["HashingFile", "make_folder", "replace_file", "sync_folder", "write_errors", "write_file"]
+__all__ = ["HashingFile", "make_folder", "sync_folder", "write_errors", "write_file"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 _REFUSED = {errno.EROFS, errno.EACCES, errno.EPERM}
@@ -89,23 +88,6 @@ def write_file(path: Path, data: bytes) -> HashingFile:
     with HashingFile(path) as file:
         file.write(data)
     return file
-
-
-def replace_file(path: Path, data: bytes) -> None:
-    """Put a whole file in the place of `path`: a reader sees the old one or the new one, nothing between."""
-    make_folder(path.parent)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    sync_folder(path.parent)
 
 
 def make_folder(folder: Path) -> None:

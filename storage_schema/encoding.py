@@ -93,10 +93,7 @@ class _MisfitError(Exception):
 
 def _fixed(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     axes = ", ".join(f"{name} {size}" for name, size in zip(column.axes, column.shape, strict=True))
-    try:
-        found = np.asarray(values)
-    except ValueError:
-        raise _MisfitError(f"has rows of different shapes; each row has the shape {column.shape} ({axes})") from None
+    found = _array(values)
     if len(found) == 0:
         found = np.empty((0, *column.shape))
     if found.shape[1:] != column.shape:
@@ -106,7 +103,7 @@ def _fixed(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
 
 
 def _varying(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
-    rows = [np.asarray(row) for row in values]
+    rows = [_array(row) for row in values]
     for index, row in enumerate(rows):
         if row.ndim != 1:
             raise _MisfitError(f"has an array of shape {row.shape} in row {index}; flatten it to one axis")
@@ -135,10 +132,9 @@ def _texts(column: Column, values: Any) -> list[str | None]:
 def _text_lists(column: Column, values: Any, stored: pa.DataType) -> pa.Array:
     rows: list[list[str]] = []
     for index, row in enumerate(values):
-        items = list(row) if not isinstance(row, str | None) else [row]
-        if isinstance(row, str | None) or not all(isinstance(item, str) for item in items):
+        if not isinstance(row, list | tuple | np.ndarray) or not all(isinstance(item, str) for item in row):
             raise _MisfitError(f"has {row!r} in row {index}; a list of texts is needed")
-        rows.append([str(item) for item in items])
+        rows.append([str(item) for item in row])
     return pa.array(rows, stored)
 
 
@@ -147,19 +143,26 @@ def _numbers(column: Column, kind: Kind, values: Any, stored: pa.DataType) -> pa
     if column.is_nullable:
         # The inverse of reading: a null number reads as NaN, so NaN and None are null here.
         listed = [np.nan if value is None else value for value in values]
-        found = np.asarray(listed)
+        found = _array(listed)
         if found.ndim == 1 and found.dtype.kind == "f":
             nulls = np.isnan(found)
             found = np.where(nulls, 0, found)
             if kind is Kind.INTEGER and np.array_equal(found, np.rint(found)):
                 found = found.astype(np.int64)
     else:
-        found = np.asarray(values)
+        found = _array(values)
     if found.ndim != 1:
         raise _MisfitError(f"has rows of shape {found.shape[1:]}; a single value a row is needed")
     if len(found) == 0:
         return pa.array([], stored)
     return pa.array(_as_type(found, stored), stored, mask=nulls)
+
+
+def _array(values: Any) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise _MisfitError("has rows of different shapes") from None
 
 
 def _as_type(found: np.ndarray, wanted: pa.DataType) -> np.ndarray:
@@ -169,7 +172,9 @@ def _as_type(found: np.ndarray, wanted: pa.DataType) -> np.ndarray:
         return np.empty(0, target)
     allowed = {"f": "fiu", "i": "iu", "b": "b"}[target.kind]
     if found.dtype.kind not in allowed:
-        example = next((value for value in found.tolist() if not isinstance(value, int | float)), found[0])
+        fitting = {"f": int | float, "i": int, "b": bool}[target.kind]
+        values = found.tolist()
+        example = next((value for value in values if not isinstance(value, fitting)), values[0])
         needed = {"f": "numbers are", "i": "whole numbers are", "b": "true or false is"}[target.kind]
         raise _MisfitError(f"has values of type {found.dtype} such as {example!r}; {needed} needed")
     if target.kind == "i":

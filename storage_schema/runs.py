@@ -19,10 +19,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from storage_schema.durable import make_folder, replace_file, write_errors
+from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
 from storage_schema.keys import plain_json
 from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer
+from storage_schema.staging import replace_file
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
@@ -121,9 +122,10 @@ class RunFolder:
         if not _NAME.fullmatch(name):
             raise StorageError(f"'{name}' cannot name a file of a run: letters, digits, '.', '_' and '-' are allowed")
         if isinstance(content, Mapping):
-            content = json.dumps(plain_json(dict(content)), indent=1, ensure_ascii=False) + "\n"
+            content = json.dumps(plain_json(dict(content), name), indent=1, ensure_ascii=False) + "\n"
         with write_errors(self.path):
-            replace_file(self.path / name, content.encode() if isinstance(content, str) else content)
+            data = content.encode() if isinstance(content, str) else content
+            replace_file(self.path / name, data, staging_root=self.path.parents[1] / "tmp")
         return self.path / name
 
     def read(self, name: str) -> bytes:
@@ -213,7 +215,8 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)
         values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}
-        replace_file(path, (json.dumps(plain_json(values), indent=1, ensure_ascii=False) + "\n").encode())
+        text = json.dumps(plain_json(values, "record"), indent=1, ensure_ascii=False) + "\n"
+        replace_file(path, text.encode(), staging_root=store.staging_root)
     return latest
 
 

@@ -1,4 +1,4 @@
-"""Temporary folders of a store: where an artifact grows before it is there, and how a crash's leftovers go.
+"""Temporary folders of a store: where things grow before they are there, and how a crash's leftovers go.
 
 A folder's owner holds a lock on a file beside it for as long as it lives; the system frees the lock when the process
 dies, however it dies.  So a folder whose lock can be taken belongs to nobody.  Locks are trusted on the owner's host
@@ -16,9 +16,9 @@ import time
 import uuid
 from pathlib import Path
 
-from storage_schema.durable import make_folder
+from storage_schema.durable import make_folder, sync_folder, write_file
 
-__all__ = ["StagingFolder", "clean_leftovers"]
+__all__ = ["StagingFolder", "clean_leftovers", "replace_file"]
 
 _FOREIGN_AGE_S = 7 * 24 * 3600.0
 
@@ -42,6 +42,18 @@ class StagingFolder:
         shutil.rmtree(self.path, ignore_errors=True)
         self._lock_path.unlink(missing_ok=True)
         os.close(self._lock)
+
+
+def replace_file(path: Path, data: bytes, *, staging_root: Path) -> None:
+    """Put a whole file in the place of `path`: a reader sees the old one or the new one, nothing between."""
+    make_folder(path.parent)
+    staging = StagingFolder(staging_root)
+    try:
+        write_file(staging.path / path.name, data)
+        (staging.path / path.name).replace(path)
+        sync_folder(path.parent)
+    finally:
+        staging.close()
 
 
 def clean_leftovers(root: Path) -> int:

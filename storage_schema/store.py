@@ -19,12 +19,12 @@ from typing import Any
 
 from storage_schema.artifact_writer import ArtifactWriter
 from storage_schema.credits import SourceCredit, merge_credits
-from storage_schema.durable import make_folder, replace_file, sync_folder, write_errors, write_file
+from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
 from storage_schema.errors import StorageError
 from storage_schema.keys import content_digest, plain_json
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
 from storage_schema.provenance import code_version, package_versions, source_digest
-from storage_schema.staging import StagingFolder, clean_leftovers
+from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
 from storage_schema.store_reader import RESERVED_NAMES, STORE_FILE, StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
@@ -131,7 +131,7 @@ class Store(StoreReader):
             raise StorageError(f"'{stage}' cannot name a stage: lower-case letters, digits and _ are allowed")
         self.prepare()
         with write_errors(self.root):
-            staging = StagingFolder(self.root / "tmp")
+            staging = StagingFolder(self.staging_root)
         try:
             with ArtifactWriter(
                 staging.path, where=self.root, facts=facts or {}, timings=timings or {}, sources=sources
@@ -180,9 +180,10 @@ class Store(StoreReader):
         with write_errors(self.root):
             make_folder(self.root)
             if not (self.root / STORE_FILE).is_file():
-                replace_file(self.root / STORE_FILE, json.dumps({"schema_version": SCHEMA_VERSION}).encode() + b"\n")
+                text = json.dumps({"schema_version": SCHEMA_VERSION}) + "\n"
+                replace_file(self.root / STORE_FILE, text.encode(), staging_root=self.staging_root)
         self.check_version()
-        clean_leftovers(self.root / "tmp")
+        clean_leftovers(self.staging_root)
 
     def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
         """Give the staged folder its name in one rename; gives the artifact that stands there in the end."""
@@ -212,7 +213,7 @@ class Store(StoreReader):
         """Remove a folder under a key; it vanishes in one rename, so nobody sees it half removed."""
         if not target.exists():
             return
-        staging = StagingFolder(self.root / "tmp")
+        staging = StagingFolder(self.staging_root)
         try:
             target.rename(staging.path / uuid.uuid4().hex)
             sync_folder(target.parent)

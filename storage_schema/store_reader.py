@@ -44,6 +44,11 @@ class StoreReader:
     def __reduce__(self) -> tuple[type[Self], tuple[str]]:
         return type(self), (str(self.root),)
 
+    @property
+    def staging_root(self) -> Path:
+        """Folder that holds what is being written."""
+        return self.root / "tmp"
+
     def folder(self, stage: str, key: str) -> Path:
         """Give the folder that holds, or would hold, the artifact of this key."""
         return self.root / stage / key[:2] / key

@@ -1,0 +1,120 @@
+"""Other programs read the files as they are, without this one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+
+from storage_schema import TABLES, Store, Table
+from storage_schema.arrow import Kind, column_kind
+from tests.storage_rows import commit_rows, random_columns
+
+NUM_ROWS = 23
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Write random rows of every table; give the Parquet file of each."""
+    store = Store(tmp_path_factory.mktemp("store"))
+    refs = {name: commit_rows(store, name, NUM_ROWS, stage="ingest", partition=name) for name in TABLES}
+    return {name: store.folder(ref.stage, ref.key) / f"{name}.parquet" for name, ref in refs.items()}
+
+
+def assert_rows(table: Table, found: dict[str, list]) -> None:
+    """Assert that plain Python lists, rows first, hold the random rows of the table."""
+    given = random_columns(table, NUM_ROWS)
+    assert list(found) == [column.name for column in table.columns]
+    for column in table.columns:
+        values = found[column.name]
+        assert len(values) == NUM_ROWS
+        kind = column_kind(column)
+        if kind in (Kind.TEXT, Kind.TEXT_LIST):
+            assert [row if row is None or isinstance(row, str) else list(row) for row in values] == given[column.name]
+        elif kind is Kind.FIXED:
+            rows = np.array([np.asarray(row, dtype=float).reshape(column.shape) for row in values])
+            np.testing.assert_array_equal(rows, given[column.name])
+        elif kind is Kind.VARYING:
+            for row, expected in zip(values, given[column.name], strict=True):
+                np.testing.assert_array_equal(np.asarray(row, dtype=float), expected)
+        else:
+            numbers = [np.nan if row is None or row is pd.NA else float(row) for row in values]
+            expected = [np.nan if row is None else float(row) for row in given[column.name]]
+            np.testing.assert_array_equal(numbers, expected)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_pyarrow_reads_every_table_with_its_metadata(files: dict[str, Path], name: str) -> None:
+    found = pq.read_table(files[name])
+    assert_rows(TABLES[name], found.to_pydict())
+    assert found.schema.metadata[b"table"].decode() == name
+    for column in TABLES[name].columns:
+        metadata = found.schema.field(column.name).metadata
+        assert metadata[b"meaning"].decode() == column.meaning
+        if column.shape:
+            assert tuple(json.loads(metadata[b"shape"])) == column.shape
+        if column.joints:
+            assert len(json.loads(metadata[b"joint_names"])) == column.shape[column.axes.index("joint")]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_pandas_reads_every_table(files: dict[str, Path], name: str) -> None:
+    found = pd.read_parquet(files[name])
+    columns = {
+        str(column): [None if pd.api.types.is_scalar(row) and pd.isna(row) else row for row in found[column]]
+        for column in found
+    }
+    assert_rows(TABLES[name], columns)
+
+
+def _none_where_missing(value: object) -> object:
+    return None if pd.api.types.is_scalar(value) and pd.isna(value) else value
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_polars_reads_every_table(files: dict[str, Path], name: str) -> None:
+    found = pl.read_parquet(files[name])
+    assert_rows(TABLES[name], found.to_dict(as_series=False))
+    for column in TABLES[name].columns:
+        if column.shape:
+            dtype = found.schema[column.name]
+            assert isinstance(dtype, pl.Array)
+            assert dtype.shape == (int(np.prod(column.shape)),)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_duckdb_reads_every_table(files: dict[str, Path], name: str) -> None:
+    with duckdb.connect() as connection:
+        relation = connection.read_parquet(str(files[name]))
+        rows = relation.fetchall()
+        columns = relation.columns
+    assert_rows(TABLES[name], {column: [row[i] for row in rows] for i, column in enumerate(columns)})
+
+
+def test_duckdb_queries_across_the_shards_of_a_stage(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for number in range(3):
+        commit_rows(store, "scores", 10, stage="evaluation", name=str(number), seed=number)
+    with duckdb.connect() as connection:
+        found = connection.sql(f"select count(*) from '{tmp_path}/evaluation/*/*/scores.parquet'").fetchall()
+    assert found == [(30,)]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_bytes_are_laid_out_as_the_design_says(files: dict[str, Path], name: str) -> None:
+    metadata = pq.ParquetFile(files[name]).metadata
+    assert metadata.format_version == "2.6"
+    for index in range(metadata.num_columns):
+        column = metadata.row_group(0).column(index)
+        assert column.compression == "ZSTD"
+        if column.physical_type in ("FLOAT", "DOUBLE"):
+            assert "BYTE_STREAM_SPLIT" in column.encodings
+            assert not column.has_dictionary_page
+        if column.physical_type == "BYTE_ARRAY":
+            assert column.has_dictionary_page

@@ -1,0 +1,145 @@
+"""Runs an action on a store again and again in child processes that die by SIGKILL, each a step later than the last.
+
+A step is a call that opens, makes, renames or removes something under the store, or brings a file to the disk.  After
+every death the store is looked at, then the action is run to its end and the store is looked at again.  Prints one JSON
+object.
+
+Usage: `python -m tests.fault.storage_killer ACTION FOLDER`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from storage_schema import (
+    ShardRecord,
+    Store,
+    create_dataset,
+    list_datasets,
+    read_latest,
+    record_latest,
+    verify,
+)
+from tests.storage_rows import commit_rows
+
+EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "shutil.rmtree"}
+
+
+def commit(store: Store) -> str:
+    """Commit an artifact with a table and an attachment."""
+    return commit_rows(store, "poses", 30, stage="ingest", attachments={"note.txt": b"note"}).content_digest
+
+
+def prepare_damaged(store: Store) -> None:
+    """Leave an artifact whose table is cut short under the key that `commit` uses."""
+    ref = commit_rows(store, "poses", 30, stage="ingest", attachments={"note.txt": b"note"})
+    path = store.folder(ref.stage, ref.key) / "poses.parquet"
+    path.write_bytes(path.read_bytes()[:-7])
+
+
+def prepare_record(store: Store) -> None:
+    """Leave a record of an earlier run."""
+    record_latest(store, "duets", "old", {"ingest": [_shard("a")]})
+
+
+def record(store: Store) -> str:
+    """Record a later run."""
+    record_latest(store, "duets", "new", {"seeds": [_shard("b")]})
+    return str(read_latest(store, "duets"))
+
+
+def prepare_refs(store: Store) -> None:
+    """Leave an artifact to make a dataset of."""
+    commit_rows(store)
+
+
+def make_dataset(store: Store) -> str:
+    """Make version 1 of a dataset, when it is not there."""
+    if not list_datasets(store):
+        create_dataset(store, "released", [commit_rows(store)], attachments={"card.md": b"# Card"})
+    return list_datasets(store)[0].digest
+
+
+def _shard(key: str) -> ShardRecord:
+    return ShardRecord("p", "n", key * 64, key * 64, 1, 0, {})
+
+
+ACTIONS: dict[str, tuple[Callable[[Store], None], Callable[[Store], str]]] = {
+    "commit": (lambda store: None, commit),
+    "heal": (prepare_damaged, commit),
+    "record": (prepare_record, record),
+    "dataset": (prepare_refs, make_dataset),
+}
+
+
+def die_at(step: int, root: Path) -> None:
+    """Kill this process when it comes to this step, counted from 0."""
+    count = 0
+
+    def next_step() -> None:
+        nonlocal count
+        if count == step:
+            os.kill(os.getpid(), signal.SIGKILL)
+        count += 1
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in EVENTS and str(arguments[0]).startswith(str(root)):
+            next_step()
+
+    def fsync(handle: int) -> None:
+        next_step()
+        real_fsync(handle)
+
+    real_fsync = os.fsync
+    os.fsync = fsync
+    sys.addaudithook(hook)
+
+
+def look(store: Store) -> dict[str, Any]:
+    """Say what a reader sees."""
+    latest = read_latest(store, "duets")
+    return {
+        "artifacts": [manifest.ref.content_digest for manifest in store.artifacts()],
+        "problems": [str(problem) for problem in verify(store).problems],
+        "datasets": [dataset.label for dataset in list_datasets(store)],
+        "latest": latest and latest.run_id,
+    }
+
+
+def run(action: str, folder: Path) -> dict[str, Any]:
+    """Kill the action at every step; gives what was seen after each death and after each rerun."""
+    prepare, act = ACTIONS[action]
+    quiet = Store(folder / "undisturbed")
+    prepare(quiet)
+    expected = act(quiet)
+    deaths: list[dict[str, Any]] = []
+    while True:
+        step = len(deaths)
+        root = folder / str(step)
+        prepare(Store(root))
+        child = os.fork()
+        if child == 0:
+            die_at(step, root)
+            act(Store(root))
+            os._exit(0)
+        _, status = os.waitpid(child, 0)
+        after_death = look(Store(root))
+        found = act(Store(root))
+        after_rerun = look(Store(root)) | {"is_same": found == expected, "tmp": _names(root / "tmp")}
+        deaths.append({"death": after_death, "rerun": after_rerun})
+        if os.WIFEXITED(status):
+            return {"deaths": deaths, "exit": os.WEXITSTATUS(status), "undisturbed": look(quiet)}
+
+
+def _names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+
+
+if __name__ == "__main__":
+    json.dump(run(sys.argv[1], Path(sys.argv[2])), sys.stdout)

@@ -1,0 +1,107 @@
+"""A disk that fills up at any moment is said in one sentence and leaves nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage_schema import FullDisk, StorageError, Store, create_dataset, record_latest, verify
+from storage_schema.durable import HashingFile
+from tests.storage_rows import commit_rows
+
+
+def commit(store: Store) -> Any:
+    return commit_rows(store, "poses", 300, stage="ingest", attachments={"note.txt": b"n" * 9000})
+
+
+@pytest.fixture
+def fill(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
+    """Give a function that lets this many more writes of bytes succeed, then every one fails with this error number."""
+    write = HashingFile.write
+
+    def fill(num_writes: int, number: int = errno.ENOSPC) -> None:
+        left = num_writes
+
+        def limited(file: HashingFile, data: Any) -> int:
+            nonlocal left
+            if left <= 0:
+                raise OSError(number, os.strerror(number))
+            left -= 1
+            return write(file, data)
+
+        monkeypatch.setattr(HashingFile, "write", limited)
+
+    return fill
+
+
+@pytest.mark.parametrize("num_writes", [0, 1, 5, 20, 40])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_while_writing_leaves_no_artifact(
+    tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch, num_writes: int, number: int
+) -> None:
+    store = Store(tmp_path)
+    before = commit_rows(store)
+    fill(num_writes, number)
+    with pytest.raises(FullDisk, match=f"the disk is full: no room left in {tmp_path}; nothing half-written was kept"):
+        commit(store)
+    assert [manifest.ref for manifest in store.artifacts()] == [before]
+    assert list((tmp_path / "tmp").iterdir()) == []
+    monkeypatch.undo()
+    ref = commit(store)
+    assert store.find("ingest", ref.key) is not None
+    assert verify(store).is_ok
+
+
+@pytest.mark.parametrize("call", ["fsync", "mkdir", "rename"])
+def test_a_full_disk_at_any_other_call_leaves_no_artifact(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    store = Store(tmp_path)
+    commit_rows(store)
+
+    def full(*arguments: Any, **more: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, call, full)
+        with pytest.raises(FullDisk):
+            commit(store)
+    assert len(list(store.artifacts())) == 1
+    assert list((tmp_path / "tmp").iterdir()) == []
+    assert verify(store).is_ok
+
+
+def test_a_full_disk_keeps_the_last_record_and_makes_no_dataset(
+    tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    ref = commit_rows(store)
+    record = record_latest(store, "duets", "one", {})
+    fill(0, errno.ENOSPC)
+    with pytest.raises(FullDisk):
+        record_latest(store, "duets", "two", {})
+    with pytest.raises(FullDisk):
+        create_dataset(store, "released", [ref])
+    monkeypatch.undo()
+    assert record_latest(store, "duets", "one", {}) == record
+    assert create_dataset(store, "released", [ref]).version == "1"
+
+
+def test_a_store_that_may_not_be_written_to_is_said(tmp_path: Path, fill: Callable[[int, int], None]) -> None:
+    fill(0, errno.EROFS)
+    with pytest.raises(StorageError, match=f"cannot write to {tmp_path}: Read-only file system"):
+        commit(Store(tmp_path))
+
+
+def test_another_error_of_the_file_system_is_not_renamed(tmp_path: Path, fill: Callable[[int, int], None]) -> None:
+    store = Store(tmp_path)
+    commit_rows(store)
+    fill(3, errno.EIO)
+    with pytest.raises(OSError, match="Input/output error"):
+        commit(store)
+    assert list((tmp_path / "tmp").iterdir()) == []

@@ -1,0 +1,98 @@
+"""Random rows that fit a table's definition, and short ways to commit them; for the tests of the store."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, Table, artifact_key
+from storage_schema.arrow import Kind, column_kind, value_type
+
+_WORDS = np.array(["waltz", "hug", "judo", "push", "", "Tänzer Ω", "a,b|c"], dtype=object)
+
+
+def random_columns(table: str | Table, num_rows: int, seed: int = 0) -> dict[str, Any]:
+    """Give random values of every column: NaN in floats, nulls in nullable columns, empty and long lists."""
+    definition = TABLES[table] if isinstance(table, str) else table
+    rng = np.random.default_rng(seed)
+    return {column.name: _values(column, num_rows, rng) for column in definition.columns}
+
+
+def _values(column: Any, num_rows: int, rng: np.random.Generator) -> Any:
+    kind = column_kind(column)
+    if kind is Kind.TEXT:
+        texts = rng.choice(_WORDS, num_rows).tolist()
+        return [None if column.is_nullable and rng.random() < 0.3 else text for text in texts]
+    if kind is Kind.TEXT_LIST:
+        return [rng.choice(_WORDS, rng.integers(0, 4)).tolist() for _ in range(num_rows)]
+    if kind is Kind.FIXED:
+        return _numbers(value_type(column), (num_rows, *column.shape), rng)
+    if kind is Kind.VARYING:
+        return [_numbers(value_type(column), (int(rng.integers(0, 9)),), rng) for _ in range(num_rows)]
+    numbers = _numbers(value_type(column), (num_rows,), rng)
+    if column.is_nullable:
+        return [None if rng.random() < 0.3 else number for number in numbers.tolist()]
+    return numbers
+
+
+def _numbers(arrow_type: Any, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    dtype = np.dtype(arrow_type.to_pandas_dtype())
+    if dtype.kind == "b":
+        return rng.random(shape) < 0.5
+    if dtype.kind == "i":
+        return rng.integers(-1000, 1000, shape, dtype=dtype)
+    values = rng.normal(size=shape).astype(dtype)
+    values[rng.random(shape) < 0.05] = np.nan
+    return values
+
+
+def commit_rows(
+    store: Store,
+    table: str = "scores",
+    num_rows: int = 5,
+    *,
+    stage: str = "evaluation",
+    partition: str = "all",
+    name: str = "0",
+    seed: int = 0,
+    inputs: tuple[ArtifactRef, ...] = (),
+    files: tuple[tuple[str, str], ...] = (),
+    sources: tuple[SourceCredit, ...] = (),
+    **more: Any,
+) -> ArtifactRef:
+    """Commit random rows of one table; the same arguments give the same key and the same bytes."""
+    parameters = {"partition": partition, "name": name, "num_rows": num_rows}
+    digests = [ref.content_digest for ref in inputs] + [digest for _, digest in files]
+    key = artifact_key(stage=stage, version=1, parameters=parameters, input_digests=digests, seed=seed)
+    return store.commit(
+        stage=stage,
+        key=key,
+        partition=partition,
+        name=name,
+        version=1,
+        parameters=parameters,
+        seed=seed,
+        inputs=inputs,
+        files=files,
+        tables={table: random_columns(table, num_rows, seed)},
+        sources=sources,
+        **more,
+    )
+
+
+def assert_same_values(found: Any, given: Any) -> None:
+    """Assert that a column read back holds what was given; None and NaN are equal in nullable number columns."""
+    if isinstance(found, np.ndarray) and found.dtype != object:
+        if isinstance(given, list):
+            given = np.array([np.nan if value is None else value for value in given])
+        np.testing.assert_array_equal(found, np.asarray(given).astype(found.dtype).reshape(found.shape))
+    elif isinstance(found, np.ndarray):
+        assert found.tolist() == list(given)
+    else:
+        assert len(found) == len(given)
+        for one, other in zip(found, given, strict=True):
+            if isinstance(one, np.ndarray):
+                np.testing.assert_array_equal(one, other)
+            else:
+                assert one == other

@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from storage_schema import errors
+
+
+@pytest.mark.parametrize("name", errors.__all__)
+def test_every_error_survives_pickling_and_has_one_root(name: str) -> None:
+    error = getattr(errors, name)("what was found, where, what is allowed")
+    copy = pickle.loads(pickle.dumps(error))
+    assert isinstance(error, errors.StorageError)
+    assert type(copy) is type(error)
+    assert str(copy) == str(error)
+
+
+def test_errors_that_a_user_can_put_right_say_so() -> None:
+    assert {name for name in errors.__all__ if getattr(errors, name).is_input} == {
+        "NewerSchema",
+        "FullDisk",
+        "UnknownReference",
+        "DatasetExists",
+    }

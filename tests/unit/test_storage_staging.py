@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from storage_schema import staging
+from storage_schema.staging import StagingFolder, clean_leftovers
+
+
+def test_a_living_owner_keeps_its_folder(tmp_path: Path) -> None:
+    folder = StagingFolder(tmp_path / "tmp")
+    (folder.path / "file").write_bytes(b"x")
+    assert clean_leftovers(tmp_path / "tmp") == 0
+    assert (folder.path / "file").exists()
+    folder.close()
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_a_dead_owner_loses_its_folder(tmp_path: Path) -> None:
+    folder = StagingFolder(tmp_path / "tmp")
+    (folder.path / "deep").mkdir()
+    (folder.path / "deep" / "file").write_bytes(b"x")
+    os.close(folder._lock)
+    assert clean_leftovers(tmp_path / "tmp") == 1
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_another_hosts_folder_stays_until_it_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = StagingFolder(tmp_path / "tmp")
+    (folder.path / "file").write_bytes(b"x")
+    os.close(folder._lock)
+    monkeypatch.setattr(staging, "_host", lambda: "elsewhere")
+    assert clean_leftovers(tmp_path / "tmp") == 0
+    for path in (folder.path / "file", folder.path, folder.path.with_name(f"{folder.path.name}.lock")):
+        os.utime(path, (0, 0))
+    assert clean_leftovers(tmp_path / "tmp") == 1
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_there_is_nothing_to_clean_where_nothing_is(tmp_path: Path) -> None:
+    assert clean_leftovers(tmp_path / "tmp") == 0

@@ -1,0 +1,349 @@
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from storage_schema import (
+    ArtifactRef,
+    CorruptArtifact,
+    MissingArtifact,
+    NewerSchema,
+    SchemaError,
+    SourceCredit,
+    StorageError,
+    Store,
+    artifact_key,
+)
+from storage_schema.parquet_files import ROW_GROUP_ROWS
+from tests.storage_rows import assert_same_values, commit_rows, random_columns
+
+KEY = artifact_key(stage="seeds", version=1, parameters={}, input_digests=[], seed=0)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def about(**changes: object) -> dict:
+    values = {"stage": "seeds", "key": KEY, "partition": "p", "name": "n", "version": 1, "parameters": {}, "seed": 0}
+    return {**values, "inputs": [], "files": [], **changes}
+
+
+def test_a_commit_is_found_and_its_manifest_says_what_it_is(store: Store) -> None:
+    ref = commit_rows(
+        store,
+        "poses",
+        7,
+        stage="ingest",
+        partition="waltz",
+        name="3",
+        seed=5,
+        files=(("a.bvh", "ab"),),
+        facts={"takes": ["waltz"], "num_frames": 7},
+        attachments={"note.txt": b"hello"},
+        timings={"read": 0.5},
+    )
+    manifest = store.find("ingest", ref.key)
+    assert manifest is not None
+    assert manifest.ref == ref
+    assert (manifest.partition, manifest.name, manifest.version, manifest.seed) == ("waltz", "3", 1, 5)
+    assert manifest.parameters == {"partition": "waltz", "name": "3", "num_rows": 7}
+    assert manifest.files == (("a.bvh", "ab"),)
+    assert manifest.tables["poses"].rows == 7
+    assert manifest.attachments["note.txt"].bytes == 5
+    assert manifest.facts == {"takes": ["waltz"], "num_frames": 7}
+    assert manifest.timings == {"read": 0.5}
+    assert manifest.schema_version == 1
+    assert len(manifest.source_digest) == 64
+    assert {"python", "numpy", "pyarrow"} <= set(manifest.package_versions)
+    assert store.manifest(ref) == manifest
+    assert store.attachment(ref, "note.txt") == b"hello"
+    assert [found.ref for found in store.artifacts()] == [ref]
+    assert list(store.artifacts("chains")) == []
+
+
+def test_reading_a_store_that_is_not_there_finds_nothing_and_makes_nothing(store: Store) -> None:
+    assert store.find("seeds", KEY) is None
+    assert list(store.artifacts()) == []
+    with pytest.raises(MissingArtifact, match=r"seeds@.* is not in the store"):
+        store.manifest(ArtifactRef("seeds", KEY, "0" * 64))
+    assert not store.root.exists()
+
+
+def test_a_store_travels_by_pickle_as_its_path(store: Store) -> None:
+    ref = commit_rows(store)
+    copy = pickle.loads(pickle.dumps(store))
+    assert copy == store
+    assert copy.manifest(pickle.loads(pickle.dumps(ref))) == store.manifest(ref)
+
+
+def test_times_and_timings_are_in_no_digest(tmp_path: Path) -> None:
+    one = commit_rows(Store(tmp_path / "one"), timings={"solve": 1.0})
+    other = commit_rows(Store(tmp_path / "other"), timings={"solve": 2.0})
+    assert one == other
+
+
+def test_columns_and_rows_can_be_chosen(store: Store) -> None:
+    given = random_columns("annotations", 2 * ROW_GROUP_ROWS + 50)
+    ref = store.commit(**about(tables={"annotations": given}))
+    edge = ROW_GROUP_ROWS
+    for rows in (slice(5, 9), slice(edge - 2, edge + 2), slice(-3, None), slice(7, 3), slice(90, 10**9)):
+        found = store.read(ref, "annotations", columns=["frame", "sequence_id"], rows=rows)
+        assert found.column_names == ["sequence_id", "frame"]
+        assert_same_values(found["frame"], given["frame"][rows])
+        assert_same_values(found["sequence_id"], given["sequence_id"][rows])
+    batches = list(store.iter_batches(ref, "annotations", columns=["frame"]))
+    assert [batch.num_rows for batch in batches] == [ROW_GROUP_ROWS, ROW_GROUP_ROWS, 50]
+    np.testing.assert_array_equal(np.concatenate([batch["frame"] for batch in batches]), given["frame"])
+
+
+def test_nullable_numbers_read_as_nan_and_nullable_text_as_none(store: Store) -> None:
+    columns = random_columns("annotations", 3) | {"take_frame": [4, None, 0], "take_id": ["a", None, ""]}
+    found = store.read(store.commit(**about(tables={"annotations": columns})), "annotations")
+    np.testing.assert_array_equal(found["take_frame"], [4.0, np.nan, 0.0])
+    assert found["take_id"].tolist() == ["a", None, ""]
+    assert found.is_null("take_frame").tolist() == [False, True, False]
+
+
+def test_a_nullable_column_may_be_left_out(store: Store) -> None:
+    columns = random_columns("annotations", 3)
+    del columns["take_id"], columns["take_frame"]
+    found = store.read(store.commit(**about(tables={"annotations": columns})), "annotations")
+    assert found["take_id"].tolist() == [None] * 3
+    assert np.isnan(found["take_frame"]).all()
+
+
+def test_rows_of_a_table_are_arrays_dicts_and_slices(store: Store) -> None:
+    given = random_columns("draws", 6)
+    found = store.read(store.commit(**about(tables={"draws": given})), "draws")
+    assert len(found) == 6
+    assert found["pair17_m"].shape == (6, 2, 17, 3)
+    assert found["pair17_m"].dtype == np.float32
+    assert found["pair17_m"].flags.writeable
+    assert found["pair17_m"] is found["pair17_m"]
+    assert found.row(-1)["draw"] == given["draw"][5]
+    assert_same_values(found.slice(2, 4)["parameters"], given["parameters"][2:4])
+    assert "draw" in found
+    assert "pair17" not in found
+    with pytest.raises(SchemaError, match="'draws': column 'pair17' is not here"):
+        found["pair17"]
+    with pytest.raises(IndexError, match="6 rows"):
+        found.row(6)
+
+
+def test_a_table_may_be_empty_and_keeps_its_shapes(store: Store) -> None:
+    ref = store.commit(**about(tables={"poses": {name: [] for name in random_columns("poses", 0)}}))
+    found = store.read(ref, "poses")
+    assert found.num_rows == 0
+    assert found["pair17_m"].shape == (0, 17, 3)
+    assert found["local_unitquat"] == []
+    assert list(store.iter_batches(ref, "poses")) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pair17_m": np.zeros((3, 17, 3))}, r"column 'pair17_m' has rows of shape \(17, 3\); .* \(2, 17, 3\)"),
+        ({"pair17_m": [np.zeros((2, 17, 3)), np.zeros(3), np.zeros(3)]}, "'pair17_m' has rows of different shapes"),
+        ({"draww": [1, 2, 3]}, "unknown column 'draww'; did you mean 'draw'"),
+        ({"draw": [1, 2]}, "column 'draw' has 2 rows but column 'density' has 3"),
+        ({"draw": [1.5, 2, 3]}, "column 'draw' has values of type float64 such as 1.5; whole numbers are needed"),
+        ({"draw": [1, 2, 2**40]}, "column 'draw' has values from 1 to 1099511627776; int32 holds"),
+        ({"draw": [1, None, 2]}, "column 'draw' has values of type object such as None"),
+        ({"draw": 3}, "column 'draw' is given as int; a list or array of rows is needed"),
+        ({"density": "ic"}, "column 'density' is given as str"),
+        ({"density": ["ic", 3, "ic"]}, "column 'density' has 3 in row 1; text is needed"),
+        ({"density": ["ic", None, "ic"]}, "column 'density' has None in row 1; text is needed"),
+        ({"log_density": ["a", "b", "c"]}, "column 'log_density' has values of type <U1 such as 'a'; numbers are"),
+        ({"log_density": np.zeros((3, 2))}, r"column 'log_density' has rows of shape \(2,\); a single value"),
+        ({"log_density": [1j, 0, 0]}, "column 'log_density' has values of type complex128"),
+    ],
+)
+def test_a_misfit_is_refused_by_table_and_column(store: Store, change: dict, words: str) -> None:
+    with pytest.raises(SchemaError, match=f"table 'draws': .*{words}"):
+        store.commit(**about(tables={"draws": random_columns("draws", 3) | change}))
+    assert store.find("seeds", KEY) is None
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_a_missing_column_and_bad_lists_are_refused_by_name(store: Store) -> None:
+    columns = random_columns("takes", 2)
+    without = {name: values for name, values in columns.items() if name != "credit"}
+    with pytest.raises(SchemaError, match="table 'takes': column 'credit' is missing"):
+        store.commit(**about(tables={"takes": without}))
+    with pytest.raises(SchemaError, match="column 'joint_names' has 'abc' in row 0; a list of texts"):
+        store.commit(**about(tables={"takes": columns | {"joint_names": ["abc", []]}}))
+    with pytest.raises(SchemaError, match=r"column 'joint_parents' has an array of shape \(2, 2\) in row 1; flatten"):
+        store.commit(**about(tables={"takes": columns | {"joint_parents": [[1], np.zeros((2, 2), int)]}}))
+    with pytest.raises(SchemaError, match="column 'is_held_out' has values of type int64 such as 1; true or false"):
+        store.commit(**about(tables={"takes": columns | {"is_held_out": [1, 0]}}))
+
+
+def test_unknown_tables_stages_and_attachments_are_refused(store: Store) -> None:
+    with pytest.raises(StorageError, match="unknown table 'posen'; known tables: takes, poses"):
+        store.commit(**about(tables={"posen": {}}))
+    for stage in ("tmp", "runs", "datasets", "../x", "Ingest", ""):
+        with pytest.raises(StorageError, match="cannot name a stage"):
+            store.commit(**about(stage=stage, tables={}))
+    for name in ("a/b", "../a", ".hidden", "manifest.json", "", "a\nb"):
+        with pytest.raises(StorageError, match="cannot name an attachment"):
+            store.commit(**about(tables={}, attachments={name: b""}))
+    with pytest.raises(StorageError, match="already the name of a file"):
+        store.commit(**about(tables={}, attachments={"poses.parquet": b""}))
+    with pytest.raises(StorageError, match="64 hexadecimal digits"):
+        store.commit(**about(key="abc", tables={}))
+    with pytest.raises(StorageError, match=r"facts.a is of type ndarray"):
+        store.commit(**about(tables={}, facts={"a": np.zeros(1)}))
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_unknown_columns_tables_and_attachments_cannot_be_read(store: Store) -> None:
+    ref = commit_rows(store)
+    with pytest.raises(MissingArtifact, match="holds no table 'poses'; it holds: scores"):
+        store.read(ref, "poses")
+    with pytest.raises(SchemaError, match="table 'scores' has no column 'valu'; known columns: topic"):
+        store.read(ref, "scores", columns=["valu"])
+    with pytest.raises(MissingArtifact, match=r"has no attachment 'a.txt'; it has: none"):
+        store.attachment(ref, "a.txt")
+
+
+def test_a_writer_streams_and_gives_the_same_bytes_as_one_commit(tmp_path: Path) -> None:
+    columns = random_columns("scores", 2 * ROW_GROUP_ROWS + 7)
+    whole = Store(tmp_path / "whole").commit(**about(tables={"scores": columns}))
+    store = Store(tmp_path / "streamed")
+    with store.writer(**about()) as writer:
+        for start in range(0, 2 * ROW_GROUP_ROWS + 7, 777):
+            writer.append("scores", {name: values[start : start + 777] for name, values in columns.items()})
+        writer.facts["takes"] = ["a"]
+        writer.timings["solve"] = 2.0
+        writer.attach("note.txt", b"x")
+        with pytest.raises(StorageError, match="before its block has ended"):
+            writer.ref  # noqa: B018
+    streamed = store.manifest(writer.ref)
+    assert streamed.tables == Store(tmp_path / "whole").manifest(whole).tables
+    assert streamed.facts == {"takes": ["a"]}
+    assert streamed.timings == {"solve": 2.0}
+
+
+def test_a_writer_whose_block_raises_leaves_nothing_behind(store: Store) -> None:
+    def broken() -> None:
+        with store.writer(**about()) as writer:
+            writer.append("scores", random_columns("scores", 3))
+            raise RuntimeError("solver diverged")
+
+    with pytest.raises(RuntimeError, match="solver diverged"):
+        broken()
+    assert store.find("seeds", KEY) is None
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_sources_of_inputs_are_carried_on_once(store: Store) -> None:
+    cmu, ours = SourceCredit("cmu", "free", "mocap.cs.cmu.edu"), SourceCredit("duets", "Apache-2.0", "built in")
+    first = commit_rows(store, stage="ingest", partition="a", sources=(cmu,))
+    second = commit_rows(store, stage="ingest", partition="b", sources=(ours, cmu))
+    third = commit_rows(store, stage="seeds", inputs=(first, second))
+    last = commit_rows(store, stage="chains", inputs=(third,))
+    assert store.manifest(last).sources == (cmu, ours)
+
+
+def test_an_input_that_is_not_in_the_store_is_refused(store: Store) -> None:
+    with pytest.raises(MissingArtifact, match="ingest@"):
+        commit_rows(store, inputs=(ArtifactRef("ingest", KEY, "0" * 64),))
+
+
+def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    first = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
+    again = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
+    assert again == first
+    assert not caplog.records
+    other = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=1)}))
+    assert other == first
+    assert "computed a second time with other bytes" in caplog.text
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+@pytest.mark.parametrize("damage", ["missing", "short", "no manifest", "bad manifest", "other columns", "other key"])
+def test_a_damaged_artifact_is_not_found_and_a_new_commit_heals_it(store: Store, damage: str) -> None:
+    ref = commit_rows(store)
+    folder = store.folder(ref.stage, ref.key)
+    path = folder / "manifest.json"
+    values = json.loads(path.read_text())
+    if damage == "missing":
+        (folder / "scores.parquet").unlink()
+    elif damage == "short":
+        data = (folder / "scores.parquet").read_bytes()
+        (folder / "scores.parquet").write_bytes(data[:-1])
+    elif damage == "no manifest":
+        path.unlink()
+    elif damage == "bad manifest":
+        path.write_text(path.read_text()[:100])
+    elif damage == "other columns":
+        values["tables"]["scores"]["schema"] = "0" * 16
+        path.write_text(json.dumps(values))
+    else:
+        values["ref"]["key"] = "0" * 64
+        path.write_text(json.dumps(values))
+    assert store.find(ref.stage, ref.key) is None
+    assert list(store.artifacts()) == []
+    assert commit_rows(store) == ref
+    assert store.find(ref.stage, ref.key) is not None
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_reading_a_damaged_file_names_it(store: Store) -> None:
+    ref = commit_rows(store, num_rows=50)
+    path = store.folder(ref.stage, ref.key) / "scores.parquet"
+    data = bytearray(path.read_bytes())
+    data[60] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(CorruptArtifact, match=r"scores\.parquet cannot be read"):
+        store.read(ref, "scores")
+    path.write_bytes(data[:40])
+    with pytest.raises(CorruptArtifact, match=r"scores\.parquet cannot be read"):
+        store.read(ref, "scores")
+    path.unlink()
+    with pytest.raises(CorruptArtifact, match=r"scores\.parquet is missing though its manifest names it"):
+        list(store.iter_batches(ref, "scores"))
+
+
+def test_a_reference_to_other_bytes_is_refused(store: Store) -> None:
+    ref = commit_rows(store)
+    with pytest.raises(CorruptArtifact, match="rebuilt with other bytes"):
+        store.manifest(ArtifactRef(ref.stage, ref.key, "0" * 64))
+
+
+def test_a_discarded_artifact_is_missing(store: Store) -> None:
+    ref = commit_rows(store)
+    store.discard(ref)
+    store.discard(ref)
+    assert store.find(ref.stage, ref.key) is None
+    assert commit_rows(store) == ref
+
+
+def test_a_store_of_a_newer_program_is_refused(store: Store) -> None:
+    ref = commit_rows(store)
+    (store.root / "store.json").write_text('{"schema_version": 99}')
+    for act in (lambda s: s.find(ref.stage, ref.key), lambda s: s.manifest(ref), lambda s: commit_rows(s, name="1")):
+        with pytest.raises(NewerSchema, match=r"newer program \(schema version 99, this one knows up to 1\)"):
+            act(Store(store.root))
+
+
+def test_an_artifact_of_a_newer_program_is_refused(store: Store) -> None:
+    ref = commit_rows(store)
+    path = store.folder(ref.stage, ref.key) / "manifest.json"
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps({**values, "schema_version": 2, "something_new": 1}))
+    with pytest.raises(NewerSchema, match="schema version 2"):
+        store.find(ref.stage, ref.key)
+
+
+def test_a_folder_that_is_no_store_is_named(store: Store) -> None:
+    store.root.mkdir()
+    (store.root / "store.json").write_text("[]")
+    with pytest.raises(StorageError, match="is not a store"):
+        store.find("seeds", KEY)

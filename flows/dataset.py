@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from flows.execution import Outcome, Partition, Run, begin, execute, partitions_to_run
 from flows.planning import Plan, StagePlan, make_plan
-from flows.prefect_server import check_server, running_server, telemetry_off
+from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.study import load_study
 from storage_schema import Store
 from tasks.graph import load_graph
@@ -79,7 +79,7 @@ def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
         ServerError, ClusterError: Prefect's server or the Dask cluster cannot be used.
         ShardError: A shard failed; what was committed before stays.
     """
-    with _prefect_server(run), _workers(run, settings) as workers:
+    with _prefect_server(run) as await_server, _workers(run, settings) as workers, await_server():
         return _graph_flow(run, plan, workers)
 
 
@@ -121,7 +121,7 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
     partitions = partitions_to_run(plan)
     failures: list[ShardError] = []
     is_serial = workers.client is None
-    runner = ThreadPoolTaskRunner(max_workers=1 if is_serial else min(len(partitions), _MAX_PARTITIONS_AT_ONCE))
+    runner: Any = ThreadPoolTaskRunner(max_workers=1 if is_serial else min(len(partitions), _MAX_PARTITIONS_AT_ONCE))
 
     @task(
         name=f"{plan.stage.name}-partition",
@@ -154,7 +154,7 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
         try:
             for partition in partitions:
                 waits = [futures[name] for name in partition.needs]
-                futures[partition.name] = build_partition.submit(partition.name, wait_for=waits)
+                futures[partition.name] = build_partition.submit(partition.name, wait_for=waits, return_state=False)
             for future in futures.values():
                 future.result()
         except BaseException:
@@ -171,20 +171,17 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
 
 
 @contextmanager
-def _prefect_server(run: Run) -> Iterator[None]:
-    """Make sure that there is a Prefect server for this block."""
+def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[object]]]:
+    """Begin to make sure that there is a Prefect server for this block; what is given waits for it, and sets it."""
     address = get_current_settings().api.url
     if address is not None:
         check_server(address)
-        yield
+        yield nullcontext
         return
     run.listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
-    # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
-    with (
-        running_server() as address,
-        temporary_settings({PREFECT_API_URL: address, PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}),
-    ):
-        yield
+    with starting_server() as server:
+        # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
+        yield lambda: temporary_settings({PREFECT_API_URL: server.wait(), PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None})
 
 
 @contextmanager
@@ -193,8 +190,7 @@ def _workers(run: Run, settings: ClusterSettings) -> Iterator[Workers]:
     Path(run.store.root).mkdir(parents=True, exist_ok=True)
     if settings.scheduler is None and settings.num_workers == 0:
         os.environ.update(worker_environment())
-        with nullcontext():
-            yield Workers()
+        yield Workers()
         return
     if settings.scheduler is None:
         run.listener.note(f"starting {settings.num_workers} local workers")

@@ -141,14 +141,16 @@ def settle(run: Run, plan: Plan) -> Outcome:
     is_on_record = last is not None and all(
         last.refs(stage.stage.name) == [m.ref for m in stage.manifests] for stage in plan.stages if stage.is_selected
     )
-    if last is None or not is_on_record or report_folder(run.store, last.run_id) is None:
+    has_report = any("scores" in stage.stage.writes and stage.is_selected for stage in plan.stages)
+    report = report_folder(run.store, last.run_id) if last is not None else None
+    if last is None or not is_on_record or (has_report and report is None):
         return execute(run, begin(run, plan), plan, _no_work)
     outcomes = tuple(
         StageOutcome(stage.stage.name, len(stage.shards), 0, 0.0, tuple(m.ref for m in stage.manifests))
         for stage in plan.stages
         if stage.is_selected
     )
-    return Outcome(last.run_id, outcomes, report_folder(run.store, last.run_id))
+    return Outcome(last.run_id, outcomes, report)
 
 
 def partitions_to_run(plan: StagePlan) -> list[Partition]:

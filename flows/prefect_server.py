@@ -17,7 +17,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["ServerError", "check_server", "running_server", "telemetry_off"]
+__all__ = ["LocalServer", "ServerError", "check_server", "starting_server", "telemetry_off"]
 
 _STARTUP_TIMEOUT_VARIABLE = "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS"
 _STARTUP_TIMEOUT_S = 120.0
@@ -40,45 +40,58 @@ def telemetry_off() -> None:
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "CRITICAL")
 
 
-@contextmanager
-def running_server() -> Iterator[str]:
-    """Start a server on a free local port and give the address of its API; it ends with this block.
+class LocalServer:
+    """A server that is starting; `wait` gives the address of its API once it answers."""
 
-    Raises:
-        ServerError: It ended or did not answer in time.
-    """
-    telemetry_off()
-    timeout_s = float(os.environ.get(_STARTUP_TIMEOUT_VARIABLE, _STARTUP_TIMEOUT_S))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "flows.prefect_server"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        start_new_session=True,
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        address = process.stdout.readline().strip()
-        if not address:
-            raise ServerError(f"Prefect's local server ended with code {process.wait()} instead of starting")
-        deadline = time.monotonic() + timeout_s
-        while not _answers(address):
-            if process.poll() is not None:
-                raise ServerError(f"Prefect's local server ended with code {process.returncode} instead of starting")
+    def __init__(self) -> None:
+        telemetry_off()
+        self._timeout_s = float(os.environ[_STARTUP_TIMEOUT_VARIABLE])
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "flows.prefect_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
+        )
+
+    def wait(self) -> str:
+        """Wait until the server answers.
+
+        Raises:
+            ServerError: It ended, or did not answer in time.
+        """
+        assert self._process.stdout is not None
+        deadline = time.monotonic() + self._timeout_s
+        address = self._process.stdout.readline().strip()
+        while not (address and _answers(address)):
+            if not address or self._process.poll() is not None:
+                raise ServerError(f"Prefect's local server ended with code {self._process.wait()} instead of starting")
             if time.monotonic() > deadline:
                 raise ServerError(
-                    f"Prefect's local server did not answer within {timeout_s:.0f} s; "
+                    f"Prefect's local server did not answer within {self._timeout_s:.0f} s; "
                     f"set {_STARTUP_TIMEOUT_VARIABLE} to wait longer"
                 )
             time.sleep(0.1)
-        yield address
+        return address
+
+    def end(self) -> None:
+        """End the server; what it has recorded stays in the user's Prefect database."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+
+
+@contextmanager
+def starting_server() -> Iterator[LocalServer]:
+    """Start a server on a free local port, without waiting for it; it ends with this block."""
+    server = LocalServer()
+    try:
+        yield server
     finally:
-        process.kill()
-        process.wait()
-        process.stdin.close()
-        process.stdout.close()
+        server.end()
 
 
 def check_server(address: str) -> None:

@@ -250,7 +250,7 @@ def _with_absolute_paths(
     """Give a validated value with every relative path in it made absolute."""
     if isinstance(value, Path):
         start = here if any(path[: len(other)] == other for other in overridden) else base
-        return start / value.expanduser()  # type: ignore[return-value]
+        return start / value.expanduser()
     if isinstance(value, BaseModel):
         changed = {
             name: _with_absolute_paths(getattr(value, name), (*path, name), base, here, overridden)
@@ -261,5 +261,5 @@ def _with_absolute_paths(
         return {k: _with_absolute_paths(v, (*path, str(k)), base, here, overridden) for k, v in value.items()}  # type: ignore[return-value]
     if isinstance(value, list | tuple):
         items = [_with_absolute_paths(v, (*path, str(i)), base, here, overridden) for i, v in enumerate(value)]
-        return type(value)(items)  # type: ignore[return-value]
+        return type(value)(items)
     return value

@@ -116,8 +116,10 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     try:
         ref = run_shard(shard, Store(store_root))
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
-        raise ShardError(_where(shard), type(error).__name__, _message(error), traceback.format_exc()) from None
-    return ref, time.perf_counter() - started
+        failure = ShardError(_where(shard), type(error).__name__, _message(error), traceback.format_exc())
+    else:
+        return ref, time.perf_counter() - started
+    raise failure  # out here it drags no original error along, which may not be picklable
 
 
 def run_serially(

@@ -43,9 +43,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
     context = Context(given_graph=graph)
     try:
-        _app()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
-    except typer.Exit as leave:
-        return leave.exit_code
+        code = _app()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
     except _UsageError as error:
         error.show()
         return _BAD_INPUT
@@ -60,7 +58,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
         else:
             typer.echo(f"error: {_sentence(error)}", err=True)
         return exit_code_of(error)
-    return _DONE
+    return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
 
 
 def exit_code_of(error: BaseException) -> int:

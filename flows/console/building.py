@@ -65,26 +65,7 @@ def register(app: typer.Typer) -> None:
 def run(
     context: typer.Context,
     study: StudyArgument = "duets",
-    settings: _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
-
-\b
-Examples:
-  pasdedeux run                                  the built-in duets, into ./store
-  pasdedeux run my.toml --store /data/store --workers 8
-  pasdedeux run my.toml --set chains.num_chains=4 --until chains
-  pasdedeux run my.toml --scheduler tcp://cluster:8786
-"""
-_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
-_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
-
-\b
-fresh    it is there and nothing it depends on has changed
-missing  it was never built, or its files are gone
-stale    something it depends on has changed; says what
-pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
-"""
-
-SettingOption = None,
+    settings: SettingOption = None,
     store: StoreOption = Path("store"),
     workers: Annotated[
         int | None, typer.Option(min=0, help="Local worker processes; one per core when not given, 0 for none.")
@@ -126,26 +107,7 @@ SettingOption = None,
 def plan(
     context: typer.Context,
     study: StudyArgument = "duets",
-    settings: _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
-
-\b
-Examples:
-  pasdedeux run                                  the built-in duets, into ./store
-  pasdedeux run my.toml --store /data/store --workers 8
-  pasdedeux run my.toml --set chains.num_chains=4 --until chains
-  pasdedeux run my.toml --scheduler tcp://cluster:8786
-"""
-_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
-_PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
-
-\b
-fresh    it is there and nothing it depends on has changed
-missing  it was never built, or its files are gone
-stale    something it depends on has changed; says what
-pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
-"""
-
-SettingOption = None,
+    settings: SettingOption = None,
     store: StoreOption = Path("store"),
     only: OnlyOption = None,
     start: FromOption = None,

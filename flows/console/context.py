@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +14,19 @@ import typer
 from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
-__all__ = ["Context", "JsonOption", "StoreOption", "StudyArgument", "open_store", "print_json"]
+__all__ = ["Context", "ExportFormat", "JsonOption", "StoreOption", "StudyArgument", "open_store", "print_json"]
 
 StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")]
 StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
+
+
+class ExportFormat(StrEnum):
+    """Formats of exported files."""
+
+    BVH = "bvh"
+    NPZ = "npz"
+    CSV = "csv"
 
 
 @dataclass

@@ -5,14 +5,15 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from flows.console.context import ExportFormat
 from pasdedeux.errors import InputError
-from pasdedeux.formats import motion_from_positions, write_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.working_poses import motion_from_positions
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from storage_schema import (
@@ -28,18 +29,10 @@ from storage_schema import (
     resolve,
 )
 
-__all__ = ["ExportFormat", "export_reference"]
+__all__ = ["export_reference"]
 
 _SKELETONS = {"pair17": PAIR17, "op14": OP14, "body22": BODY22}
 _BVH_TABLES = ("poses", "variants", "motions")
-
-
-class ExportFormat(StrEnum):
-    """Formats of exported files."""
-
-    BVH = "bvh"
-    NPZ = "npz"
-    CSV = "csv"
 
 
 def export_reference(store: Store, text: str, file_format: ExportFormat, out: Path) -> list[Path]:
@@ -166,7 +159,7 @@ def _csv_cells(column: Column, batch: TableData) -> list[list[Any]]:
     if isinstance(values, list):
         return [[json.dumps(np.asarray(value).tolist())] for value in values]
     if column.shape:
-        return values.reshape(batch.num_rows, -1).tolist()  # type: ignore[no-any-return]
+        return values.reshape(batch.num_rows, -1).tolist()
     return [[value] for value in values.tolist()]
 
 

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.exporting import ExportFormat, export_reference
+from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
 from storage_schema import TABLES, Store, lineage, parse_reference, resolve, source_files
 from storage_schema import verify as verify_store
 
@@ -107,6 +106,8 @@ def export(
     store: StoreOption = Path("store"),
 ) -> None:
     """Write what a reference names into files."""
+    from flows.console.exporting import export_reference
+
     written = export_reference(open_store(store), reference, file_format, out)
     for path in written:
         typer.echo(str(path))

@@ -1,0 +1,55 @@
+"""What may import what, and what the command line must not import before there is work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.toy_runs import ROOT, run_toys, write_study
+
+_PROBE = """
+import sys
+from flows.console.app import run_command_line
+from tests.toys import TOYS
+code = run_command_line(sys.argv[1:], graph=TOYS)
+print("CODE", code)
+print("LOADED", *sorted(name for name in sys.modules if name.partition(".")[0] in {names!r}))
+"""
+
+
+def loaded(names: set[str], *arguments: str) -> list[str]:
+    """Give which of these packages a command has imported."""
+    found = subprocess.run(
+        [sys.executable, "-c", _PROBE.format(names=names), *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "CODE 0" in found.stdout, found.stdout + found.stderr
+    return found.stdout.splitlines()[-1].split()[1:]
+
+
+def test_imports_run_one_way() -> None:
+    found = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_planning_and_a_run_with_nothing_to_do_import_neither_prefect_nor_dask(tmp_path: Path) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store)
+    orchestration = {"prefect", "dask", "distributed"}
+    assert loaded(orchestration, "plan", str(study), "--store", str(store)) == []
+    assert loaded(orchestration, "run", str(study), "--store", str(store)) == []
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = {"prefect", "dask", "distributed", "numba", "scipy", "matplotlib", "cv2", "sklearn", "arviz", "torch"}
+    assert loaded(heavy, "--help") == []

@@ -1,0 +1,124 @@
+"""Runs of the toy stages for tests: in this process without Prefect and Dask, or as a person would start them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from flows.execution import Outcome, Run, StageRunner, begin, execute
+from flows.planning import Plan, Selection, make_plan
+from flows.study import load_study
+from storage_schema import Store, read_latest
+from tasks.graph import Graph
+from tasks.shards import run_serially
+from tests.toys import TOYS
+
+ROOT = Path(__file__).parents[1]
+STUDY = '[study]\nname = "toy"\nseed = 7\n'
+
+
+def write_study(folder: Path, text: str = STUDY) -> Path:
+    path = folder / "toy.toml"
+    path.write_text(text)
+    return path
+
+
+def plan_toys(
+    study: Path, store: Path, *settings: str, selection: Selection | None = None, graph: Graph = TOYS
+) -> Plan:
+    chosen, stages = load_study(str(study), graph, settings=settings, environment={})
+    return make_plan(chosen, stages, Store(store), selection)
+
+
+def run_toys(
+    study: Path,
+    store: Path,
+    *settings: str,
+    selection: Selection | None = None,
+    graph: Graph = TOYS,
+    runner: StageRunner | None = None,
+) -> Outcome:
+    """Run in this process, without Prefect and Dask."""
+    chosen, stages = load_study(str(study), graph, settings=settings, environment={})
+    run = Run(chosen, stages, Store(store), selection or Selection())
+    plan = make_plan(chosen, stages, run.store, selection)
+    return execute(run, begin(run, plan), plan, runner or serial)
+
+
+def serial(run: Run, plan: Any) -> None:
+    run_serially(plan.stage.run_shard, plan.todo, str(run.store.root), on_done=run.listener.shard_done)
+
+
+def digests(store: Path, study: str = "toy") -> dict[str, list[str]]:
+    """Give the content digests of every stage of the last run."""
+    latest = read_latest(Store(store), study)
+    assert latest is not None
+    return {stage: [ref.content_digest for ref in latest.refs(stage)] for stage in latest.stages}
+
+
+def states(plan: Plan) -> dict[str, str]:
+    """Give each stage's state in a word, or its counts."""
+    words = {}
+    for stage in plan.stages:
+        counts: dict[str, int] = {}
+        for item in stage.shards:
+            counts[item.state.value] = counts.get(item.state.value, 0) + 1
+        words[stage.stage.name] = (
+            "pending" if stage.is_pending else ", ".join(f"{counts[name]} {name}" for name in sorted(counts))
+        )
+    return words
+
+
+class Started:
+    """The command line in a process of its own, on the toy stages."""
+
+    def __init__(self, arguments: Sequence[str], *, gates: Path, prefect_home: Path) -> None:
+        gates.mkdir(exist_ok=True)
+        self.gates = gates
+        environment = {**os.environ, "TOY_FOLDER": str(gates), "PREFECT_HOME": str(prefect_home)}
+        environment.pop("PREFECT_API_URL", None)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.toys", *arguments],
+            cwd=ROOT,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def ran(self) -> list[str]:
+        """Give the shards whose computation began, in that order."""
+        path = self.gates / "ran.txt"
+        return [line.split()[0] for line in path.read_text().splitlines()] if path.exists() else []
+
+    def worker_of(self, name: str) -> int:
+        """Give the process that began to compute a shard last."""
+        lines = [line.split() for line in (self.gates / "ran.txt").read_text().splitlines()]
+        return int(next(pid for shard, pid in reversed(lines) if shard == name))
+
+    def wait_for(self, name: str) -> None:
+        """Wait until a shard's computation began."""
+        wait_until(lambda: name in self.ran() or self.process.poll() is not None, f"{name} to begin")
+        assert self.process.poll() is None, self.process.communicate()
+
+    def finish(self) -> tuple[int, str, str]:
+        """Wait for the end; gives exit code, standard output and standard error."""
+        out, err = self.process.communicate(timeout=120)
+        return self.process.returncode, out, err
+
+
+def wait_until(is_so: Callable[[], bool], what: str, *, limit_s: float = 60.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not is_so():
+        assert time.monotonic() < deadline, f"waited {limit_s:.0f} s for {what}"
+        time.sleep(0.02)
+
+
+def read_json(text: str) -> Any:
+    return json.loads(text)

@@ -1,0 +1,195 @@
+"""The command line: what it answers, its exit codes, and that an error is one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.app import run_command_line
+from tests.toy_runs import run_toys, write_study
+from tests.toys import TOYS
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """A study and a store in which it is built."""
+    folder = tmp_path_factory.mktemp("built")
+    study = write_study(folder)
+    run_toys(study, folder / "store")
+    return str(study), str(folder / "store")
+
+
+def call(*arguments: str) -> int:
+    return run_command_line(arguments, graph=TOYS)
+
+
+def test_a_run_with_nothing_to_do_says_so_and_where_the_report_is(
+    built: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = built
+    assert call("run", study, "--store", store) == 0
+    out = capsys.readouterr().out
+    assert "everything is fresh, nothing to do" in out
+    assert "report.html" in out
+
+
+def test_a_run_answers_a_program_in_json(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    study, store = built
+    assert call("run", study, "--store", store, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["num_computed"] == 0
+    assert [stage["stage"] for stage in answer["stages"]] == ["aside", "grow", "bend", "judge"]
+    assert (Path(answer["report"]) / "report.html").read_text() == "<h1>toys</h1>"
+
+
+def test_a_fresh_run_leaves_no_new_record(built: tuple[str, str]) -> None:
+    study, store = built
+    before = sorted((Path(store) / "runs").iterdir())
+    assert call("run", study, "--store", store) == 0
+    assert sorted((Path(store) / "runs").iterdir()) == before
+
+
+def test_plan_says_what_would_be_computed_and_why(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    study, store = built
+    assert call("plan", study, "--store", store, "--set", "bend.step=3") == 0
+    out = capsys.readouterr().out
+    assert "stale: bend.step 1000 -> 3" in out
+    assert "pending: depends on bend; rebuilt only if its bytes change" in out
+    assert call("plan", study, "--store", store, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["is_fresh"] is True
+
+
+def test_status_names_studies_stages_and_runs(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("status", "--store", built[1], "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["studies"][0]["study"] == "toy"
+    assert {stage["num_there"] for stage in answer["studies"][0]["stages"]} == {1, 6}
+    assert answer["runs"][-1]["status"] == "finished"
+
+
+def test_show_gives_columns_rows_lineage_and_sources(
+    built: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("show", "scores:toy", "--store", built[1]) == 0
+    out = capsys.readouterr().out
+    for words in ("Name of the measure", "topic=models", "judge@", "grow@", "source t1: CC0-1.0; made for a test"):
+        assert words in out
+    assert call("show", "training_log:toy/t1#7", "--store", built[1], "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rows"][0]["step"] == 2
+
+
+def test_verify_finds_a_changed_byte(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = tmp_path / "store"
+    run_toys(write_study(tmp_path), store)
+    assert call("verify", "--store", str(store)) == 0
+    page = next(store.glob("judge/*/*/report.html"))
+    page.write_bytes(page.read_bytes().replace(b"toys", b"boys"))
+    capsys.readouterr()
+    assert call("verify", "--store", str(store)) == 1
+    assert "report.html" in capsys.readouterr().out
+
+
+def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path: Path) -> None:
+    assert call("export", "models:toy", "--store", built[1], "--out", str(tmp_path)) == 0
+    arrays = np.load(tmp_path / "models.npz")
+    assert arrays["values_offsets"].tolist() == [0, 5, 10, 15, 20, 25, 30]
+    assert arrays["split"].tolist() == ["t0"] * 3 + ["t1"] * 3
+    assert call("export", "codebook:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
+    lines = (tmp_path / "codebook.csv").read_text().splitlines()
+    assert lines[0].startswith("cluster,representative_m.head.x,representative_m.head.y,representative_m.neck.x")
+    assert len(lines) == 5
+    assert call("export", "training_log:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
+    assert "licence: CC0-1.0" in (tmp_path / "CREDITS.txt").read_text()
+
+
+def test_export_as_bvh_of_a_table_without_motion_is_refused(
+    built: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("export", "scores:toy", "--store", built[1], "--format", "bvh", "--out", str(tmp_path / "x")) == 2
+    assert "cannot be written as BVH" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_dataset_is_made_once_and_named_again(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    store = built[1]
+    assert call("dataset", "create", "first", "--study", "toy", "--store", store) == 0
+    assert call("dataset", "create", "first", "--study", "toy", "--store", store) == 0
+    assert "first@1 is this already" in capsys.readouterr().out
+    assert call("dataset", "create", "first", "--study", "toy", "--version", "1", "--store", store) == 2
+    assert call("show", "scores:first@1", "--store", store) == 0
+    assert call("dataset", "list", "--store", store) == 0
+    assert "first@1  14 artifacts" in capsys.readouterr().out
+    assert call("dataset", "create", "second", "--study", "unbuilt", "--store", store) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "duetts"), "did you mean"),
+        (("run", "{study}", "--set", "grow.num_take=1"), "grow.num_take: unknown; did you mean num_takes?"),
+        (("run", "{study}", "--set", "grow.num_takes=0"), "grow.num_takes"),
+        (("run", "{study}", "--set", "grow.source=nowhere"), "does not exist"),
+        (("run", "{study}", "--set", "grow.num_takes=9", "--only", "bend"), "not finished and not selected"),
+        (("plan", "{study}", "--until", "chains"), "unknown stage 'chains'"),
+        (("show", "poses:nothing"), "nothing"),
+        (("show", "everything"), "not a reference"),
+        (("rum",), "No such command"),
+        (("run", "--nope"), "No such option"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(
+    built: tuple[str, str], arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = built
+    line = [argument.format(study=study) for argument in arguments]
+    if len(line) > 1 and "--nope" not in line:
+        line += ["--store", store]
+    assert call(*line) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert "Traceback" not in err
+
+
+def test_a_store_of_a_newer_program_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = tmp_path / "store"
+    store.mkdir()
+    (store / "store.json").write_text('{"schema_version": 999}')
+    assert call("run", str(write_study(tmp_path)), "--store", str(store)) == 2
+    assert "newer program" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("flows.console.building._LEAST_FREE_BYTES", 2**62)
+    assert call("run", str(write_study(tmp_path)), "--store", str(tmp_path / "store")) == 2
+    assert "free some space first" in capsys.readouterr().err
+
+
+def test_debug_shows_the_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("--debug", "run", "duetts", "--store", str(tmp_path)) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_teaches_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, words in (
+        (("--help",), "pasdedeux run --set"),
+        (("run", "--help"), "pasdedeux run my.toml --scheduler"),
+        (("plan", "--help"), "pending  it depends"),
+        (("export", "--help"), "pasdedeux export variants"),
+    ):
+        assert call(*arguments) == 0
+        assert words in capsys.readouterr().out
+
+
+def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("study", "list") == 0
+    assert "duets" in capsys.readouterr().out
+    assert call("study", "show", "duets") == 0
+    assert '[study]\nname = "duets"' in capsys.readouterr().out
+    assert call("study", "show", "duetts") == 2

@@ -1,0 +1,207 @@
+"""The rerun rule: fresh, missing, stale with the reason in words, pending; and what a run then computes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flows.execution import Partition, partitions_to_run
+from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
+from pasdedeux.errors import InputError
+from storage_schema import Store, read_latest
+from tasks.graph import Graph
+from tasks.stage import Shard
+from tests.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
+from tests.toys import TOYS
+
+FRESH = {"aside": "1 fresh", "grow": "6 fresh", "bend": "6 fresh", "judge": "1 fresh"}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    return write_study(tmp_path)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Path:
+    return tmp_path / "store"
+
+
+def reasons(plan: object, stage: str) -> set[str]:
+    return {item.reason for item in plan.stage(stage).shards if item.reason}  # type: ignore[attr-defined]
+
+
+def test_before_the_first_run_everything_is_missing_or_pending(study: Path, store: Path) -> None:
+    plan = plan_toys(study, store)
+    assert states(plan) == {"aside": "1 missing", "grow": "6 missing", "bend": "pending", "judge": "pending"}
+    assert reasons(plan, "grow") == {"never built"}
+    assert plan.stage("bend").pending_reason == "depends on grow; rebuilt only if its bytes change"
+    assert not store.exists()
+
+
+def test_after_a_run_everything_is_fresh_and_a_second_run_computes_nothing(study: Path, store: Path) -> None:
+    assert run_toys(study, store).num_computed == 14
+    assert states(plan_toys(study, store)) == FRESH
+    assert run_toys(study, store).num_computed == 0
+
+
+def test_one_parameter_makes_stale_what_reads_it_and_says_which(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    plan = plan_toys(study, store, "bend.step=2")
+    assert states(plan) == {"aside": "1 fresh", "grow": "6 fresh", "bend": "6 stale", "judge": "pending"}
+    assert reasons(plan, "bend") == {"bend.step 1000 -> 2"}
+    assert run_toys(study, store, "bend.step=2").num_computed == 7
+
+
+def test_a_rebuilt_input_with_the_same_bytes_stops_the_rebuild(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    outcome = run_toys(study, store, "grow.scale=1.5")
+    assert [(stage.name, stage.num_computed) for stage in outcome.stages] == [
+        ("aside", 0),
+        ("grow", 6),
+        ("bend", 6),
+        ("judge", 0),
+    ]
+
+
+def test_more_takes_leave_the_old_ones_fresh(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    plan = plan_toys(study, store, "grow.num_takes=3")
+    assert states(plan)["grow"] == "6 fresh, 3 missing"
+    assert reasons(plan, "grow") == {"new: grow.num_takes 2 -> 3"}
+
+
+def test_a_changed_seed_a_raised_version_and_a_changed_file_are_named(study: Path, store: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source.bin"
+    source.write_bytes(b"one")
+    run_toys(study, store, "grow.source=" + str(source))
+    source.write_bytes(b"two")
+    assert reasons(plan_toys(study, store, "grow.source=" + str(source)), "grow") == {"file source.bin changed"}
+    source.write_bytes(b"one")
+    changed = plan_toys(study, store, "grow.source=" + str(source), "study.seed=8")
+    assert "study.seed 7 -> 8" in reasons(changed, "grow")
+    stages = tuple(replace(s, version=2, plan=_second_version) if s.name == "aside" else s for s in TOYS.stages)
+    plan = plan_toys(study, store, "grow.source=" + str(source), graph=Graph(stages))
+    assert reasons(plan, "aside") == {"stage version 1 -> 2"}
+
+
+def test_a_moved_source_file_changes_nothing(study: Path, store: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source.bin"
+    source.write_bytes(b"one")
+    run_toys(study, store, "grow.source=" + str(source))
+    moved = source.rename(tmp_path / "moved.bin")
+    assert states(plan_toys(study, store, "grow.source=" + str(moved))) == FRESH
+
+
+def test_a_changed_take_is_named(study: Path, store: Path) -> None:
+    run_toys(study, store, "bend.step=1")
+    text = STUDY + "[grow]\nscale = 3.0\n[bend]\nstep = 1\n"
+    run_toys(study, store, "bend.step=1", "grow.scale=3.0", selection=Selection(until="grow"))
+    study.write_text(text)
+    plan = plan_toys(study, store)
+    assert states(plan)["bend"] == "6 stale"
+    assert {"take t0 changed", "take t1 changed"} <= reasons(plan, "bend")
+
+
+def test_lost_files_are_missing_and_only_they_are_rebuilt(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    before = digests(store)
+    latest = read_latest(Store(store), "toy")
+    assert latest is not None
+    Store(store).discard(latest.refs("bend")[2])
+    plan = plan_toys(study, store)
+    assert states(plan)["bend"] == "5 fresh, 1 missing"
+    assert reasons(plan, "bend") == {"its files are gone or not whole"}
+    assert run_toys(study, store).num_computed == 1
+    assert digests(store) == before
+
+
+def test_forced_stages_are_computed_again_and_end_in_the_same_bytes(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    before = digests(store)
+    plan = plan_toys(study, store, selection=Selection(force=("bend",)))
+    assert (states(plan)["bend"], states(plan)["judge"]) == ("6 stale", "pending")
+    outcome = run_toys(study, store, selection=Selection(force=("bend",)))
+    assert outcome.num_computed == 6
+    assert digests(store) == before
+
+
+def test_until_from_and_only_choose_stages(study: Path, store: Path) -> None:
+    assert [s.name for s in run_toys(study, store, selection=Selection(until="bend")).stages] == ["grow", "bend"]
+    assert [s.name for s in run_toys(study, store, selection=Selection(start="bend")).stages] == ["bend", "judge"]
+    assert [s.name for s in run_toys(study, store, selection=Selection(only=("aside",))).stages] == ["aside"]
+
+
+def test_a_selected_stage_whose_input_is_not_there_is_refused(study: Path, store: Path) -> None:
+    with pytest.raises(PlanError, match="stage bend needs grow, which is not finished and not selected"):
+        plan_toys(study, store, selection=Selection(only=("bend",)))
+
+
+def test_an_unknown_stage_is_answered_with_the_known_ones(study: Path, store: Path) -> None:
+    with pytest.raises(PlanError, match="unknown stage 'chains'; known stages: aside, grow, bend, judge"):
+        plan_toys(study, store, selection=Selection(until="chains"))
+
+
+def test_a_source_that_is_not_there_is_refused_while_planning(study: Path, store: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        plan_toys(study, store, "grow.source=nowhere.bin")
+
+
+def test_changed_sources_under_the_same_version_are_a_warning(
+    study: Path, store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_toys(study, store)
+    assert plan_toys(study, store).warnings == ()
+    monkeypatch.setattr("flows.planning.source_digest", lambda: "other")
+    plan = plan_toys(study, store)
+    assert plan.is_fresh
+    assert len(plan.warnings) == 1
+    assert "aside, grow, bend, judge" in plan.warnings[0]
+
+
+def test_a_damaged_record_of_the_last_run_costs_words_only(study: Path, store: Path) -> None:
+    run_toys(study, store)
+    (store / "runs" / "latest" / "toy.json").write_text("{")
+    assert states(plan_toys(study, store)) == FRESH
+
+
+def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:
+    stages = tuple(replace(s, plan=_plan_twice) if s.name == "aside" else s for s in TOYS.stages)
+    with pytest.raises(PlanError, match="twice"):
+        plan_toys(study, store, graph=Graph(stages))
+
+
+def test_partitions_come_after_those_they_need_and_tangled_ones_become_one() -> None:
+    a, b, c = (_shard(name, ()) for name in "abc")
+    d = _shard("b2", (a.key,), partition="b")
+    assert partitions_to_run(_plan_of(d, b, a, c)) == [
+        Partition("a", (a,)),
+        Partition("c", (c,)),
+        Partition("b", (d, b), ("a",)),
+    ]
+    e = _shard("a2", (b.key,), partition="a")
+    assert partitions_to_run(_plan_of(a, e, b, d, c)) == [
+        Partition("c", (c,)),
+        Partition("a + b", (a, e, b, d), ("c",)),
+    ]
+
+
+def _shard(name: str, after: tuple[str, ...], partition: str | None = None) -> Shard:
+    return Shard(stage="toy", version=1, partition=partition or name, name=name, parameters={}, after=after)
+
+
+def _plan_of(*shards: Shard) -> StagePlan:
+    stage = TOYS.stage("aside")
+    return StagePlan(stage, is_selected=True, shards=tuple(ShardPlan(shard, State.MISSING) for shard in shards))
+
+
+def _second_version(inputs: object, parameters: object) -> list[Shard]:
+    shards = TOYS.stage("aside").plan(inputs, parameters)  # type: ignore[arg-type]
+    return [replace(shard, version=2) for shard in shards]
+
+
+def _plan_twice(inputs: object, parameters: object) -> list[Shard]:
+    shards = TOYS.stage("aside").plan(inputs, parameters)  # type: ignore[arg-type]
+    return [*shards, replace(shards[0])]

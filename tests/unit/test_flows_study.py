@@ -1,0 +1,161 @@
+"""Studies: what wins over what, and one clear sentence for everything that is wrong."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field
+
+from flows.study import Study, StudyError, load_study, shipped_studies
+from tasks.graph import Graph
+from tasks.stage import Parameters, Stage
+from tests.toys import TOYS, plan_aside, run_aside
+
+
+class Person(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    path: Path
+    metres_per_unit: float = Field(1.0, gt=0)
+
+
+class LoadParameters(Parameters):
+    people: tuple[Person, ...] = ()
+    folder: Path | None = None
+    rate_hz: float = Field(30.0, gt=0)
+
+
+GRAPH = Graph((*TOYS.stages, Stage("load", 1, (), ("takes",), LoadParameters, plan_aside, run_aside)))
+HEAD = '[study]\nname = "mine"\n'
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text(HEAD + text)
+    return path
+
+
+def load(path: Path | str, *settings: str, environment: dict[str, str] | None = None) -> Study:
+    return load_study(str(path), GRAPH, settings=settings, environment=environment or {})[0]
+
+
+def problems(path: Path | str, *settings: str, environment: dict[str, str] | None = None) -> list[str]:
+    with pytest.raises(StudyError) as caught:
+        load(path, *settings, environment=environment)
+    return caught.value.problems
+
+
+def grow(study: Study) -> dict[str, object]:
+    return study.parameters["grow"].model_dump()
+
+
+def test_defaults_fill_what_the_file_does_not_say(tmp_path: Path) -> None:
+    assert grow(load(write(tmp_path, "[grow]\nnum_takes = 5\n")))["num_segments"] == 3
+
+
+def test_settings_win_over_environment_over_file_over_defaults(tmp_path: Path) -> None:
+    path = write(tmp_path, "[grow]\nnum_takes = 5\nnum_segments = 5\nscale = 5.0\n")
+    environment = {"PASDEDEUX_SET__GROW__NUM_SEGMENTS": "6", "PASDEDEUX_SET__GROW__SCALE": "6.0"}
+    found = grow(load(path, "grow.scale=7.5", environment=environment))
+    assert (found["num_takes"], found["num_segments"], found["scale"]) == (5, 6, 7.5)
+
+
+def test_the_later_of_two_equal_settings_wins(tmp_path: Path) -> None:
+    assert grow(load(write(tmp_path, ""), "grow.num_takes=2", "grow.num_takes=4"))["num_takes"] == 4
+
+
+def test_a_setting_reaches_into_lists_and_takes_text_without_quotes(tmp_path: Path) -> None:
+    path = write(tmp_path, '[[load.people]]\npath = "a.bvh"\n[[load.people]]\npath = "b.bvh"\n')
+    study = load(path, "load.people.1.metres_per_unit=0.5", "judge.title=hello there")
+    assert [p["metres_per_unit"] for p in study.resolved()["load"]["people"]] == [1.0, 0.5]
+    assert study.resolved()["judge"]["title"] == "hello there"
+
+
+def test_unknown_keys_are_named_with_the_nearest_known_name(tmp_path: Path) -> None:
+    found = problems(write(tmp_path, "[grow]\nnum_take = 2\n[bent]\nstep = 1\n"))
+    assert any("grow.num_take: unknown; did you mean num_takes?" in p for p in found)
+    assert any("bent: unknown; did you mean bend?" in p for p in found)
+
+
+def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path) -> None:
+    found = problems(write(tmp_path, '[[load.people]]\npath = "a.bvh"\nmeters_per_unit = 1.0\n'))
+    assert any("load.people.0.meters_per_unit: unknown; did you mean metres_per_unit?" in p for p in found)
+
+
+def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:
+    found = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
+    assert len(found) == 4
+    assert any("grow.num_takes: should be greater than or equal to 1; found 0" in p for p in found)
+    assert any("grow.scale" in p and "'big'" in p for p in found)
+    assert any("--set nonsense: expected section.name=value" in p for p in found)
+    assert any(
+        "judge.nothing: unknown; did you mean" in p or "judge.nothing: unknown; known: title" in p for p in found
+    )
+
+
+def test_a_missing_value_is_named(tmp_path: Path) -> None:
+    assert any("load.people.0.path: missing" in p for p in problems(write(tmp_path, "[[load.people]]\n")))
+
+
+def test_an_unknown_study_is_answered_with_those_that_ship() -> None:
+    assert "did you mean duets?" in problems("duetts")[0]
+
+
+def test_a_study_file_that_is_not_there_or_not_toml_is_refused(tmp_path: Path) -> None:
+    assert "does not exist" in problems(tmp_path / "none.toml")[0]
+    assert "not valid TOML" in problems(write(tmp_path, "[grow\n"))[0]
+
+
+def test_a_study_without_a_name_or_with_a_path_for_one_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text("[study]\n")
+    assert any("study.name: missing" in p for p in problems(path))
+    path.write_text('[study]\nname = "../up"\n')
+    assert any("study.name" in p for p in problems(path))
+
+
+def test_setting_below_a_single_value_is_refused(tmp_path: Path) -> None:
+    assert any("is a single value" in p for p in problems(write(tmp_path, "[grow]\nscale = 1.0\n"), "grow.scale.x=1"))
+
+
+def test_paths_of_the_file_are_relative_to_it_and_those_of_settings_to_the_current_folder(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    path = tmp_path / "deep" / "mine.toml"
+    path.write_text(HEAD + '[[load.people]]\npath = "a.bvh"\n')
+    study, _ = load_study(str(path), GRAPH, settings=["load.folder=data"], environment={}, folder=tmp_path)
+    section = study.resolved()["load"]
+    assert section["people"][0]["path"] == str(tmp_path / "deep" / "a.bvh")
+    assert section["folder"] == str(tmp_path / "data")
+
+
+def test_a_study_may_stop_at_some_stages(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('[study]\nname = "mine"\nstages = ["grow", "bend"]\n')
+    study, graph = load_study(str(path), GRAPH, environment={})
+    assert graph.names == ("grow", "bend")
+    assert set(study.parameters) == {"grow", "bend"}
+    path.write_text('[study]\nname = "mine"\nstages = ["grew"]\n')
+    assert any("did you mean grow?" in p for p in problems(path))
+
+
+def test_a_study_is_frozen(tmp_path: Path) -> None:
+    study = load(write(tmp_path, ""))
+    with pytest.raises(ValueError, match="frozen"):
+        study.head.seed = 3  # type: ignore[misc]
+
+
+def test_the_real_environment_is_read_when_none_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(os.environ, "PASDEDEUX_SET__GROW__NUM_TAKES", "9")
+    study, _ = load_study(str(write(tmp_path, "")), GRAPH)
+    assert study.resolved()["grow"]["num_takes"] == 9
+
+
+def test_every_study_that_ships_has_a_name_and_a_title() -> None:
+    import tomllib
+
+    for name, text in shipped_studies().items():
+        head = tomllib.loads(text)["study"]
+        assert head["name"] == name
+        assert head["title"]

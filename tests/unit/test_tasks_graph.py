@@ -1,0 +1,55 @@
+"""The graph of stages: its order follows from reads and writes, and what cannot be run is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from tasks.graph import Graph, GraphError, load_graph
+from tasks.stage import Stage
+from tests.toys import TOYS, AsideParameters, plan_aside, run_aside
+
+
+def stage(name: str, reads: tuple[str, ...], writes: tuple[str, ...]) -> Stage:
+    return Stage(name, 1, reads, writes, AsideParameters, plan_aside, run_aside)
+
+
+def test_every_stage_comes_after_those_that_write_what_it_reads_and_the_order_never_varies() -> None:
+    assert TOYS.names == ("aside", "grow", "bend", "judge")
+    assert Graph(tuple(reversed(TOYS.stages))).names == TOYS.names
+
+
+def test_above_and_below_follow_the_tables() -> None:
+    assert TOYS.above("judge") == {"grow", "bend"}
+    assert TOYS.below("grow") == {"bend", "judge"}
+    assert TOYS.below("aside") == frozenset()
+
+
+def test_a_cycle_is_refused_and_named() -> None:
+    with pytest.raises(GraphError, match="the stages form a cycle"):
+        Graph((stage("a", ("seeds",), ("draws",)), stage("b", ("draws",), ("seeds",))))
+
+
+def test_a_stage_that_reads_its_own_table_is_refused() -> None:
+    with pytest.raises(GraphError, match="reads a table that it writes itself"):
+        Graph((stage("a", ("draws",), ("draws",)),))
+
+
+def test_two_writers_of_one_table_and_two_stages_of_one_name_are_refused() -> None:
+    with pytest.raises(GraphError, match="table 'draws' is written by two stages"):
+        Graph((stage("a", (), ("draws",)), stage("b", (), ("draws",))))
+    with pytest.raises(GraphError, match="two stages are named 'a'"):
+        Graph((stage("a", (), ("draws",)), stage("a", (), ("seeds",))))
+
+
+def test_a_part_of_the_graph_reads_only_what_its_own_stages_write() -> None:
+    part = TOYS.only(["bend", "judge"])
+    assert part.names == ("bend", "judge")
+    assert part.upstream == {"bend": (), "judge": ("bend",)}
+
+
+def test_the_stages_of_the_program_form_a_graph() -> None:
+    graph = load_graph()
+    for one in graph.stages:
+        assert one.meaning, f"stage {one.name} says nothing about itself"
+        for name in graph.upstream[one.name]:
+            assert graph.names.index(name) < graph.names.index(one.name)

@@ -1,0 +1,152 @@
+"""Shards on workers: order, bounds, errors that name the shard, and workers that die."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from distributed import Client
+
+from storage_schema import ArtifactRef, Store
+from tasks.shards import (
+    ClusterError,
+    ClusterSettings,
+    ShardDone,
+    ShardError,
+    Stopped,
+    connect,
+    run_on_cluster,
+    run_serially,
+    worker_environment,
+)
+from tasks.stage import Shard, StageInputs
+from tests.toys import GrowParameters, plan_grow, run_grow
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    with connect(ClusterSettings(num_workers=2), store_root=str(tmp_path_factory.mktemp("store"))) as client:
+        yield client
+
+
+def shards(num_takes: int = 2, num_segments: int = 3) -> list[Shard]:
+    return plan_grow(StageInputs({}, 7), GrowParameters(num_takes=num_takes, num_segments=num_segments))
+
+
+def fail_with_a_message(shard: Shard, store: Store) -> ArtifactRef:
+    raise ValueError("the 3rd joint is missing")
+
+
+class UnpicklableError(Exception):
+    def __init__(self) -> None:
+        super().__init__("holds a lock")
+        self.lock = threading.Lock()
+
+
+def fail_with_an_unpicklable_error(shard: Shard, store: Store) -> ArtifactRef:
+    raise UnpicklableError
+
+
+def die_once(shard: Shard, store: Store) -> ArtifactRef:
+    marker = store.root / f"died-{shard.name}"
+    if shard.name == "s0" and not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_grow(shard, store)
+
+
+def die_always(shard: Shard, store: Store) -> ArtifactRef:
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError("unreachable")
+
+
+def name_threads(shard: Shard, store: Store) -> ArtifactRef:
+    raise ValueError(f"{os.environ['OMP_NUM_THREADS']} {os.environ['NUMBA_NUM_THREADS']}")
+
+
+def test_the_cluster_and_one_process_give_the_same_artifacts_in_the_order_asked_for(
+    client: Client, tmp_path: Path
+) -> None:
+    asked = list(reversed(shards()))
+    here = run_serially(run_grow, asked, str(tmp_path / "here"))
+    there = run_on_cluster(client, run_grow, asked, str(tmp_path / "there"), max_in_flight=2)
+    assert here == there
+    assert [ref.key for ref in here] == [shard.key for shard in asked]
+
+
+def test_every_shard_is_told_of_once(client: Client, tmp_path: Path) -> None:
+    told: list[ShardDone] = []
+    run_on_cluster(client, run_grow, shards(4, 2), str(tmp_path), on_done=told.append, max_in_flight=3)
+    assert sorted(done.shard.key for done in told) == sorted(shard.key for shard in shards(4, 2))
+    assert all(done.seconds > 0 for done in told)
+
+
+def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="stage grow, t0, shard s0: the 3rd joint is missing") as caught:
+        run_on_cluster(client, fail_with_a_message, shards(), str(tmp_path))
+    assert caught.value.kind == "ValueError"
+    assert "fail_with_a_message" in caught.value.trace
+
+
+def test_an_error_that_cannot_be_pickled_keeps_its_message(client: Client, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="holds a lock"):
+        run_on_cluster(client, fail_with_an_unpicklable_error, shards(), str(tmp_path))
+
+
+def test_a_shard_whose_worker_died_once_is_computed_all_the_same(client: Client, tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    there = run_on_cluster(client, die_once, shards(), str(tmp_path / "store"))
+    assert there == run_serially(run_grow, shards(), str(tmp_path / "here"))
+
+
+def test_a_shard_that_kills_its_workers_is_named(client: Client, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="stage grow, t0, shard s0: its worker process died 3 times"):
+        run_on_cluster(client, die_always, shards(1, 1), str(tmp_path))
+
+
+def test_workers_use_one_thread(client: Client, tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="1 1"):
+        run_on_cluster(client, name_threads, shards(1, 1), str(tmp_path))
+
+
+def test_work_given_up_elsewhere_stops(client: Client, tmp_path: Path) -> None:
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(Stopped):
+        run_on_cluster(client, run_grow, shards(), str(tmp_path), stop=stop)
+    with pytest.raises(Stopped):
+        run_serially(run_grow, shards(), str(tmp_path), stop=stop)
+
+
+def test_a_given_scheduler_is_used_and_survives(client: Client, tmp_path: Path) -> None:
+    address = client.scheduler_info()["address"]
+    with connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)) as other:
+        assert run_on_cluster(other, run_grow, shards(), str(tmp_path))
+    assert client.scheduler_info()["workers"]
+
+
+def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tasks.shards._CONNECT_TIMEOUT_S", 0.5)
+    with (
+        pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
+        connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+def test_workers_that_do_not_see_the_store_are_refused(client: Client, tmp_path: Path) -> None:
+    address = client.scheduler_info()["address"]
+    with (
+        pytest.raises(ClusterError, match="does not see the store"),
+        connect(ClusterSettings(scheduler=address), store_root=str(tmp_path / "nowhere")),
+    ):
+        pass
+
+
+def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere")
+    assert worker_environment()["NUMBA_CACHE_DIR"] == "/somewhere"

@@ -166,7 +166,9 @@ class Augmenter:
         verdict, reason = quality.judge(self.settings.limits)
         if solver == "plain_fk":
             verdict = Verdict.FAIL
-            reason = "; ".join(filter(None, ["neither solver gave a finite motion: this is plain forward kinematics", reason]))
+            reason = "; ".join(
+                filter(None, ["neither solver gave a finite motion: this is plain forward kinematics", reason])
+            )
         if self.source.closest_m > FAR_APART_M:
             note = f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep"
             verdict = Verdict.WARN if verdict == Verdict.PASS else verdict

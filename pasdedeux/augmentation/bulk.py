@@ -24,6 +24,7 @@ from pasdedeux.skeletons import BODY22
 __all__ = ["BulkResult", "BulkSettings", "BulkSolver", "project_to_bones"]
 
 Array = npt.NDArray[np.float64]
+AnyFloat = npt.NDArray[np.floating]
 
 _BONES = np.array(
     [[parent + offset, child + offset] for offset in (0, BODY22.num_joints) for parent, child in BODY22.bones]
@@ -90,7 +91,7 @@ class BulkSolver:
         self._factors: list[Factor] = [
             factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
-        self._penalties = penalties.astype(dtype)
+        self._penalties: AnyFloat = penalties.astype(dtype)
         self._dtype = dtype
 
     def solve(self, targets: Targets) -> BulkResult:
@@ -98,38 +99,36 @@ class BulkSolver:
         problem, settings, dtype = self.problem, self.settings, self._dtype
         frames, count = problem.num_frames, targets.num_variants
         blocks = self._factors[0].num_blocks
-        linear = _padded(right_hand_side(problem, targets), blocks).astype(dtype)
-        reference = _padded(np.transpose(targets.reference, (3, 1, 2, 0)), blocks).astype(dtype)
+        linear: AnyFloat = _padded(right_hand_side(problem, targets), blocks).astype(dtype)
+        reference: AnyFloat = _padded(np.transpose(targets.reference, (3, 1, 2, 0)), blocks).astype(dtype)
         lengths = np.empty((frames, len(_EDGES), count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
         stiffness = np.full(len(_EDGES), -1.0)
         stiffness[_NUM_BONES:] = problem.weights.girdle
-        offsets = np.zeros_like(linear)
+        shape = (3, 2 * blocks, NUM_POINTS, count)
+        solution = np.zeros_like(linear)
+        offsets, linear, reference = solution.reshape(shape), linear.reshape(shape), reference.reshape(shape)
         dual = np.zeros((3, frames, len(_EDGES), count), dtype)
         aim = np.empty_like(dual)
         squared = np.zeros((frames, count))
         penalties = self._penalties
-        iteration = 0
-        view = (3, 2 * blocks, NUM_POINTS, count)
-        _project_edges(
-            offsets.reshape(view), reference.reshape(view), dual, aim, lengths, _EDGES, stiffness,
-            penalties, 1.0, True, squared,
-        )  # fmt: skip
-        for iteration in range(1, settings.max_iterations + 1):
-            _assemble(linear.reshape(view), reference.reshape(view), aim, _EDGES, penalties, offsets.reshape(view))
+        _project_edges(offsets, reference, dual, aim, lengths, _EDGES, stiffness, penalties, 1.0, True, squared)
+        num_iterations, relaxation = 0, settings.relaxation
+        while num_iterations < settings.max_iterations:
+            num_iterations += 1
+            _assemble(linear, reference, aim, _EDGES, penalties, offsets)
             for axis, group in enumerate(AXIS_GROUP):
-                solve(self._factors[group], offsets[axis])
+                solve(self._factors[group], solution[axis])
             _project_edges(
-                offsets.reshape(view), reference.reshape(view), dual, aim, lengths, _EDGES, stiffness,
-                penalties, settings.relaxation, False, squared,
-            )  # fmt: skip
+                offsets, reference, dual, aim, lengths, _EDGES, stiffness, penalties, relaxation, False, squared
+            )
             if np.sqrt(squared.max() / _NUM_BONES) < settings.tolerance_m:
                 break
         residual = np.sqrt(squared.mean(axis=0) / _NUM_BONES)
-        points = (reference.astype(np.float64) + offsets).reshape(view)[:, :frames]
+        points = reference[:, :frames].astype(np.float64) + offsets[:, :frames]
         positions = project_to_bones(np.transpose(points, (3, 1, 2, 0)), targets.lengths_m)
-        return BulkResult(positions=positions, residual_m=residual, num_iterations=iteration)
+        return BulkResult(positions=positions, residual_m=residual, num_iterations=num_iterations)
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
@@ -153,7 +152,7 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
 
 
 def _penalties(problem: Problem, settings: BulkSettings) -> Array:
-    """Give the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration oscillates there."""
+    """Give the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
     return np.asarray(settings.penalty * problem.weights.laplacian + settings.contact_penalty * stiffness)
@@ -178,19 +177,19 @@ def _padded(values: Array, blocks: int) -> Array:
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 def _project_edges(
-    offsets: Array,
-    reference: Array,
-    dual: Array,
-    aim: Array,
-    lengths: Array,
-    edges: Array,
-    stiffness: Array,
-    penalties: Array,
+    offsets: AnyFloat,
+    reference: AnyFloat,
+    dual: AnyFloat,
+    aim: AnyFloat,
+    lengths: AnyFloat,
+    edges: npt.NDArray[np.int64],
+    stiffness: AnyFloat,
+    penalties: AnyFloat,
     relaxation: float,
     is_first: bool,
-    squared: Array,
+    squared: AnyFloat,
 ) -> None:
-    """Project edge vectors onto their spheres, update the duals, and leave z - u in `aim`, squared bone errors summed."""
+    """Project edge vectors onto their spheres, update the duals, leave z - u in `aim`, sum squared bone errors."""
     frames, num_edges, count = lengths.shape
     squared[:] = 0.0
     for t in range(frames):
@@ -198,9 +197,24 @@ def _project_edges(
             parent, child = edges[e, 0], edges[e, 1]
             k, penalty = stiffness[e], penalties[t, e]
             for v in range(count):
-                x = offsets[0, t, child, v] - offsets[0, t, parent, v] + reference[0, t, child, v] - reference[0, t, parent, v]
-                y = offsets[1, t, child, v] - offsets[1, t, parent, v] + reference[1, t, child, v] - reference[1, t, parent, v]
-                z = offsets[2, t, child, v] - offsets[2, t, parent, v] + reference[2, t, child, v] - reference[2, t, parent, v]
+                x = (
+                    offsets[0, t, child, v]
+                    - offsets[0, t, parent, v]
+                    + reference[0, t, child, v]
+                    - reference[0, t, parent, v]
+                )
+                y = (
+                    offsets[1, t, child, v]
+                    - offsets[1, t, parent, v]
+                    + reference[1, t, child, v]
+                    - reference[1, t, parent, v]
+                )
+                z = (
+                    offsets[2, t, child, v]
+                    - offsets[2, t, parent, v]
+                    + reference[2, t, child, v]
+                    - reference[2, t, parent, v]
+                )
                 length = lengths[t, e, v]
                 if k < 0.0:
                     miss = np.sqrt(x * x + y * y + z * z) - length
@@ -223,7 +237,14 @@ def _project_edges(
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _assemble(linear: Array, reference: Array, aim: Array, edges: Array, penalties: Array, rhs: Array) -> None:
+def _assemble(
+    linear: AnyFloat,
+    reference: AnyFloat,
+    aim: AnyFloat,
+    edges: npt.NDArray[np.int64],
+    penalties: AnyFloat,
+    rhs: AnyFloat,
+) -> None:
     """Give b + penalty S^T (z - u - S r) in `rhs`."""
     frames, num_edges, count = aim.shape[1:]
     rhs[:] = linear
@@ -232,8 +253,6 @@ def _assemble(linear: Array, reference: Array, aim: Array, edges: Array, penalti
             for e in range(num_edges):
                 parent, child, penalty = edges[e, 0], edges[e, 1], penalties[t, e]
                 for v in range(count):
-                    pull = penalty * (
-                        aim[axis, t, e, v] - reference[axis, t, child, v] + reference[axis, t, parent, v]
-                    )
+                    pull = penalty * (aim[axis, t, e, v] - reference[axis, t, child, v] + reference[axis, t, parent, v])
                     rhs[axis, t, child, v] += pull
                     rhs[axis, t, parent, v] -= pull

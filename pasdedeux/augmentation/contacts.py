@@ -98,7 +98,7 @@ def body_parts() -> npt.NDArray[np.int64]:
 
 
 def contact_class() -> npt.NDArray[np.int64]:
-    """Give the class of each joint pair (22, 22): 2 both are hands or feet, 1 one of them is, 0 neither (body on body)."""
+    """Give the class of each joint pair (22, 22): 2 both are hands or feet, 1 one of them is, 0 body on body."""
     is_extremity = body_parts() == BodyPart.EXTREMITY
     return np.asarray(is_extremity[:, None].astype(np.int64) + is_extremity[None, :])
 

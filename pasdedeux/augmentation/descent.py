@@ -39,9 +39,7 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
     zero = np.zeros((1, *one.difference.shape[1:]))
-    girdle = DistanceTerm(
-        pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle)
-    )
+    girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
     quadratic = QuadraticTerm(
         origin_m=one.reference[0],
         matrix=problem.matrix[groups],

@@ -2,7 +2,7 @@
 
 Frames are interleaved with joints (half-bandwidth 88).  Two frames form a block of 88, in which the matrix is block
 tridiagonal; its Schur complements are inverted once, and a solve is two matrix products a block, over all variants at
-once.  LAPACK's banded solve works right-hand side by right-hand side and is several times slower for a hundred variants.
+once.  LAPACK's banded solve takes one right-hand side at a time and is several times slower for a hundred variants.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     """
     frames, n = len(matrix), NUM_POINTS
     blocks = (frames + 1) // 2
-    inner, outer, same = np.zeros((blocks, n)), np.zeros((blocks, n)), np.zeros((blocks, 2, n))
+    inner, outer, halves = np.zeros((blocks, n)), np.zeros((blocks, n)), np.zeros((blocks, 2, n))
     inner[: len(lag1[0::2])] = lag1[0::2]
     outer[: len(lag1[1::2])] = lag1[1::2]
-    same[: len(lag2[0::2]), 0] = lag2[0::2]
-    same[: len(lag2[1::2]), 1] = lag2[1::2]
-    same = same.reshape(blocks, BLOCK)
+    halves[: len(lag2[0::2]), 0] = lag2[0::2]
+    halves[: len(lag2[1::2]), 1] = lag2[1::2]
+    same = halves.reshape(blocks, BLOCK)
     inverse = np.empty((blocks, BLOCK, BLOCK))
     diagonal = np.arange(n)
     for k in range(blocks):

@@ -1,4 +1,4 @@
-"""The interaction mesh: Delaunay tetrahedra over the joints of both people, and its Laplacian (Ho, Komura and Tai 2010)."""
+"""The interaction mesh: Delaunay tetrahedra over both people's joints, and its Laplacian (Ho, Komura and Tai 2010)."""
 
 from __future__ import annotations
 

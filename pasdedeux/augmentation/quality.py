@@ -58,7 +58,7 @@ class QualityLimits:
 class Verdict:
     """The three verdicts."""
 
-    PASS = "pass"  # noqa: S105
+    PASS = "pass"
     WARN = "warn"
     FAIL = "fail"
 
@@ -67,8 +67,8 @@ class Verdict:
 class Quality:
     """Figures of one variant; columns of `variant_quality` bear the same names.
 
-    Contact drifts are means over joint pairs closer than 0.2 m in the source of the change of their distance: over all
-    of them, over pairs of two hands or feet, over pairs of one, and over body on body; None where there is no such pair.
+    Contact drifts are means of the change of distance over joint pairs closer than 0.2 m in the source: over all of
+    them, over pairs of two hands or feet, over pairs of one, and over body on body; None where there is no such pair.
     """
 
     num_contact_pairs: int
@@ -171,7 +171,7 @@ class Judge:
 
 
 def root_mean_square_jerk(points: Array) -> float:
-    """Give the root mean square of the third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
+    """Give the root mean square third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
     if len(points) < 4:
         return 0.0
     return float(np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean()))

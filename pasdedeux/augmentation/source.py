@@ -35,7 +35,7 @@ class Source:
         name: Name of the take, used in messages.
 
     Raises:
-        InputError: Wrong shape, no frames, a frame that is not finite or lies kilometres away, a rate that is not positive.
+        InputError: Wrong shape, no frames, a frame that is not finite or kilometres away, a rate that is not positive.
     """
 
     positions_m: Array
@@ -68,7 +68,7 @@ class Source:
 
     @cached_property
     def lengths_m(self) -> Array:
-        """Length of each bone (2, 22), metres: the median over the frames, so that a mapped joint may wander a little."""
+        """Length of each bone (2, 22), metres: the median over the frames, as a mapped joint may wander a little."""
         return np.asarray(np.median(bone_lengths(BODY22, self.positions_m), axis=0))
 
     @cached_property
@@ -78,7 +78,7 @@ class Source:
 
     @cached_property
     def floor_m(self) -> Array:
-        """Height of each person's toe joints when they stand (2,), metres: 5th percentile over frames of the lower toe."""
+        """Height of each person's standing toe joints (2,), metres: 5th percentile over frames of the lower toe."""
         lower_toe = self.positions_m[:, :, _TOES, 1].min(axis=-1)
         return np.asarray(np.percentile(lower_toe, _FLOOR_PERCENTILE, axis=0))
 

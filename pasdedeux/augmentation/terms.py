@@ -2,7 +2,7 @@
 
 With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (q: the source), the energy of a take is
 
-    E = w_L |L x - L_c d|^2                     Laplacian; own-body edges follow the new skeleton, cross edges the source
+    E = w_L |L x - L_c d|^2                     Laplacian; own edges follow the new skeleton, cross edges the source
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
       + sum w_C |(x_i - x_j) - (d_i - d_j)|^2   contact pairs keep the source's vector
@@ -38,7 +38,16 @@ from pasdedeux.augmentation.source import NUM_POINTS, Source, complete_scales, p
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "Weights", "build_problem", "build_targets", "right_hand_side"]
+__all__ = [
+    "AXIS_GROUP",
+    "GIRDLE_PAIRS",
+    "Problem",
+    "Targets",
+    "Weights",
+    "build_problem",
+    "build_targets",
+    "right_hand_side",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -85,12 +94,12 @@ class Weights:
     """
 
     laplacian: float = 1.0
-    smoothness: float = 2.0
+    smoothness: float = 1.0
     reference: float = 1e-3
-    contact_extremity: float = 40.0
-    contact_mixed: float = 4.0
-    contact_limb: float = 1.0
-    contact_torso: float = 0.5
+    contact_extremity: float = 60.0
+    contact_mixed: float = 6.0
+    contact_limb: float = 8.0
+    contact_torso: float = 8.0
     stance: float = 20.0
     floor: float = 20.0
     girdle: float = 10.0
@@ -101,7 +110,9 @@ class Weights:
         for field in fields(self):
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value >= 0) or (field.name == "reference" and value == 0):
-                raise InputError(f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'")
+                raise InputError(
+                    f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'"
+                )
 
 
 @dataclass(frozen=True)
@@ -204,9 +215,10 @@ def build_problem(
 
     contact = contact_weights(source, contacts, user_contacts) * _grades(weights)
     standing = stance_weights(source, contacts)
-    stance = np.zeros((max(frames - 1, 0), 2, BODY22.num_joints))
-    stance[:, :, FEET] = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
-    stance = stance.reshape(len(stance), NUM_POINTS)
+    stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
+    stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
+        weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
+    )
     floor = weights.floor * floor_weights(source, contacts).reshape(frames, NUM_POINTS)
     anchor = np.full(NUM_POINTS, weights.reference)
     if fixed_person is not None:

@@ -79,7 +79,9 @@ def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
     """
     expected = (2, BODY22.num_joints)
     if bone_scale.shape[-2:] != expected:
-        raise InputError(f"{what}: bone scales have shape {bone_scale.shape}, expected {expected} (person, body22 bone)")
+        raise InputError(
+            f"{what}: bone scales have shape {bone_scale.shape}, expected {expected} (person, body22 bone)"
+        )
     is_bad = ~(np.isfinite(bone_scale) & (bone_scale >= _SMALLEST_SCALE) & (bone_scale <= _LARGEST_SCALE))
     if is_bad.any():
         at = tuple(int(i) for i in np.argwhere(is_bad)[0])
@@ -96,14 +98,16 @@ def scale_grid(start: float, stop: float, step: float) -> tuple[float, ...]:
     (0.9, 0.95, 1.05, 1.1)
     """
     if not (np.isfinite([start, stop, step]).all() and 0 < start <= stop and step > 0):
-        raise InputError(f"a grid of scales from {start:g} to {stop:g} by {step:g}: allowed is 0 < start <= stop, step > 0")
+        raise InputError(
+            f"a grid of scales from {start:g} to {stop:g} by {step:g}: allowed is 0 < start <= stop, step > 0"
+        )
     count = int(np.floor((stop - start) / step + 1e-9)) + 1
     scales = (round(start + step * index, 6) for index in range(count))
     return tuple(scale for scale in scales if abs(scale - 1.0) > 1e-9)
 
 
 def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
-    """Give new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,); 1 without legs."""
+    """Give new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,)."""
     bones = BODY22.indices(_LEG_BONES)
     old = lengths_m[..., bones].sum(axis=-1)
     new = (lengths_m[..., bones] * bone_scale[..., bones]).sum(axis=-1)
@@ -170,13 +174,15 @@ def drawn_variations(
     persons: str = "AB",
     is_symmetric: bool = True,
 ) -> list[Variation]:
-    """Draw `count` variations with every bone's scale uniform in [low, high], left and right alike unless told otherwise.
+    """Draw variations with every bone's scale uniform in [low, high], left and right alike unless told otherwise.
 
     Raises:
         InputError: A range that is not positive, or a negative count.
     """
     if not (0 < low <= high) or count < 0:
-        raise InputError(f"{count} scales drawn from {low:g} to {high:g}: allowed is 0 < low <= high and a count from 0")
+        raise InputError(
+            f"{count} scales drawn from {low:g} to {high:g}: allowed is 0 < low <= high and a count from 0"
+        )
     variations = []
     for index in range(count):
         bone_scale = np.ones((2, BODY22.num_joints))
@@ -196,7 +202,9 @@ def _variation(*, persons: str, kind: str, bones: Sequence[str], scale: float) -
         bone_scale[person, BODY22.indices(bones)] = scale
     if kind != "uniform":
         bone_scale[:, BODY22.root] = _root_scale(bone_scale)
-    return Variation(f"{persons}-{kind}-{scale:.2f}" if round(scale, 2) == scale else f"{persons}-{kind}-{scale:g}", bone_scale)
+    return Variation(
+        f"{persons}-{kind}-{scale:.2f}" if round(scale, 2) == scale else f"{persons}-{kind}-{scale:g}", bone_scale
+    )
 
 
 def _root_scale(bone_scale: Array) -> Array:

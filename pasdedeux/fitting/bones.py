@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BoneState:
-    """A motion of all people: roots (frame, person, 3) in metres and unit bone directions (frame, point, 3), roots' unused."""
+    """A motion: roots (frame, person, 3) in metres and unit bone directions (frame, point, 3), roots' unused."""
 
     roots_m: Array
     directions: Array
@@ -127,7 +127,7 @@ class BoneForest:
         return np.stack([first, np.cross(direction, first)], axis=-1)
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
-        """Move by a step (frame, n): roots are translated, directions leave along their tangents and are made unit again."""
+        """Move by a step (frame, n): roots are translated, directions leave along their tangents, made unit again."""
         roots = np.array(state.roots_m)
         moved = np.array(state.directions)
         for person, point in enumerate(self.roots):
@@ -137,5 +137,3 @@ class BoneForest:
         pair = np.stack([step[:, at], step[:, at + 1]], axis=-1)
         moved[:, is_bone] = normalise(moved[:, is_bone] + np.einsum("tnij,tnj->tni", tangents[:, is_bone], pair))
         return BoneState(roots_m=roots, directions=moved)
-
-

@@ -22,6 +22,7 @@ from pasdedeux.fitting.terms import AXES, Normal, Term
 __all__ = ["FitResult", "FitSettings", "fit_bones"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 _SMALLEST_CURVATURE = 1e-9
 """Added to the diagonal so that a bone of length zero, which moves nothing, has a step of zero."""
@@ -148,7 +149,7 @@ def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
 
 
 def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
-    """Sum curvature over the points that each pair of bones carries: C K C' (3, T, N, N), and the same between frames."""
+    """Sum curvature over the points each pair of bones carries: C K C' (3, T, N, N), and the same between frames."""
     carries = forest.carries
     within = carries @ normal.matrix @ carries.T
     between = [np.matmul(carries * lag[:, :, None, :], carries.T) for lag in (normal.lag1, normal.lag2)]
@@ -188,7 +189,7 @@ def _reduce(
     return BlockMatrix(diagonal=diagonal, below=below), gradient
 
 
-def _unknown_columns(forest: BoneForest) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _unknown_columns(forest: BoneForest) -> tuple[Indices, Indices]:
     """Give for each unknown of a frame its column (0..2) and its point."""
     widths = np.diff(forest.starts)
     generators = np.repeat(np.arange(forest.num_points), widths)
@@ -197,7 +198,7 @@ def _unknown_columns(forest: BoneForest) -> tuple[npt.NDArray[np.int64], npt.NDA
 
 
 @numba.njit(cache=True, nogil=True)
-def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Array, diagonal: Array) -> None:
+def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices, diagonal: Array) -> None:
     _, frames, points, _ = carried.shape
     for t in range(frames):
         for g in range(points):
@@ -216,7 +217,7 @@ def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Array, 
 
 
 @numba.njit(cache=True, nogil=True)
-def _reduce_between(carried: Array, basis: Array, starts: Array, lag: int, below: Array) -> None:
+def _reduce_between(carried: Array, basis: Array, starts: Indices, lag: int, below: Array) -> None:
     _, frames, points, _ = carried.shape
     for t in range(frames):
         for g in range(points):

@@ -234,7 +234,8 @@ class DistanceTerm(Term):
         unit, distance = self._vectors(positions_m)
         pull = (self.weights * (distance - self.lengths_m))[..., None] * unit
         for column, sign in ((1, 1.0), (0, -1.0)):
-            np.add.at(normal.gradient, (slice(None), self.pairs[:, column]), sign * pull)
+            incidence = np.eye(positions_m.shape[1])[self.pairs[:, column]]
+            normal.gradient += sign * np.einsum("mi,tma->tia", incidence, pull)
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import ContactSettings, Source, UserContact, build_mesh, reference_motion
+from pasdedeux.augmentation.contacts import contact_weights, fade, stance_weights
+from pasdedeux.augmentation.mesh import delaunay_edges
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import BODY22
+from tests.moving_pairs import swaying_pair
+
+
+def test_weights_are_rows_that_sum_to_one_and_cross_rows_to_zero() -> None:
+    mesh = build_mesh(Source(swaying_pair(4), 30.0), smoothing_s=0.1)
+    np.testing.assert_allclose(mesh.weights.sum(axis=-1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(mesh.laplacian.sum(axis=-1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(mesh.cross_laplacian.sum(axis=-1), 0.0, atol=1e-12)
+    assert mesh.num_joggled == 0
+
+
+def test_near_joints_weigh_more_by_the_inverse_square() -> None:
+    positions = swaying_pair(1)
+    mesh = build_mesh(Source(positions, 30.0))
+    points = positions.reshape(44, 3)
+    i = BODY22.index("left_wrist")
+    neighbours = np.flatnonzero(mesh.weights[0, i])
+    squared = ((points[neighbours] - points[i]) ** 2).sum(axis=-1)
+    ratio = mesh.weights[0, i, neighbours] * np.maximum(squared, 1e-4)
+    np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_coplanar_and_duplicate_joints_are_meshed_all_the_same() -> None:
+    flat = np.random.default_rng(0).normal(size=(44, 3))
+    flat[:, 2] = 0.0
+    is_edge, was_joggled = delaunay_edges(flat)
+    assert was_joggled
+    assert is_edge.any(axis=1).all()
+    doubled = np.random.default_rng(1).normal(size=(44, 3))
+    doubled[7] = doubled[3]
+    is_edge, was_joggled = delaunay_edges(doubled)
+    assert was_joggled
+    assert is_edge.any(axis=1).all()
+    is_edge, was_joggled = delaunay_edges(np.zeros((44, 3)))
+    assert was_joggled
+    assert is_edge.any()
+
+
+def test_a_take_in_one_plane_says_how_many_frames_were_joggled() -> None:
+    positions = swaying_pair(3)
+    positions[..., 2] = 0.0
+    assert build_mesh(Source(positions, 30.0)).num_joggled == 3
+
+
+def test_fading_is_continuous_and_ends_flat() -> None:
+    distances = np.linspace(0.1, 0.4, 2001)
+    weights = fade(distances, 0.2, 0.3)
+    assert np.abs(np.diff(weights)).max() < 3.0 * 0.3 / 2000 / 0.1
+    assert weights[0] == 1.0
+    assert weights[-1] == 0.0
+
+
+def test_contact_weights_move_little_when_joints_move_little() -> None:
+    positions = swaying_pair(20)
+    settings = ContactSettings()
+    before = contact_weights(Source(positions, 30.0), settings)
+    after = contact_weights(
+        Source(positions + np.random.default_rng(0).normal(0, 1e-4, positions.shape), 30.0), settings
+    )
+    assert np.abs(before - after).max() < 0.02
+
+
+def test_planted_feet_stand_and_raised_feet_do_not() -> None:
+    positions = swaying_pair(20)
+    assert stance_weights(Source(positions, 30.0), ContactSettings()).min() > 0.9
+    raised = positions.copy()
+    foot = BODY22.indices(["left_ankle", "left_toe"])
+    raised[10:, 0, foot, 1] += 0.4
+    weights = stance_weights(Source(raised, 30.0), ContactSettings())
+    assert weights[15:, 0, :2].max() < 0.01
+    assert weights[15:, 0, 2:].min() > 0.9
+
+
+def test_a_users_contact_replaces_what_is_found() -> None:
+    source = Source(swaying_pair(10), 30.0)
+    settings = ContactSettings(smoothing_s=0.0)
+    contact = UserContact("head", "head", 2, 5, 0.7)
+    weights = contact_weights(source, settings, [contact])
+    head = BODY22.index("head")
+    np.testing.assert_array_equal(weights[2:5, head, head], 0.7)
+    assert weights[5, head, head] == contact_weights(source, settings)[5, head, head]
+    with pytest.raises(InputError, match="frames within 0 to 10"):
+        contact_weights(source, settings, [UserContact("head", "head", 5, 11, 1.0)])
+    with pytest.raises(InputError, match="joint 'nose'"):
+        contact_weights(source, settings, [UserContact("nose", "head", 0, 1, 1.0)])
+
+
+def test_the_reference_motion_has_the_new_lengths_and_at_scale_one_is_the_source() -> None:
+    source = Source(swaying_pair(5), 30.0)
+    scales = np.ones((2, 2, 22))
+    scales[1, 0] = 0.8
+    motions = reference_motion(source, scales)
+    np.testing.assert_allclose(motions[0], source.positions_m, atol=1e-12)
+    lengths = bone_lengths(BODY22, motions[1])
+    np.testing.assert_allclose(lengths[:, 0], np.broadcast_to(0.8 * source.lengths_m[0], (5, 22)), atol=1e-12)
+    toes = BODY22.indices(["left_toe", "right_toe"])
+    np.testing.assert_allclose(motions[1][:, 0, toes, 1], source.positions_m[:, 0, toes, 1], atol=1e-3)
+
+
+def test_bad_sources_are_refused_in_words() -> None:
+    good = swaying_pair(5)
+    with pytest.raises(InputError, match="no frames"):
+        Source(good[:0], 30.0)
+    with pytest.raises(InputError, match="a pair of people"):
+        Source(good[:, :1], 30.0)
+    with pytest.raises(InputError, match="rate is 0"):
+        Source(good, 0.0)
+    bad = good.copy()
+    bad[3, 1, 2, 0] = np.nan
+    with pytest.raises(InputError, match=r"salsa: frame 3 has a joint that is not finite"):
+        Source(bad, 30.0, "salsa")
+    far = good.copy()
+    far[2] += 1e7
+    with pytest.raises(InputError, match="frame 2"):
+        Source(far, 30.0)

@@ -1,0 +1,236 @@
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from pasdedeux.augmentation import (
+    AugmentationSettings,
+    Augmenter,
+    BulkSettings,
+    BulkSolver,
+    Problem,
+    Source,
+    Targets,
+    Weights,
+    bone_variations,
+    build_problem,
+    build_targets,
+    descend,
+    drawn_variations,
+    total_energy,
+    uniform_variations,
+)
+from pasdedeux.augmentation.factor import factorise, solve
+from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, right_hand_side
+from pasdedeux.errors import InputError
+from pasdedeux.fitting import BoneForest, FitSettings
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.skeletons import BODY22
+from tests.moving_pairs import swaying_pair
+
+EXACT = BulkSettings(max_iterations=600, tolerance_m=1e-9)
+
+
+def _problem(frames: int, scale: float = 0.8, rate_hz: float = 30.0) -> tuple[Problem, Targets]:
+    problem = build_problem(Source(swaying_pair(frames), rate_hz))
+    scales = np.stack([variation.bone_scale for variation in uniform_variations([scale], ["A"])])
+    return problem, build_targets(problem, scales)
+
+
+def _residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> np.ndarray:
+    """All residuals of one variant, written out from the formulas and not from the added-up matrix."""
+    apart = offsets - targets.difference[0]
+    w, mesh = problem.weights, problem.mesh
+    parts = [
+        np.sqrt(w.laplacian) * (mesh.laplacian @ offsets - mesh.cross_laplacian @ targets.difference[0]),
+        np.sqrt(problem.smoothness) * np.diff(offsets, n=2, axis=0),
+        np.sqrt(w.reference) * offsets,
+        np.sqrt(problem.floor) * (offsets[..., 1] - targets.height[0]),
+        np.sqrt(problem.stance)[..., None] * np.diff(apart, axis=0)[..., [0, 2]],
+        np.sqrt(problem.contact)[..., None] * (apart[:, :22, None] - apart[:, None, 22:]),
+    ]
+    ends = (targets.reference[0] + offsets)[:, GIRDLE_PAIRS]
+    girdle = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) - targets.girdle_m[0]
+    return np.concatenate([*(part.ravel() for part in parts), np.sqrt(w.girdle) * girdle.ravel()])
+
+
+def _oracle_energy(problem: Problem, targets: Targets, start: np.ndarray) -> float:
+    """Minimise by scipy's trust region over roots and free direction vectors, made unit inside; slow and plain."""
+    forest = BoneForest((BODY22, BODY22), targets.lengths_m[0])
+    state = forest.state_of(start)
+    frames = len(start)
+
+    def positions(values: np.ndarray) -> np.ndarray:
+        roots, vectors = np.split(values, [frames * 6])
+        directions = vectors.reshape(frames, 44, 3)
+        directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+        return forest.positions(type(state)(roots.reshape(frames, 2, 3), directions))
+
+    def residuals(values: np.ndarray) -> np.ndarray:
+        return _residuals(problem, targets, positions(values) - targets.reference[0])
+
+    first = np.concatenate([state.roots_m.ravel(), state.directions.ravel()])
+    result = least_squares(residuals, first, method="trf", ftol=1e-7, xtol=1e-9, gtol=1e-9, max_nfev=30)
+    return 2.0 * result.cost
+
+
+def test_the_shared_matrix_adds_up_to_the_energy_as_it_is_written() -> None:
+    problem, targets = _problem(5)
+    offsets = np.random.default_rng(0).normal(0.0, 0.1, (1, 5, 44, 3))
+    written = (_residuals(problem, targets, offsets[0]) ** 2).sum()
+    assert total_energy(problem, targets, offsets)[0] == pytest.approx(written, rel=1e-12)
+    slope = np.moveaxis(right_hand_side(problem, targets)[..., 0], 0, -1)
+    no_girdle = build_problem(problem.source, Weights(girdle=0.0), mesh=problem.mesh)
+    x = offsets[0]
+    product = np.stack([_apply(problem, x[..., axis], AXIS_GROUP[axis]) for axis in range(3)], axis=-1)
+    constant = total_energy(no_girdle, targets, np.zeros_like(offsets))[0]
+    summed = (x * (product - 2.0 * slope)).sum() + constant
+    assert summed == pytest.approx(total_energy(no_girdle, targets, offsets)[0], rel=1e-10)
+
+
+def _apply(problem: Problem, x: np.ndarray, group: int) -> np.ndarray:
+    product = np.einsum("tij,tj->ti", problem.matrix[group], x)
+    for shift, lag in ((1, problem.lag1[group]), (2, problem.lag2[group])):
+        product[:-shift] += lag * x[shift:]
+        product[shift:] += lag * x[:-shift]
+    return product
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 7])
+def test_the_shared_factor_solves_its_matrix(frames: int) -> None:
+    problem, _ = _problem(frames)
+    for group in (0, 1):
+        factor = factorise(problem.matrix[group], problem.lag1[group], problem.lag2[group])
+        expected = np.random.default_rng(frames).normal(size=(frames, 44, 3))
+        rhs = np.zeros((2 * factor.num_blocks, 44, 3))
+        rhs[:frames] = np.stack([_apply(problem, expected[..., v], group) for v in range(3)], axis=-1)
+        solution = np.ascontiguousarray(rhs.reshape(factor.num_blocks, 88, 3))
+        solve(factor, solution)
+        np.testing.assert_allclose(solution.reshape(-1, 44, 3)[:frames], expected, atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [0.75, 1.25])
+def test_bulk_and_descent_reach_the_optimum_of_a_slow_plain_solver(scale: float) -> None:
+    problem, targets = _problem(3, scale)
+    best = _oracle_energy(problem, targets, targets.reference[0])
+    descent = descend(problem, targets, 0, settings=FitSettings(max_iterations=200, tolerance=1e-9))
+    bulk = BulkSolver(problem, EXACT).solve(targets)
+    bulk_energy = total_energy(problem, targets, bulk.positions - targets.reference)[0]
+    assert descent.energies[-1] <= best * (1.0 + 1e-3)
+    assert bulk_energy <= best * (1.0 + 1e-3)
+
+
+def test_energy_never_rises_in_the_guaranteed_solver_whatever_the_scales() -> None:
+    problem = build_problem(Source(swaying_pair(8), 30.0))
+    variations = drawn_variations(np.random.default_rng(0), 8, low=0.5, high=1.5, is_symmetric=False)
+    targets = build_targets(problem, np.stack([variation.bone_scale for variation in variations]))
+    for index in range(len(variations)):
+        result = descend(problem, targets, index)
+        assert np.all(np.diff(result.energies) <= 0)
+        assert np.isfinite(result.positions).all()
+
+
+@pytest.mark.parametrize("is_bulk", [True, False])
+def test_scale_one_gives_the_source_back(is_bulk: bool) -> None:
+    source = Source(swaying_pair(10), 30.0)
+    (variant,) = Augmenter(source, AugmentationSettings(is_bulk=is_bulk)).solve(uniform_variations([1.0], ["A"]))
+    np.testing.assert_allclose(variant.positions_m, source.positions_m, atol=1e-6)
+    assert variant.quality.contact_drift_m < 1e-6
+    assert variant.verdict == "pass"
+
+
+def test_bones_are_exact_and_contacts_kept() -> None:
+    source = Source(swaying_pair(30), 30.0)
+    variants = Augmenter(source).solve(uniform_variations([0.75, 0.9, 1.1, 1.25], ["A", "B", "AB"]))
+    for variant in variants:
+        wanted = source.lengths_m * variant.bone_scale
+        wanted[:, BODY22.root] = 0.0
+        np.testing.assert_allclose(
+            bone_lengths(BODY22, variant.positions_m), np.broadcast_to(wanted, (30, 2, 22)), atol=1e-9
+        )
+        assert variant.quality.bone_error_m < 1e-6
+        assert variant.quality.contact_drift_m < 0.25 * variant.quality.contact_drift_fk_m
+        assert variant.energy <= variant.energy_fk
+
+
+def test_solving_is_equivariant_under_turns_about_the_vertical_and_shifts_over_the_floor() -> None:
+    positions = swaying_pair(12)
+    turn, shift = yaw_rotmat(0.7), np.array([3.0, 0.0, -2.0])
+    variations = uniform_variations([0.8, 1.2], ["A"])
+    settings = AugmentationSettings(bulk=BulkSettings(max_iterations=24))
+    plain = Augmenter(Source(positions, 30.0), settings).solve(variations)
+    moved = Augmenter(Source(positions @ turn.T + shift, 30.0), settings).solve(variations)
+    for one, other in zip(plain, moved, strict=True):
+        np.testing.assert_allclose(one.positions_m @ turn.T + shift, other.positions_m, atol=1e-7)
+
+
+def test_single_and_double_precision_agree() -> None:
+    problem, targets = _problem(20)
+    single = BulkSolver(problem, BulkSettings(is_single_precision=True)).solve(targets)
+    double = BulkSolver(problem, BulkSettings()).solve(targets)
+    np.testing.assert_allclose(single.positions, double.positions, atol=2e-4)
+
+
+def test_a_variant_does_not_depend_on_its_batch() -> None:
+    augmenter = Augmenter(Source(swaying_pair(10), 30.0), AugmentationSettings(bulk=BulkSettings(tolerance_m=1e-12)))
+    many = augmenter.solve(bone_variations([0.8, 1.2], ["A"]))
+    alone = augmenter.solve(bone_variations([0.8, 1.2], ["A"])[3:4])
+    np.testing.assert_allclose(many[3].positions_m, alone[0].positions_m, atol=1e-9)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_takes_of_a_few_frames_are_solved(frames: int) -> None:
+    (variant,) = Augmenter(Source(swaying_pair(frames), 30.0)).solve(uniform_variations([0.8], ["A"]))
+    assert np.isfinite(variant.positions_m).all()
+    assert variant.quality.bone_error_m < 1e-6
+    assert variant.quality.jerk_ratio == 1.0
+
+
+def test_people_far_apart_are_solved_and_said_to_be_apart() -> None:
+    (variant,) = Augmenter(Source(swaying_pair(10, apart_m=6.0), 30.0)).solve(uniform_variations([0.8], ["A"]))
+    assert np.isfinite(variant.positions_m).all()
+    assert variant.quality.num_contact_pairs == 0
+    assert variant.verdict == "warn"
+    assert "never come closer" in variant.reason
+
+
+def test_a_pair_in_one_plane_is_solved() -> None:
+    positions = swaying_pair(4)
+    positions[..., 2] = positions[:1, :1, :1, 2]
+    (variant,) = Augmenter(Source(positions, 30.0)).solve(uniform_variations([0.9], ["A"]))
+    assert np.isfinite(variant.positions_m).all()
+
+
+def test_a_bad_bulk_result_falls_back_to_guaranteed_descent() -> None:
+    source = Source(swaying_pair(6), 30.0)
+    settings = AugmentationSettings(bulk=BulkSettings(max_iterations=1), fallback_residual_m=1e-12)
+    (variant,) = Augmenter(source, settings).solve(uniform_variations([0.75], ["A"]))
+    assert variant.solver == "bulk+descent"
+    assert variant.energy < variant.energy_fk
+
+
+def test_a_person_held_fixed_stays_with_the_source() -> None:
+    source = Source(swaying_pair(10), 30.0)
+    (variant,) = Augmenter(source, AugmentationSettings(fixed_person=1)).solve(uniform_variations([0.8], ["A"]))
+    np.testing.assert_allclose(variant.positions_m[:, 1], source.positions_m[:, 1], atol=2e-3)
+    assert variant.quality.contact_drift_m < 0.25 * variant.quality.contact_drift_fk_m
+
+
+def test_the_result_does_not_depend_much_on_the_frame_rate() -> None:
+    fast = swaying_pair(59)
+    scales = uniform_variations([0.8], ["A"])
+    (at_60,) = Augmenter(Source(fast, 60.0)).solve(scales)
+    (at_30,) = Augmenter(Source(fast[::2], 30.0)).solve(scales)
+    np.testing.assert_allclose(at_60.positions_m[::2], at_30.positions_m, atol=0.015)
+
+
+def test_bad_weights_and_settings_are_refused() -> None:
+    with pytest.raises(InputError, match="weight 'stance'"):
+        Weights(stance=-1.0)
+    with pytest.raises(InputError, match="'reference'"):
+        Weights(reference=0.0)
+    with pytest.raises(InputError, match="relaxation 2"):
+        BulkSettings(relaxation=2.0)
+    with pytest.raises(InputError, match="fixed_person is 2"):
+        build_problem(Source(swaying_pair(2), 30.0), fixed_person=2)

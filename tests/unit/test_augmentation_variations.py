@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import (
+    LIMB_GROUPS,
+    PAPER_SCALES,
+    Variation,
+    bone_variations,
+    drawn_variations,
+    group_variations,
+    scale_grid,
+    uniform_variations,
+)
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22
+
+
+def test_the_grid_of_the_paper_leaves_out_the_template() -> None:
+    assert scale_grid(0.75, 1.25, 0.05) == PAPER_SCALES
+    assert len(PAPER_SCALES) == 10
+
+
+def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
+    (variation,) = uniform_variations([0.8], ["A"])
+    assert variation.variant_id == "A-uniform-0.80"
+    assert variation.uniform_scale(0) == pytest.approx(0.8)
+    assert variation.uniform_scale(1) == 1.0
+
+
+def test_both_people_scale_alike_under_ab() -> None:
+    (variation,) = uniform_variations([1.2], ["AB"])
+    assert np.all(variation.bone_scale == 1.2)
+
+
+def test_limb_groups_cover_every_bone_once_and_left_like_right() -> None:
+    bones = [bone for group in LIMB_GROUPS.values() for bone in group]
+    assert sorted(bones) == sorted(set(BODY22.joint_names) - {"pelvis"})
+    for variation in group_variations([0.9]) + bone_variations([0.9]):
+        assert np.all(variation.bone_scale[:, list(BODY22.mirror)] == variation.bone_scale)
+
+
+def test_variant_names_are_unique() -> None:
+    variations = uniform_variations(PAPER_SCALES, ["A", "B", "AB"])
+    variations += group_variations(PAPER_SCALES, ["A", "B"]) + bone_variations(PAPER_SCALES, ["A", "B"])
+    variations += drawn_variations(np.random.default_rng(1), 20, low=0.5, high=1.5)
+    names = [variation.variant_id for variation in variations]
+    assert len(set(names)) == len(names)
+
+
+def test_longer_legs_raise_the_root() -> None:
+    (legs,) = group_variations([1.2], ["A"], ["legs"])
+    (arms,) = group_variations([1.2], ["A"], ["arms"])
+    assert legs.bone_scale[0, BODY22.root] == pytest.approx(1.2)
+    assert arms.bone_scale[0, BODY22.root] == 1.0
+
+
+def test_the_same_generator_draws_the_same_variations() -> None:
+    first, second = (drawn_variations(np.random.default_rng(3), 4, low=0.5, high=1.5) for _ in range(2))
+    assert all(np.array_equal(a.bone_scale, b.bone_scale) for a, b in zip(first, second, strict=True))
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf"), 1e6])
+def test_a_scale_that_is_not_positive_is_refused_with_its_bone(scale: float) -> None:
+    bone_scale = np.ones((2, 22))
+    bone_scale[1, 3] = scale
+    with pytest.raises(InputError, match=r"person B's bone 'spine3'"):
+        Variation("bad", bone_scale)
+
+
+def test_scales_of_the_wrong_length_are_refused() -> None:
+    with pytest.raises(InputError, match=r"shape \(2, 21\), expected \(2, 22\)"):
+        Variation("bad", np.ones((2, 21)))
+
+
+def test_unknown_people_groups_and_grids_are_refused() -> None:
+    with pytest.raises(InputError, match="persons 'C'"):
+        uniform_variations([0.9], ["C"])
+    with pytest.raises(InputError, match="limb group 'wings'"):
+        group_variations([0.9], ["A"], ["wings"])
+    with pytest.raises(InputError, match="grid of scales"):
+        scale_grid(1.2, 0.8, 0.1)
+    with pytest.raises(InputError, match="drawn from"):
+        drawn_variations(np.random.default_rng(0), 1, low=0.0, high=1.0)

@@ -39,7 +39,7 @@ def fill(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
     return fill
 
 
-@pytest.mark.parametrize("num_writes", [0, 1, 5, 20, 40])
+@pytest.mark.parametrize("num_writes", [0, 1, 5, 20, 30])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_while_writing_leaves_no_artifact(
     tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch, num_writes: int, number: int

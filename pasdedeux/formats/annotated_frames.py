@@ -1,0 +1,173 @@
+"""2D annotations as a file gives them, and whether they look like people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
+
+__all__ = ["AnnotatedFrames", "check_anatomy", "get_keypoint_layout", "stretch"]
+
+Array = npt.NDArray[np.float64]
+
+# Greatest length of a segment as a share of the diagonal of everything seen of a person.  Wide enough for crouching,
+# bending and people cut off at the waist; far too small for a keypoint that belongs to another part of the body.
+_SEGMENTS = {
+    ("nose", "left_eye"): 0.35,
+    ("nose", "right_eye"): 0.35,
+    ("left_eye", "left_ear"): 0.35,
+    ("right_eye", "right_ear"): 0.35,
+    ("left_shoulder", "right_shoulder"): 0.7,
+    ("left_shoulder", "left_elbow"): 0.6,
+    ("right_shoulder", "right_elbow"): 0.6,
+    ("left_elbow", "left_wrist"): 0.6,
+    ("right_elbow", "right_wrist"): 0.6,
+    ("left_hip", "right_hip"): 0.45,
+    ("left_hip", "left_knee"): 0.55,
+    ("right_hip", "right_knee"): 0.55,
+    ("left_knee", "left_ankle"): 0.55,
+    ("right_knee", "right_ankle"): 0.55,
+    ("neck", "left_shoulder"): 0.5,
+    ("neck", "right_shoulder"): 0.5,
+    ("left_ankle", "left_big_toe"): 0.35,
+    ("right_ankle", "right_big_toe"): 0.35,
+    ("mid_hip", "left_hip"): 0.35,
+    ("mid_hip", "right_hip"): 0.35,
+    ("head", "neck"): 0.45,
+    ("pelvis", "left_hip"): 0.35,
+    ("pelvis", "right_hip"): 0.35,
+}
+MOST_STRETCHED = 0.6
+"""Real detections come to 0.26 in their own layout and to 0.44 to 0.66 in wrong ones (tested)."""
+CLEARLY_SHORTER = 0.75
+"""Another layout whose segments are shorter by this factor is the right one."""
+LEAST_CHECKED = 5
+"""A segment seen in fewer rows than this says nothing."""
+
+
+@dataclass(frozen=True)
+class AnnotatedFrames:
+    """2D keypoints, a row per sequence, frame and person, sorted so.
+
+    Args:
+        layout: Name of the keypoint layout.
+        sequence_id: (row,) names of sequences.
+        frame: (row,) frame numbers.
+        person_id: (row,) people as the source numbers them.
+        keypoints_px: (row, K, 2), NaN where missing; x right, y down.
+        confidence: (row, K), 0 where missing.
+        image_size_px: Width and height, None when unknown.
+        rate_hz: Frames per second, None when unknown.
+
+    Raises:
+        FormatError: Shapes do not fit the layout, or the same person twice in a frame.
+    """
+
+    layout: str
+    sequence_id: tuple[str, ...]
+    frame: npt.NDArray[np.int64]
+    person_id: npt.NDArray[np.int64]
+    keypoints_px: Array
+    confidence: Array
+    image_size_px: tuple[int, int] | None = None
+    rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        """Sort the rows, settle what is missing, and check."""
+        rows, count = len(self.frame), get_keypoint_layout(self.layout).num_keypoints
+        if self.keypoints_px.shape != (rows, count, 2) or self.confidence.shape != (rows, count):
+            raise FormatError(
+                f"layout '{self.layout}' has {count} keypoints; the data has the shapes "
+                f"{self.keypoints_px.shape} and {self.confidence.shape} for {rows} rows"
+            )
+        if len(self.sequence_id) != rows or len(self.person_id) != rows:
+            raise FormatError(
+                f"{rows} frames, {len(self.sequence_id)} sequences and {len(self.person_id)} people differ"
+            )
+        order = sorted(range(rows), key=lambda i: (self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])))
+        keys = [(self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])) for i in order]
+        for before, after in pairwise(keys):
+            if before == after:
+                raise FormatError(f"sequence '{after[0]}', frame {after[1]}: person {after[2]} appears twice")
+        is_seen = np.isfinite(self.keypoints_px).all(axis=-1) & (self.confidence > 0)
+        fields = {
+            "sequence_id": tuple(self.sequence_id[i] for i in order),
+            "frame": np.asarray(self.frame)[order],
+            "person_id": np.asarray(self.person_id)[order],
+            "keypoints_px": np.where(is_seen[..., None], self.keypoints_px, np.nan)[order],
+            "confidence": np.where(is_seen, self.confidence, 0.0)[order],
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def num_rows(self) -> int:
+        """Number of rows."""
+        return len(self.frame)
+
+
+def get_keypoint_layout(name: str) -> KeypointLayout:
+    """Give the keypoint layout of this name, or an InputError that lists the known ones."""
+    if name not in KEYPOINT_LAYOUTS:
+        raise InputError(f"keypoint layout '{name}' is not known; known layouts: {', '.join(KEYPOINT_LAYOUTS)}")
+    return KEYPOINT_LAYOUTS[name]
+
+
+def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
+    """Give how long the body segments are against the longest they can be on a body: below 0.5 for people.
+
+    The mean over the kinds of segment of the median over the rows; NaN when too little is seen to tell.
+
+    Args:
+        layout: Layout whose order is tried; its first keypoints are taken if the data has fewer.
+        keypoints_px: (row, K, 2).
+        confidence: (row, K).
+    """
+    names = get_keypoint_layout(layout).keypoint_names[: keypoints_px.shape[1]]
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
+    is_seen = is_seen[is_seen.sum(axis=1) >= 6]
+    seen = keypoints_px[(np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)).sum(axis=1) >= 6]
+    if len(seen) == 0:
+        return float("nan")
+    highest = np.where(is_seen[..., None], seen, -np.inf).max(axis=1)
+    lowest = np.where(is_seen[..., None], seen, np.inf).min(axis=1)
+    diagonal = np.maximum(np.linalg.norm(highest - lowest, axis=-1), 1e-9)
+    lengths = []
+    for (start, end), limit in _SEGMENTS.items():
+        if start not in names or end not in names:
+            continue
+        i, j = names.index(start), names.index(end)
+        both = is_seen[:, i] & is_seen[:, j]
+        if both.sum() >= LEAST_CHECKED:
+            length = np.linalg.norm(seen[both, i] - seen[both, j], axis=-1)
+            lengths.append(float(np.median(length / diagonal[both])) / limit)
+    return float(np.mean(lengths)) if len(lengths) >= 4 else float("nan")
+
+
+def check_anatomy(frames: AnnotatedFrames) -> None:
+    """Refuse keypoints whose order is not that of their layout: eyes at ankles, hips a body apart.
+
+    Raises:
+        InputError: The segments are too long for a body, or much longer than in another layout, which is then named.
+    """
+    own = stretch(frames.layout, frames.keypoints_px, frames.confidence)
+    if np.isnan(own):
+        return
+    others = {
+        name: stretch(name, frames.keypoints_px, frames.confidence)
+        for name, layout in KEYPOINT_LAYOUTS.items()
+        if name != frames.layout and layout.num_keypoints <= frames.keypoints_px.shape[1]
+    }
+    better = [name for name, value in others.items() if value < CLEARLY_SHORTER * own]
+    if own <= MOST_STRETCHED and not better:
+        return
+    hint = f"; the order of '{min(better, key=lambda name: others[name])}' fits" if better else ""
+    raise InputError(
+        f"the keypoints do not look like people in the layout '{frames.layout}': their body segments are "
+        f"{own:.0%} of the longest that a body allows (people come to 20-50%){hint}"
+    )

@@ -1,0 +1,66 @@
+"""Reading npz archives that may be damaged or hostile: no pickles, no more memory than the file justifies."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+import zlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError
+
+__all__ = ["is_npz", "read_npz"]
+
+MAX_ARCHIVE_BYTES = 4 << 30
+MAX_ARRAYS = 100
+
+
+def is_npz(data: bytes) -> bool:
+    """Tell whether data starts like a zip archive."""
+    return data[:4] == b"PK\x03\x04"
+
+
+def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
+    """Give the arrays of an npz archive by name.
+
+    Raises:
+        FormatError: The archive is damaged, holds Python objects, or states more data than it has.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = archive.infolist()
+            if len(members) > MAX_ARRAYS or sum(member.file_size for member in members) > MAX_ARCHIVE_BYTES:
+                raise FormatError(
+                    f"this {what} states more data than the {MAX_ARCHIVE_BYTES >> 30} GiB that are allowed"
+                )
+            return {
+                member.filename.removesuffix(".npy"): _read_array(archive.read(member), member.filename[:40])
+                for member in members
+            }
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError, ValueError) as error:
+        raise FormatError(f"this {what} is a damaged npz archive: {str(error)[:120]}") from None
+
+
+def _read_array(content: bytes, name: str) -> npt.NDArray[Any]:
+    """Give the array of one npy file after comparing what its header states with what is there."""
+    stream = io.BytesIO(content)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, is_fortran, dtype = read(stream)
+    except (ValueError, TypeError, SyntaxError, EOFError, OSError, RecursionError, MemoryError, KeyError) as error:
+        raise FormatError(f"array '{name}' has a damaged header: {str(error)[:120]}") from None
+    if dtype.kind not in "biufU" or dtype.itemsize == 0:
+        raise FormatError(f"array '{name}' has the type {dtype}; allowed: numbers, truth values, text")
+    if any(not 0 <= axis < 1 << 40 for axis in shape) or len(shape) > 8:
+        raise FormatError(f"array '{name}' has the impossible shape {str(shape)[:80]}")
+    size = math.prod(shape) * dtype.itemsize
+    body = content[stream.tell() :]
+    if size != len(body):
+        raise FormatError(f"array '{name}' states {size} bytes but has {len(body)}")
+    values = np.frombuffer(body, dtype=dtype)
+    return values.reshape(shape, order="F" if is_fortran else "C")

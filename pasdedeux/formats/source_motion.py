@@ -1,0 +1,96 @@
+"""A motion as a file gives it: the file's own joints, length unit and up axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, unitquat_from_rotvec
+from pasdedeux.skeletons import Skeleton
+
+__all__ = ["UP_AXES", "SourceMotion"]
+
+Array = npt.NDArray[np.float64]
+
+UP_AXES = ("x", "y", "z")
+"""Axes that may point up in a file; inside the project it is always y."""
+
+
+@dataclass(frozen=True)
+class SourceMotion:
+    """One person's motion in a file's own length unit and axes.
+
+    Args:
+        skeleton: The file's joints; End Sites are joints named `<parent>_end` that never turn.
+        rest_offsets: Offset of each joint from its parent in the parent's frame, (J, 3), file units.
+        root_translation: Position of the root, (frame, 3), file units.
+        local_unitquat: Local rotations, (frame, J, 4), x, y, z, w.
+        end_sites: Names of the joints that are End Sites.
+        rate_hz: Frame rate the file states, None where it states none.
+        metres_per_unit: Length of the file's unit if the file states it, else None.
+    """
+
+    skeleton: Skeleton
+    rest_offsets: Array
+    root_translation: Array
+    local_unitquat: Array
+    end_sites: frozenset[str]
+    rate_hz: float | None
+    metres_per_unit: float | None
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return len(self.root_translation)
+
+    def frames(self, start: int, stop: int) -> SourceMotion:
+        """Give frames `start` to `stop` (exclusive)."""
+        return SourceMotion(
+            skeleton=self.skeleton,
+            rest_offsets=self.rest_offsets,
+            root_translation=self.root_translation[start:stop],
+            local_unitquat=self.local_unitquat[start:stop],
+            end_sites=self.end_sites,
+            rate_hz=self.rate_hz,
+            metres_per_unit=self.metres_per_unit,
+        )
+
+    def to_motion(self, *, metres_per_unit: float, rate_hz: float, up_axis: str = "y") -> Motion:
+        """Give the motion in metres, Y up; rest pose and rotations are expressed in the new axes alike.
+
+        Args:
+            metres_per_unit: Length of the file's unit, metres.
+            rate_hz: True frame rate.
+            up_axis: Axis of the file that points up: x, y or z.  The axes are turned, never mirrored.
+
+        Raises:
+            InputError: An unknown axis, a scale that is not positive, or values that are not finite.
+        """
+        if up_axis not in UP_AXES:
+            raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
+        if not (np.isfinite(metres_per_unit) and metres_per_unit > 0):
+            raise InputError(f"metres per unit is {metres_per_unit}; it must be positive")
+        quarter = np.pi / 2
+        turn = {"x": [0.0, 0.0, quarter], "y": [0.0, 0.0, 0.0], "z": [-quarter, 0.0, 0.0]}[up_axis]
+        world_from_file = unitquat_from_rotvec(np.array(turn))
+
+        def turned(vectors: Array) -> Array:
+            return rotate(np.broadcast_to(world_from_file, (*vectors.shape[:-1], 4)), vectors)
+
+        local = self.local_unitquat
+        if up_axis != "y":
+            local = multiply(
+                np.broadcast_to(world_from_file, local.shape),
+                multiply(local, np.broadcast_to(conjugate(world_from_file), local.shape)),
+            )
+        return Motion(
+            skeleton=self.skeleton,
+            rest_offsets_m=turned(self.rest_offsets) * metres_per_unit,
+            root_translation_m=turned(self.root_translation) * metres_per_unit,
+            local_unitquat=local,
+            rate_hz=rate_hz,
+        )

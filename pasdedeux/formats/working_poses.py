@@ -1,0 +1,145 @@
+"""From a source's own motion to the working skeletons pair17, op14 and body22."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
+from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
+from pasdedeux.skeletons.layouts import Layout
+
+__all__ = ["WorkingPoses", "check_layout", "derive_working_poses", "motion_from_positions"]
+
+Array = npt.NDArray[np.float64]
+
+LEAST_BONE_M = 1e-3
+"""A bone of a working skeleton shorter than this at rest means that the mapping put two joints on one place."""
+
+
+@dataclass(frozen=True)
+class WorkingPoses:
+    """A motion in the working skeletons, world frame, metres.
+
+    Args:
+        pair17_m: (frame, 17, 3).
+        op14_m: (frame, 14, 3).
+        body22_m: (frame, 22, 3).
+        body22_world_unitquat: World rotation of the source joint that carries each joint, from the rest pose,
+            (frame, 22, 4).
+        body22_rest_m: body22 in the source's rest pose, root at the origin, (22, 3).
+    """
+
+    pair17_m: Array
+    op14_m: Array
+    body22_m: Array
+    body22_world_unitquat: Array
+    body22_rest_m: Array
+
+
+def derive_working_poses(motion: Motion, layout: Layout) -> WorkingPoses:
+    """Derive the working skeletons of a motion through a layout.
+
+    Raises:
+        InputError: The layout names a joint that the motion does not have, or a working bone has no length.
+    """
+    extended = _with_points(motion, layout)
+    names = extended.skeleton.joint_names
+    positions, world_unitquat = extended.world()
+    body22 = layout.joint_map(BODY22.name)
+    carriers = [names.index(body22.carrier(joint)) for joint in BODY22.joint_names]
+    return WorkingPoses(
+        pair17_m=layout.joint_map(PAIR17.name).positions(positions, names),
+        op14_m=layout.joint_map(OP14.name).positions(positions, names),
+        body22_m=body22.positions(positions, names),
+        body22_world_unitquat=world_unitquat[:, carriers],
+        body22_rest_m=_rest(extended, layout, BODY22),
+    )
+
+
+def check_layout(motion: Motion, layout: Layout) -> None:
+    """Refuse a layout that does not fit a motion: needs the rest pose only.
+
+    Raises:
+        InputError: A joint of the layout is not in the motion, or a bone of a working skeleton has no length at rest.
+    """
+    extended = _with_points(motion, layout)
+    for skeleton in (PAIR17, OP14, BODY22):
+        rest = _rest(extended, layout, skeleton)
+        lengths = bone_lengths(skeleton, rest)
+        for parent, child in skeleton.bones:
+            if lengths[child] < LEAST_BONE_M:
+                raise InputError(
+                    f"layout '{layout.name}': the bone from '{skeleton.joint_names[parent]}' to "
+                    f"'{skeleton.joint_names[child]}' of '{skeleton.name}' is {lengths[child] * 1000:.2g} mm long "
+                    f"at rest; at least {LEAST_BONE_M * 1000:g} mm is needed"
+                )
+
+
+def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
+    """Give a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
+
+    The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
+    motion's joints differ from the positions by that much.
+
+    Raises:
+        InputError: A value is not finite; the frame and joint are named.
+    """
+    is_bad = ~np.isfinite(positions_m).all(axis=-1)
+    if is_bad.any():
+        frame, joint = (int(index) for index in np.argwhere(is_bad)[0])
+        raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
+    lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
+    first = positions_m[0]
+    offsets = np.zeros((skeleton.num_joints, 3))
+    for parent, child in skeleton.bones:
+        vector = first[child] - first[parent]
+        length = float(np.linalg.norm(vector))
+        offsets[child] = vector * (lengths[child] / length) if length > 0 else 0.0
+    rest = np.zeros((skeleton.num_joints, 3))
+    for joint in skeleton.order[1:]:
+        rest[joint] = rest[skeleton.parents[joint]] + offsets[joint]
+    return Motion(
+        skeleton=skeleton,
+        rest_offsets_m=offsets,
+        root_translation_m=positions_m[:, skeleton.root],
+        local_unitquat=local_rotations(skeleton, rest, positions_m),
+        rate_hz=rate_hz,
+    )
+
+
+def _with_points(motion: Motion, layout: Layout) -> Motion:
+    """Give the motion with the layout's added points as further joints."""
+    if not layout.points:
+        return motion
+    names, parents = list(motion.skeleton.joint_names), list(motion.skeleton.parents)
+    offsets = list(motion.rest_offsets_m)
+    for point in layout.points:
+        for joint in (point.joint, point.unit_bone):
+            if joint not in motion.skeleton.joint_names:
+                raise InputError(
+                    f"layout '{layout.name}': joint '{joint}' is not in the source; "
+                    f"known joints: {', '.join(motion.skeleton.joint_names)}"
+                )
+        unit = float(np.linalg.norm(motion.rest_offsets_m[motion.skeleton.index(point.unit_bone)]))
+        names.append(point.name)
+        parents.append(motion.skeleton.index(point.joint))
+        offsets.append(np.array(point.offset) * unit)
+    num_points = len(layout.points)
+    still = np.zeros((motion.num_frames, num_points, 4))
+    still[..., 3] = 1.0
+    return Motion(
+        skeleton=Skeleton(name=motion.skeleton.name, joint_names=tuple(names), parents=tuple(parents)),
+        rest_offsets_m=np.array(offsets),
+        root_translation_m=motion.root_translation_m,
+        local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
+        rate_hz=motion.rate_hz,
+    )
+
+
+def _rest(extended: Motion, layout: Layout, skeleton: Skeleton) -> Array:
+    rest = layout.joint_map(skeleton.name).positions(extended.rest_positions_m(), extended.skeleton.joint_names)
+    return rest - rest[skeleton.root]

@@ -1,0 +1,43 @@
+"""Layouts: how the joints of known kinds of motion files and the keypoints of known detectors become ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons.layouts.cmu import CMU_ASF, CMU_CGSPEED, CMU_DAZ
+from pasdedeux.skeletons.layouts.keypoints import KEYPOINT_LAYOUTS, KeypointLayout
+from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
+from pasdedeux.skeletons.layouts.others import BODY22_LAYOUT, LAFAN, MIXAMO, YIANNAKIDES
+
+__all__ = ["KEYPOINT_LAYOUTS", "LAYOUTS", "AddedPoint", "KeypointLayout", "Layout", "find_layout", "get_layout"]
+
+LAYOUTS: dict[str, Layout] = {
+    layout.name: layout for layout in (BODY22_LAYOUT, CMU_ASF, CMU_CGSPEED, CMU_DAZ, LAFAN, MIXAMO, YIANNAKIDES)
+}
+
+
+def find_layout(joint_names: Sequence[str]) -> Layout | None:
+    """Give the layout that these joint names belong to, None when no known one fits.
+
+    Where several fit, the one with the longest signature wins.  A namespace that all joints share ('mixamorig:Hips')
+    is part of the layout that is given.
+    """
+    fitting = [layout for layout in LAYOUTS.values() if layout.matches(joint_names)]
+    if fitting:
+        return max(fitting, key=lambda layout: len(layout.signature))
+    prefixes = {name.rpartition(":")[0] for name in joint_names if ":" in name}
+    if len(prefixes) == 1:
+        prefix = prefixes.pop() + ":"
+        bare = [name.removeprefix(prefix) for name in joint_names]
+        fitting = [layout for layout in LAYOUTS.values() if layout.matches(bare)]
+        if fitting:
+            return max(fitting, key=lambda layout: len(layout.signature)).with_prefix(prefix)
+    return None
+
+
+def get_layout(name: str) -> Layout:
+    """Give the layout of this name, or an InputError that lists the known ones."""
+    if name not in LAYOUTS:
+        raise InputError(f"layout '{name}' is not known; known layouts: {', '.join(LAYOUTS)}")
+    return LAYOUTS[name]

@@ -39,18 +39,38 @@ def fill(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
     return fill
 
 
-@pytest.mark.parametrize("num_writes", [0, 1, 5, 20, 30])
+def num_writes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Count the writes of bytes that a commit does."""
+    count = 0
+    write = HashingFile.write
+
+    def counted(file: HashingFile, data: Any) -> int:
+        nonlocal count
+        count += 1
+        return write(file, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(HashingFile, "write", counted)
+        commit(Store(folder))
+    return count
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_while_writing_leaves_no_artifact(
-    tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch, num_writes: int, number: int
+    tmp_path: Path, fill: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch, share: float, number: int
 ) -> None:
-    store = Store(tmp_path)
+    # The first commit also writes the store's own file, so this is one more than the second does.
+    writes = num_writes(tmp_path / "undisturbed", monkeypatch) - 1
+    store = Store(tmp_path / "store")
     before = commit_rows(store)
-    fill(num_writes, number)
-    with pytest.raises(FullDisk, match=f"the disk is full: no room left in {tmp_path}; nothing half-written was kept"):
+    fill(int(share * writes), number)
+    with pytest.raises(
+        FullDisk, match=f"the disk is full: no room left in {store.root}; nothing half-written was kept"
+    ):
         commit(store)
     assert [manifest.ref for manifest in store.artifacts()] == [before]
-    assert list((tmp_path / "tmp").iterdir()) == []
+    assert list((store.root / "tmp").iterdir()) == []
     monkeypatch.undo()
     ref = commit(store)
     assert store.find("ingest", ref.key) is not None

@@ -31,7 +31,7 @@ _HIP_SLOPE = 0.19
 
 def _rest_directions() -> Array:
     rest = {
-        "head": (0.0, 1.0, 0.0),
+        "head": (0.0, 0.85, np.sqrt(1.0 - 0.85**2)),
         "shoulder": (1.0, 0.0, 0.0),
         "elbow": (1.0, 0.0, 0.0),
         "wrist": (1.0, 0.0, 0.0),
@@ -47,7 +47,9 @@ def _rest_directions() -> Array:
 
 
 REST_DIRECTIONS: Array = _rest_directions()
-"""Direction (14, 3) of each bone at rest: T-pose facing +Z, so the left side is +X; zero for the neck."""
+"""Direction (14, 3) of each bone at rest: T-pose facing +Z, so the left side is +X; zero for the neck.
+
+The head of op14 is the nose, before the neck's line."""
 REST_DIRECTIONS.flags.writeable = False
 
 

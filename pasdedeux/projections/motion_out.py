@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.motion import Motion
 from pasdedeux.projections.bones import REST_DIRECTIONS, bone_rotations
+from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import OP14, Skeleton
 
-__all__ = ["MOTION_SKELETON", "motion_from_bones", "motion_from_positions"]
+__all__ = ["MOTION_SKELETON", "motion_from_bones", "motion_from_positions", "upright_motion"]
 
 Array = npt.NDArray[np.float64]
 
@@ -69,3 +71,12 @@ def motion_from_bones(bone_unitquat: Array, lengths_m: Array, neck_m: Array, *, 
 def motion_from_positions(positions_m: Array, lengths_m: Array, *, rate_hz: float) -> Motion:
     """Give the motion of op14 positions (frame, 14, 3) with bones of `lengths_m` (14,); joints stay where they are."""
     return motion_from_bones(bone_rotations(positions_m), lengths_m, positions_m[:, OP14.root], rate_hz=rate_hz)
+
+
+def upright_motion(positions_m: Array, camera: OrthographicCamera, *, rate_hz: float) -> Motion:
+    """Give the motion of op14 positions (frame, 14, 3) in the axes of a pitched camera, turned upright.
+
+    Bone lengths are those of the first frame; positions are expected to keep them.
+    """
+    upright = positions_m @ np.asarray(camera.camera_from_upright_rotmat)  # row vectors: this is the inverse rotation
+    return motion_from_positions(upright, bone_lengths(OP14, upright[0]), rate_hz=rate_hz)

@@ -28,7 +28,7 @@ REFERENCE_STATURE_M = 1.75
 """Stature of the reference body (Yiannakides et al. 2019, section 6.2: a character with height 175 cm)."""
 
 _FRACTION_OF_STATURE = {
-    "head": 0.105,  # shoulder line 0.818 to the middle of the head 0.923
+    "head": 0.105,  # from the shoulder line 0.818 up to the nose 0.907, 0.055 to the front
     "shoulder": 0.115,  # half the distance of the shoulder joints; 0.129 is to the acromion
     "elbow": 0.186,
     "wrist": 0.146,

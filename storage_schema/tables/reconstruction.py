@@ -27,7 +27,8 @@ PROJECTIONS = Table(
         ),
         array(
             "op14_unitquat",
-            "Local rotations (x, y, z, w), heading removed",
+            "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
+            "facing +Z; the neck carries the frame of the body, heading removed",
             axes={"joint": 14, "xyzw": 4},
             joints="op14",
         ),
@@ -63,7 +64,7 @@ CODEBOOK = Table(
 MOTIONS = Table(
     name="motions",
     meaning="One row per sequence, person and frame: the reconstructed motion.",
-    sorted_by=("sequence_id", "person_id", "frame"),
+    sorted_by=("sequence_id", "method", "person_id", "frame"),
     columns=(
         text("sequence_id", "Annotated sequence"),
         integer("person_id", "Person in the sequence"),
@@ -72,17 +73,25 @@ MOTIONS = Table(
         text("method", "nearest, viterbi, ... ; the last step of the chain that was run"),
         array(
             "op14_m",
-            "Positions, camera axes (x right, y up, z towards the camera), relative to the sequence's world origin",
+            "Positions, camera axes (x right, y up, z towards the camera); the origin lies under the people of the "
+            "first frame, on the floor that the lowest ankle stands on",
             axes={"joint": 14, "xyz": 3},
             unit="m",
             joints="op14",
         ),
-        array("op14_unitquat", "Local rotations (x, y, z, w)", axes={"joint": 14, "xyzw": 4}, joints="op14"),
+        array(
+            "op14_unitquat",
+            "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
+            "facing the camera; the neck carries the frame of the body",
+            axes={"joint": 14, "xyzw": 4},
+            joints="op14",
+        ),
         array("root_translation_m", "Position of the mid-hip", axes={"xyz": 3}, unit="m"),
-        float64("yaw_rad", "Yaw of the matched projection", unit="rad"),
-        float64("score_m", "Mean 2D distance per seen joint to the matched projection", unit="m"),
-        text("match_take_id", "Take of the matched pose"),
-        integer("match_frame", "Frame of the matched pose"),
+        float64("metres_per_pixel", "Scale of the person in the image that was estimated", unit="m/px"),
+        float64("yaw_rad", "Yaw of the matched projection; NaN where bridged", unit="rad"),
+        float64("score_m", "Mean 2D distance per seen joint to the matched projection; NaN where bridged", unit="m"),
+        text("match_take_id", "Take of the matched pose; empty where bridged"),
+        integer("match_frame", "Frame of the matched pose in the database; -1 where bridged"),
         integer("num_joints_seen", "Joints seen in this frame"),
         boolean("is_bridged", "Nothing was seen in this frame; the pose is interpolated"),
     ),

@@ -1,0 +1,57 @@
+"""What a database is built from: takes, draws and variants as op14 poses at the database's rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.skeletons import OP14, Skeleton
+
+__all__ = ["op14_from_working", "resample_positions"]
+
+Array = npt.NDArray[np.float64]
+
+_NOSE_FORWARD, _NOSE_UP = 0.6, -0.1
+"""The nose from the head (ear height), as parts of the length from neck to head: as in the layout of body22."""
+
+
+def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
+    """Give op14 positions (*batch, 14, 3) of pair17 or body22 positions (*batch, J, 3), metres.
+
+    The neck of op14 is the middle of the shoulders and its head the nose, which detectors give.  Neither skeleton has a
+    nose, so it is put before the head where the shoulders face.
+    """
+
+    def of(name: str) -> Array:
+        return positions[..., skeleton.index(name), :]
+
+    middle = 0.5 * (of("left_shoulder") + of("right_shoulder"))
+    neck_to_head = of("head") - of("neck")
+    up = normalise(neck_to_head, fallback=np.array([0.0, 1.0, 0.0]))
+    forward = normalise(np.cross(of("left_shoulder") - of("right_shoulder"), up))
+    length = np.linalg.norm(neck_to_head, axis=-1, keepdims=True)
+    nose = of("head") + length * (_NOSE_FORWARD * forward + _NOSE_UP * up)
+    own = {"neck": middle, "head": nose}
+    return np.stack([own[name] if name in own else of(name) for name in OP14.joint_names], axis=-2)
+
+
+def resample_positions(positions: Array, *, from_hz: float, to_hz: float) -> Array:
+    """Give positions (frame, *batch, 3) at another rate, linearly between frames, from the first frame on.
+
+    Bones shrink a little between frames that turn; proportions are retargeted afterwards, which puts that right.
+
+    Raises:
+        InputError: A rate is not positive.
+    """
+    if not (from_hz > 0 and to_hz > 0):
+        raise InputError(f"frame rates must be positive: {from_hz} Hz to {to_hz} Hz")
+    if from_hz == to_hz or len(positions) < 2:
+        return np.array(positions, dtype=np.float64)
+    count = int(np.floor((len(positions) - 1) * to_hz / from_hz + 1e-9)) + 1
+    at = np.arange(count) * (from_hz / to_hz)
+    before = np.minimum(np.floor(at + 1e-9).astype(int), len(positions) - 1)
+    after = np.minimum(before + 1, len(positions) - 1)
+    share = np.clip(at - before, 0.0, 1.0).reshape(-1, *([1] * (positions.ndim - 1)))
+    return np.asarray(positions[before] + share * (positions[after] - positions[before]), dtype=np.float64)

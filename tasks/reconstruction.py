@@ -1,0 +1,271 @@
+"""Stage `reconstruction`: 3D motions of the people of annotated sequences, matched to a projection database."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import chain
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.motion_out import upright_motion
+from pasdedeux.projections.reconstruct import (
+    Method,
+    Reconstruction,
+    ReconstructionOptions,
+    Searcher,
+    choose_pitch,
+    floor_offset,
+    match_track,
+    reconstruct_track,
+)
+from pasdedeux.projections.temporal import TemporalWeights
+from pasdedeux.projections.tracks import PersonTrack, tracks_from_rows
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+
+__all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "run_shard"]
+
+VERSION = 1
+
+
+class ReconstructionParameters(Parameters):
+    """Which sequences are reconstructed, against which views of the database, and how a motion is chosen."""
+
+    sequences: Literal["held_out", "given", "all"] = Field(
+        "held_out", description="Virtual video of held-out takes and given sequences, given ones only, or every video"
+    )
+    methods: tuple[Method, ...] = Field(
+        (Method.NEAREST, Method.VITERBI),
+        min_length=1,
+        description="Methods, each gives a motion; the last one is written as BVH",
+    )
+    num_yaws: int = Field(30, ge=1, le=360, description="Yaw steps of the database over a full turn")
+    pitches_deg: tuple[float, ...] = Field(
+        (0.0, 10.0, 20.0, 30.0, 45.0),
+        min_length=1,
+        description="Pitches of the database's camera; the one that matches a sequence best is taken",
+    )
+    num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
+    min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
+    pose_weight: float = Field(
+        0.5, ge=0, description="Cost of a pose change per metre, against the misfit in the image"
+    )
+    smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
+
+
+def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
+    """Plan a shard per video sequence, with every projections artifact that has not seen the sequence's take."""
+    shards = []
+    databases = inputs.of("projections")
+    for manifest in inputs.of("annotations"):
+        if not _is_wanted(manifest, parameters.sequences):
+            continue
+        seen = set(manifest.facts.get("takes", []))
+        allowed = [database for database in databases if not seen & set(database.facts.get("takes", []))]
+        for sequence_id in manifest.facts.get("sequence_ids", []):
+            shards.append(
+                Shard(
+                    stage="reconstruction",
+                    version=VERSION,
+                    partition=sequence_id,
+                    name=sequence_id,
+                    parameters={
+                        "sequence_id": sequence_id,
+                        **parameters.model_dump(mode="json", exclude={"sequences"}),
+                    },
+                    inputs=(manifest.ref, *(database.ref for database in allowed)),
+                    seed=inputs.seed,
+                )
+            )
+    return shards
+
+
+def _is_wanted(manifest: Manifest, sequences: str) -> bool:
+    facts = manifest.facts
+    purpose = facts.get("purpose")
+    if purpose == "given":
+        return True
+    return purpose == "video" and (sequences == "all" or (sequences == "held_out" and bool(facts.get("is_held_out"))))
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Reconstruct every person of a sequence with every method; tracks that cannot be are named in the facts."""
+    annotations, *database_refs = shard.inputs
+    manifest = store.manifest(annotations)
+    sequence_id = shard.parameters["sequence_id"]
+    parameters = ReconstructionParameters(
+        **{name: value for name, value in shard.parameters.items() if name != "sequence_id"}
+    )
+    facts: dict[str, Any] = {
+        "kind": "motions",
+        "sequence_ids": [sequence_id],
+        "takes": merge_takes(manifest, *(store.manifest(ref) for ref in database_refs)),
+        "sequence_takes": sorted(manifest.facts.get("takes", [])),
+        "database_takes": merge_takes(*(store.manifest(ref) for ref in database_refs)),
+        "methods": [method.value for method in parameters.methods],
+        "skipped": [],
+    }
+    people = _read_tracks(store, annotations, sequence_id)
+    rows: list[dict[str, Any]] = []
+    attachments: dict[str, bytes] = {}
+    if not database_refs:
+        facts["skipped"].append({"person_id": -1, "reason": "no projection database without the sequence's own take"})
+    elif people:
+        rows, attachments = _reconstruct(store, database_refs, sequence_id, people, parameters, facts)
+    facts["num_persons"] = len({row["person_id"][0] for row in rows})
+    return commit(shard, store, tables={"motions": _columns(rows)}, facts=facts, attachments=attachments)
+
+
+def _read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> list[PersonTrack]:
+    """Give the tracks of the sequence, by person."""
+    columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "op14_confidence"]
+    table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
+    rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
+    if len(rows) == 0:
+        return []
+    is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
+    return tracks_from_rows(
+        np.asarray(table["frame"])[rows],
+        np.asarray(table["person_id"])[rows],
+        np.asarray(table["time_s"])[rows],
+        np.asarray(table["op14_px"], dtype=np.float64)[rows],
+        np.asarray(table["op14_confidence"], dtype=np.float64)[rows],
+        width_px=None if is_unknown else int(table["image_width_px"][rows[0]]),
+        height_px=None if is_unknown else int(table["image_height_px"][rows[0]]),
+    )
+
+
+def _reconstruct(
+    store: Store,
+    database_refs: Sequence[ArtifactRef],
+    sequence_id: str,
+    people: Sequence[PersonTrack],
+    parameters: ReconstructionParameters,
+    facts: dict[str, Any],
+) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
+    """Give the rows of `motions` of every method and person, and a BVH file a person."""
+    options = ReconstructionOptions(
+        num_candidates=parameters.num_candidates,
+        min_joints=parameters.min_joints,
+        temporal=TemporalWeights(pose=parameters.pose_weight),
+        smoothing_s=parameters.smoothing_s,
+    )
+    poses, starts, take_ids, frames = _read_database(store, database_refs)
+    if len(poses) == 0:
+        facts["skipped"].append({"person_id": -1, "reason": "the projection database has no pose"})
+        return [], {}
+    rate_hz = float(store.manifest(database_refs[0]).facts["rate_hz"])
+    cameras = [OrthographicCamera(math.radians(pitch)) for pitch in parameters.pitches_deg]
+    searchers = [
+        Searcher.of(Database(poses, starts, num_yaws=parameters.num_yaws, rate_hz=rate_hz, camera=camera))
+        for camera in cameras
+    ]
+    chosen = choose_pitch(searchers, [one.track for one in people], options)
+    searcher, camera = searchers[chosen], cameras[chosen]
+    facts["pitch_deg"] = parameters.pitches_deg[chosen]
+    facts["num_projections"] = searcher.database.num_projections
+    rows: list[dict[str, Any]] = []
+    attachments: dict[str, bytes] = {}
+    matched = []
+    for person in people:
+        try:
+            matched.append((person, match_track(searcher, person.track, options)))
+        except InputError as error:
+            facts["skipped"].append({"person_id": person.person_id, "reason": str(error)})
+    for method in parameters.methods if matched else ():
+        found = [
+            (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
+            for person, matches in matched
+        ]
+        origin = floor_offset([one for _, one in found], camera)
+        for person, one in found:
+            rows.append(_rows_of(sequence_id, person, method, one, origin, take_ids, frames))
+            if method is parameters.methods[-1]:
+                motion = upright_motion(one.positions_m - origin, camera, rate_hz=person.track.rate_hz)
+                attachments[f"{sequence_id}_{person.person_id}.bvh"] = write_bvh(motion).encode()
+    return rows, attachments
+
+
+def _read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Give poses, sequence starts, take ids and frames of all parts, in the order of the plan."""
+    parts = [
+        store.read(ref, "projections", columns=["op14_m", "is_sequence_start", "take_id", "frame"]) for ref in refs
+    ]
+    return (
+        np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
+        np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
+        np.concatenate([np.array(list(part["take_id"]), dtype=object) for part in parts]),
+        np.concatenate([np.asarray(part["frame"]) for part in parts]),
+    )
+
+
+def _rows_of(
+    sequence_id: str,
+    person: PersonTrack,
+    method: Method,
+    found: Reconstruction,
+    origin: np.ndarray,
+    take_ids: np.ndarray,
+    frames: np.ndarray,
+) -> dict[str, Any]:
+    count = len(found.positions_m)
+    is_known = found.row >= 0
+    row = np.maximum(found.row, 0)
+    return {
+        "sequence_id": [sequence_id] * count,
+        "person_id": np.full(count, person.person_id),
+        "frame": person.frames,
+        "time_s": person.times_s,
+        "method": [method.value] * count,
+        "op14_m": found.positions_m - origin,
+        "op14_unitquat": found.bone_unitquat,
+        "root_translation_m": found.root_m - origin,
+        "metres_per_pixel": found.metres_per_pixel,
+        "yaw_rad": found.yaw_rad,
+        "score_m": found.score_m,
+        "match_take_id": [str(name) if known else "" for name, known in zip(take_ids[row], is_known, strict=True)],
+        "match_frame": np.where(is_known, frames[row], -1),
+        "num_joints_seen": found.num_joints_seen,
+        "is_bridged": found.is_bridged,
+    }
+
+
+def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Join rows by column; without any row every column is empty."""
+    if not rows:
+        empty: dict[str, Any] = {name: [] for name in ("sequence_id", "method", "match_take_id")}
+        empty |= {
+            name: np.zeros(0, dtype=np.int64) for name in ("person_id", "frame", "match_frame", "num_joints_seen")
+        }
+        empty |= {name: np.zeros(0) for name in ("time_s", "metres_per_pixel", "yaw_rad", "score_m")}
+        return empty | {
+            "op14_m": np.zeros((0, 14, 3)),
+            "op14_unitquat": np.zeros((0, 14, 4)),
+            "root_translation_m": np.zeros((0, 3)),
+            "is_bridged": np.zeros(0, dtype=bool),
+        }
+    return {
+        name: list(chain.from_iterable(row[name] for row in rows))
+        if isinstance(rows[0][name], list)
+        else np.concatenate([row[name] for row in rows])
+        for name in rows[0]
+    }
+
+
+STAGE = Stage(
+    name="reconstruction",
+    version=VERSION,
+    reads=("annotations", "projections"),
+    writes=("motions",),
+    parameters=ReconstructionParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="Reconstructs 3D motions of annotated people from the projection database",
+)

@@ -1,0 +1,262 @@
+"""The stages `projections` and `reconstruction` keep their promises over a real store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import look_at_camera
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
+from tasks import projections, reconstruction
+from tasks.stage import StageInputs
+from tests.walkers import walk
+
+
+def put(store: Store, stage: str, name: str, tables: dict[str, Any], facts: dict[str, Any]) -> Manifest:
+    """Commit what an earlier stage would have written."""
+    ref = store.commit(
+        stage=stage,
+        key=artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0),
+        partition=name,
+        name=name,
+        version=1,
+        parameters={"name": name},
+        seed=0,
+        inputs=[],
+        files=[],
+        tables=tables,
+        facts=facts,
+        sources=[SourceCredit("walkers", "CC0", "made up for tests")],
+    )
+    return store.manifest(ref)
+
+
+def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: bool = False) -> Manifest:
+    frames = 90
+    worlds = [walk(frames, seed=sum(map(ord, take_id)) + person, rate_hz=rate_hz) for person in range(2)]
+    count = 2 * frames
+    frame = np.tile(np.arange(frames), 2)
+    columns = {
+        "take_id": [take_id] * count,
+        "person": np.repeat([0, 1], frames),
+        "frame": frame,
+        "time_s": frame / rate_hz,
+        "root_translation_m": np.zeros((count, 3)),
+        "local_unitquat": [np.zeros(4)] * count,
+        "pair17_m": np.zeros((count, 17, 3)),
+        "op14_m": np.concatenate(worlds),
+        "body22_m": np.zeros((count, 22, 3)),
+        "body22_world_unitquat": np.zeros((count, 22, 4)),
+    }
+    facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
+    return put(store, "ingest", take_id, {"poses": columns}, facts)
+
+
+def put_video(
+    store: Store, sequence_id: str, takes: list[str], *, purpose: str = "video"
+) -> tuple[Manifest, np.ndarray]:
+    """Give the artifact of a sequence of two people, and the truth (person, frame, 14, 3) in camera axes."""
+    frames = 40
+    worlds = np.stack(
+        [walk(frames, seed=40 + person, rate_hz=30.0) + np.array([1.2 * person, 0, 0]) for person in range(2)]
+    )
+    camera = look_at_camera(
+        mid_hip(worlds).mean(axis=(0, 1)), distance_m=4.0, yaw_rad=0.5, pitch_rad=0.15, focal_px=1400.0
+    )
+    px = camera.project(worlds).px
+    confidence = np.ones(px.shape[:-1])
+    px[1, 10:13] = np.nan
+    confidence[1, 10:13] = 0.0
+    count = 2 * frames
+    frame = np.tile(np.arange(frames), 2)
+    columns = {
+        "sequence_id": [sequence_id] * count,
+        "frame": frame,
+        "person_id": np.repeat([0, 1], frames),
+        "time_s": frame / 30.0,
+        "is_key": np.ones(count, dtype=bool),
+        "is_virtual": np.full(count, bool(takes)),
+        "is_held_out": np.ones(count, dtype=bool),
+        "take_id": [takes[0] if takes else None] * count,
+        "take_frame": frame,
+        "layout": ["op14"] * count,
+        "keypoints_px": list(px.reshape(count, -1)),
+        "keypoint_confidence": list(confidence.reshape(count, -1)),
+        "pair17_px": np.zeros((count, 17, 2)),
+        "pair17_confidence": np.zeros((count, 17)),
+        "op14_px": px.reshape(count, 14, 2),
+        "op14_confidence": confidence.reshape(count, 14),
+        "image_width_px": np.full(count, 1920),
+        "image_height_px": np.full(count, 1080),
+    }
+    facts = {
+        "kind": "sequences",
+        "takes": takes,
+        "sequence_ids": [sequence_id],
+        "is_held_out": True,
+        "purpose": purpose,
+        "num_frames": frames,
+    }
+    manifest = put(store, "ingest", sequence_id, {"annotations": columns}, facts)
+    return manifest, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def build(store: Store, takes: list[Manifest], **tables: list[Manifest]) -> list[Manifest]:
+    inputs = StageInputs({"poses": takes, **tables}, seed=0)
+    parameters = projections.ProjectionsParameters(
+        include_draws="draws" in tables, include_variants="variants" in tables
+    )
+    return [store.manifest(projections.run_shard(shard, store)) for shard in projections.plan(inputs, parameters)]
+
+
+def reconstruct(
+    store: Store, annotations: list[Manifest], databases: list[Manifest], **settings: Any
+) -> list[ArtifactRef]:
+    inputs = StageInputs({"annotations": annotations, "projections": databases}, seed=0)
+    parameters = reconstruction.ReconstructionParameters(**settings)
+    return [reconstruction.run_shard(shard, store) for shard in reconstruction.plan(inputs, parameters)]
+
+
+def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(store: Store) -> None:
+    built = build(store, [put_take(store, "a"), put_take(store, "b", is_held_out=True)])
+    assert [manifest.facts["takes"] for manifest in built] == [["a"]]
+    table = open_table(built[0].ref, store)
+    assert table.num_rows == 2 * 72  # 90 frames at 30 Hz, 24 Hz
+    assert np.flatnonzero(table["is_sequence_start"]).tolist() == [0, 72]
+    np.testing.assert_allclose(mid_hip(np.asarray(table["op14_m"], dtype=float)), 0.0, atol=1e-6)
+    assert set(table["origin"]) == {"take"}
+    assert [credit.name for credit in built[0].sources] == ["walkers"]
+
+
+def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
+    rng = np.random.default_rng(0)
+    draws = put(
+        store,
+        "chains",
+        "draws",
+        {
+            "draws": {
+                "density": ["ic", "prior_only", "ic"],
+                "seed_index": [0, 0, 0],
+                "chain": [0, 0, 1],
+                "draw": [0, 1, 2],
+                "pair17_m": rng.normal(size=(3, 2, 17, 3)),
+                "parameters": np.zeros((3, 108)),
+                "log_density": np.zeros(3),
+                "log_prior": np.zeros(3),
+                "log_likelihood": np.zeros(3),
+                "num_accepted": [0, 0, 0],
+                "take_id": ["a", None, None],
+            }
+        },
+        {"takes": ["a", "c"]},
+    )
+    variants = put(
+        store,
+        "augmentation",
+        "variants",
+        {
+            "variants": {
+                "take_id": ["a"] * 8,
+                "variant_id": ["x"] * 4 + ["y"] * 4,
+                "frame": [0, 1, 2, 3] * 2,
+                "time_s": np.tile(np.arange(4) / 48.0, 2),
+                "body22_m": rng.normal(size=(8, 2, 22, 3)),
+                "body22_unitquat": np.zeros((8, 2, 22, 4)),
+            }
+        },
+        {"takes": ["a"]},
+    )
+    take, drawn, varied = build(store, [put_take(store, "a")], draws=[draws], variants=[variants])
+    assert take.facts["takes"] == ["a"]
+    assert drawn.facts["takes"] == ["a", "c"]
+    table = open_table(drawn.ref, store)
+    assert table["origin"][0] == "draw"
+    assert table["frame"].tolist() == [0, 2, 0, 2]
+    assert table["is_sequence_start"].all()
+    assert list(table["take_id"]) == ["a", "", "a", ""]
+    table = open_table(varied.ref, store)
+    assert table["frame"].tolist() == [0, 1] * 4
+    assert table["is_sequence_start"].tolist() == [True, False] * 4
+    assert (PAIR17.num_joints, BODY22.num_joints, OP14.num_joints) == (17, 22, 14)
+
+
+def test_a_sequence_is_never_matched_against_its_own_take(store: Store) -> None:
+    built = build(store, [put_take(store, name) for name in "abc"])
+    video, _ = put_video(store, "seen", ["b"])
+    shards = reconstruction.plan(
+        StageInputs({"annotations": [video], "projections": built}, seed=0), reconstruction.ReconstructionParameters()
+    )
+    assert len(shards) == 1
+    allowed = {store.manifest(ref).facts["takes"][0] for ref in shards[0].inputs[1:]}
+    assert allowed == {"a", "c"}
+    ref = reconstruction.run_shard(shards[0], store)
+    assert store.manifest(ref).facts["database_takes"] == ["a", "c"]
+    assert "b" not in set(open_table(ref, store)["match_take_id"])
+
+
+def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> None:
+    built = build(store, [put_take(store, name) for name in "abcd"])
+    video, truth = put_video(store, "film", ["held"])
+    (ref,) = reconstruct(store, [video], built)
+    table = open_table(ref, store)
+    assert table.num_rows == 2 * 2 * 40
+    method, person = np.array(table["method"]), np.asarray(table["person_id"])
+    for name in ("nearest", "viterbi"):
+        for one in (0, 1):
+            chosen = (method == name) & (person == one)
+            assert np.asarray(table["frame"])[chosen].tolist() == list(range(40))
+            found = np.asarray(table["op14_m"], dtype=float)[chosen]
+            assert root_centred_error_m(found, truth[one]).mean() < 0.12
+    bridged = np.asarray(table["is_bridged"])
+    assert np.flatnonzero(bridged & (method == "viterbi") & (person == 1)).size == 3
+    assert set(np.array(table["match_take_id"])[bridged]) == {""}
+    positions = np.asarray(table["op14_m"])
+    assert np.isfinite(positions).all()
+    manifest = store.manifest(ref)
+    assert sorted(manifest.attachments) == ["film_0.bvh", "film_1.bvh"]
+    assert manifest.facts["skipped"] == []
+    # The two people stand in one frame, person 1 on the truth's side of person 0.
+    apart = [positions[(method == "viterbi") & (person == one)].mean(axis=(0, 1)) for one in (0, 1)]
+    true_apart = truth[1].mean(axis=(0, 1)) - truth[0].mean(axis=(0, 1))
+    np.testing.assert_allclose(apart[1] - apart[0], true_apart, atol=0.5)
+
+
+def test_running_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:
+    other = Store(tmp_path / "other")
+    digests = []
+    for one in (store, other):
+        built = build(one, [put_take(one, "a"), put_take(one, "b")])
+        video, _ = put_video(one, "film", [])
+        (ref,) = reconstruct(one, [video], built)
+        digests.append([manifest.ref.content_digest for manifest in built] + [ref.content_digest])
+    assert digests[0] == digests[1]
+
+
+def test_which_sequences_are_reconstructed_follows_their_purpose(store: Store) -> None:
+    video, _ = put_video(store, "video", ["t"])
+    given, _ = put_video(store, "given", [], purpose="given")
+    views, _ = put_video(store, "views", ["t"], purpose="random_views")
+    inputs = StageInputs({"annotations": [video, given, views], "projections": []}, seed=0)
+    for choice, expected in (("held_out", ["video", "given"]), ("given", ["given"]), ("all", ["video", "given"])):
+        parameters = reconstruction.ReconstructionParameters(sequences=choice)
+        assert [shard.partition for shard in reconstruction.plan(inputs, parameters)] == expected
+
+
+def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kept(store: Store) -> None:
+    video, _ = put_video(store, "film", ["a"])
+    only_own = build(store, [put_take(store, "a")])
+    (ref,) = reconstruct(store, [video], only_own)
+    assert open_table(ref, store).num_rows == 0
+    assert "no projection database" in store.manifest(ref).facts["skipped"][0]["reason"]

@@ -1,0 +1,209 @@
+"""A track of keypoints becomes the motion it was projected from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import PinholeCamera, look_at_camera
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction_metrics import (
+    foot_slide_m,
+    jitter_m,
+    root_centred_error_m,
+    root_removed_error_m,
+    scale_free_error_m,
+)
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.reconstruct import (
+    Lens,
+    Method,
+    ReconstructionOptions,
+    Searcher,
+    Track,
+    choose_pitch,
+    floor_offset,
+    match_track,
+    reconstruct_track,
+)
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
+from pasdedeux.projections.scale import bounding_box_height, running_median
+from pasdedeux.projections.tracks import rate_from_times, tracks_from_rows
+from pasdedeux.skeletons import OP14
+from tests.walkers import walk
+
+FOCAL_PX = 0.72 * 1920
+
+
+def make_searcher(pitch_rad: float = 0.0) -> Searcher:
+    motions = [walk(150, seed=seed) for seed in range(6)]
+    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
+    starts = np.tile(np.arange(150) == 0, 6)
+    return Searcher.of(Database(poses, starts, camera=OrthographicCamera(pitch_rad)))
+
+
+@pytest.fixture(scope="module")
+def searcher() -> Searcher:
+    return make_searcher()
+
+
+def film(
+    world: np.ndarray, *, yaw: float = 0.4, pitch: float = 0.0, distance_m: float = 4.0
+) -> tuple[Track, np.ndarray]:
+    """Give the track of a walker seen by a pinhole, and the truth in camera axes."""
+    camera: PinholeCamera = look_at_camera(
+        mid_hip(world).mean(axis=0), distance_m=distance_m, yaw_rad=yaw, pitch_rad=pitch, focal_px=FOCAL_PX
+    )
+    px = camera.project(world).px
+    track = Track(px, np.ones(px.shape[:2]), 24.0, Lens.assumed(1920, 1080, px))
+    return track, (world - camera.position_m) @ camera.camera_from_world_rotmat.T
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, 2.5])
+def test_a_new_walk_is_reconstructed_near_the_truth_in_place_and_size(searcher: Searcher, yaw: float) -> None:
+    world = walk(80, seed=11)
+    track, truth = film(world, yaw=yaw)
+    found = {method: reconstruct_track(searcher, track, method) for method in Method}
+    for one in found.values():
+        assert root_centred_error_m(one.positions_m, truth).mean() < 0.09
+        assert np.linalg.norm(one.root_m - mid_hip(truth), axis=-1).mean() < 0.25
+        np.testing.assert_allclose(
+            bone_lengths(OP14, one.positions_m), np.broadcast_to(REFERENCE_LENGTHS_M, (80, 14)), atol=1e-9
+        )
+    jitters = {method: jitter_m(one.positions_m - one.root_m[:, None]) for method, one in found.items()}
+    assert jitters[Method.VITERBI] < 0.5 * jitters[Method.NEAREST]
+
+
+def test_a_mirrored_image_gives_a_mirrored_person(searcher: Searcher) -> None:
+    world = walk(60, seed=11)
+    track, truth = film(world, yaw=0.3)
+    swapped = list(OP14.mirror)
+    mirrored_px = np.array([1920.0, 0.0]) + track.keypoints_px[:, swapped] * np.array([-1.0, 1.0])
+    mirrored = Track(mirrored_px, track.confidence, 24.0, track.lens)
+    found = reconstruct_track(searcher, mirrored)
+    mirrored_truth = truth[:, swapped] * np.array([-1.0, 1.0, 1.0])
+    # The left arm lifts in every walk of the database and the right one here: near, but never the unmirrored truth.
+    assert root_centred_error_m(found.positions_m, mirrored_truth).mean() < 0.2
+    assert (
+        root_centred_error_m(found.positions_m, truth).mean()
+        > root_centred_error_m(found.positions_m, mirrored_truth).mean()
+    )
+
+
+def test_the_pitch_of_the_camera_is_found() -> None:
+    searchers = [make_searcher(pitch) for pitch in (0.0, 0.35, 0.7)]
+    for true_pitch, expected in ((0.0, 0), (0.35, 1), (0.7, 2)):
+        track, truth = film(walk(60, seed=3), pitch=true_pitch)
+        chosen = choose_pitch(searchers, [track])
+        assert chosen == expected
+        found = reconstruct_track(searchers[chosen], track)
+        assert root_centred_error_m(found.positions_m, truth).mean() < 0.09
+
+
+def test_missing_joints_cost_little_and_empty_frames_are_bridged_and_marked(searcher: Searcher) -> None:
+    world = walk(80, seed=11)
+    track, truth = film(world)
+    rng = np.random.default_rng(0)
+    hidden = rng.uniform(size=(80, 14)) < 0.3
+    hidden[30:36] = True
+    confidence = np.where(hidden, 0.0, 1.0)
+    points = np.where(hidden[..., None], np.nan, track.keypoints_px)
+    found = reconstruct_track(searcher, Track(points, confidence, 24.0, track.lens))
+    assert found.is_bridged[30:36].all()
+    assert (found.num_joints_seen[30:36] == 0).all()
+    assert np.isnan(found.score_m[30:36]).all()
+    assert (found.row[30:36] == -1).all()
+    full = root_centred_error_m(reconstruct_track(searcher, track).positions_m, truth).mean()
+    assert root_centred_error_m(found.positions_m, truth).mean() < full + 0.04
+    assert np.isfinite(found.positions_m).all()
+
+
+def test_a_track_without_a_person_is_refused_in_words(searcher: Searcher) -> None:
+    empty = Track(np.full((5, 14, 2), np.nan), np.ones((5, 14)), 24.0, Lens(1000.0, (500.0, 500.0)))
+    with pytest.raises(InputError, match="no frame of the track shows 4 joints"):
+        match_track(searcher, empty)
+    wrists = np.full((5, 14, 2), np.nan)
+    wrists[:, ::4] = 100.0
+    with pytest.raises(InputError, match="three bones"):
+        match_track(searcher, Track(wrists, np.ones((5, 14)), 24.0, Lens(1000.0, (500.0, 500.0))))
+
+
+def test_tracks_refuse_what_they_cannot_mean() -> None:
+    lens = Lens(1000.0, (0.0, 0.0))
+    with pytest.raises(InputError, match="expected"):
+        Track(np.zeros((3, 17, 2)), np.zeros((3, 17)), 24.0, lens)
+    with pytest.raises(InputError, match="frame rate"):
+        Track(np.zeros((3, 14, 2)), np.zeros((3, 14)), 0.0, lens)
+    with pytest.raises(InputError, match="negative"):
+        Track(np.zeros((3, 14, 2)), np.full((3, 14), -1.0), 24.0, lens)
+    with pytest.raises(InputError, match="at least 1"):
+        ReconstructionOptions(num_candidates=0)
+
+
+def test_the_floor_is_where_the_lowest_ankle_stands_in_upright_axes(searcher: Searcher) -> None:
+    track, _ = film(walk(40, seed=2), pitch=0.0)
+    found = reconstruct_track(searcher, track)
+    camera = OrthographicCamera(0.3)
+    moved = found.positions_m - floor_offset([found], camera)
+    upright = moved @ camera.camera_from_upright_rotmat
+    assert upright[:, OP14.indices(["left_ankle", "right_ankle"]), 1].min() == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(mid_hip(upright[0])[[0, 2]], 0.0, atol=1e-9)
+
+
+def test_tracks_keep_gaps_and_people_apart() -> None:
+    frame = np.array([3, 4, 4, 7])
+    person = np.array([0, 0, 5, 0])
+    points = np.arange(4 * 28, dtype=float).reshape(4, 14, 2)
+    tracks = tracks_from_rows(frame, person, frame / 25.0, points, np.ones((4, 14)), width_px=640, height_px=480)
+    assert [one.person_id for one in tracks] == [0, 5]
+    assert tracks[0].frames.tolist() == [3, 4, 5, 6, 7]
+    assert tracks[0].track.rate_hz == pytest.approx(25.0)
+    np.testing.assert_allclose(tracks[0].times_s, np.arange(3, 8) / 25.0)
+    assert (tracks[0].track.confidence[[2, 3]] == 0).all()
+    np.testing.assert_array_equal(tracks[0].track.keypoints_px[4], points[3])
+    assert (
+        tracks_from_rows(frame[:0], person[:0], frame[:0] / 1.0, points[:0], np.ones((0, 14)), width_px=1, height_px=1)
+        == []
+    )
+    with pytest.raises(InputError, match="twice"):
+        tracks_from_rows(frame, np.zeros(4), frame / 25.0, points, np.ones((4, 14)), width_px=1, height_px=1)
+    with pytest.raises(InputError, match="do not grow"):
+        rate_from_times(frame, np.zeros(4))
+
+
+def test_an_unknown_image_size_puts_the_middle_where_the_people_are() -> None:
+    points = np.full((2, 14, 2), np.nan)
+    points[:, :3] = [[100.0, 50.0], [300.0, 250.0], [200.0, 100.0]]
+    lens = Lens.assumed(None, None, points)
+    assert lens.principal_point_px == (200.0, 150.0)
+    assert lens.focal_px > 0
+
+
+def test_running_medians_skip_what_is_unknown() -> None:
+    values = np.array([np.nan, 1.0, 9.0, 1.0, np.nan, np.nan, np.nan, 4.0])
+    np.testing.assert_allclose(running_median(values, 3), [1.0, 5.0, 1.0, 5.0, 1.0, 1.0, 4.0, 4.0])
+    with pytest.raises(InputError, match="no finite"):
+        running_median(np.full(3, np.nan), 3)
+
+
+def test_the_bounding_box_ignores_joints_not_seen() -> None:
+    points = np.full((2, 14, 2), np.nan)
+    points[0, :2] = [[0.0, 1.0], [5.0, 3.0]]
+    np.testing.assert_array_equal(bounding_box_height(points), [2.0, np.nan])
+
+
+def test_error_measures_forget_what_they_say_they_forget() -> None:
+    world = walk(30)
+    moved = world @ yaw_rotmat(0.8).T + np.array([1.0, 2.0, 3.0])
+    assert root_centred_error_m(world + 5.0, world).max() < 1e-12
+    assert root_centred_error_m(moved, world).mean() > 0.1
+    assert root_removed_error_m(moved, world).max() < 1e-9
+    assert scale_free_error_m(1.3 * world, world).max() < 1e-9
+    assert jitter_m(np.arange(9.0)[:, None, None] * np.ones((1, 14, 3))) == pytest.approx(0.0, abs=1e-12)
+    assert jitter_m(world[:2]) == 0.0
+    slid = np.zeros((5, 14, 3))
+    slid[:, :, 0] = 0.1 * np.arange(5)[:, None]
+    assert foot_slide_m(slid) == pytest.approx(0.1)

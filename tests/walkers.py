@@ -1,0 +1,49 @@
+"""Made-up op14 motion for tests: a walker with swinging limbs, different on both sides so that mirroring shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
+from pasdedeux.projections.bones import place_bone_rotations
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
+from pasdedeux.skeletons import OP14
+
+__all__ = ["random_poses", "walk"]
+
+Array = npt.NDArray[np.float64]
+
+
+def walk(num_frames: int, *, seed: int = 0, rate_hz: float = 24.0, turn_rad: float = 1.5) -> Array:
+    """Positions (frame, 14, 3), metres: arms down and swinging, the left arm raised at times, knees that bend."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(num_frames) / rate_hz
+    phase = 2 * np.pi * 0.9 * time + rng.uniform(0, 2 * np.pi)
+    swing = 0.5 + 0.2 * rng.uniform(-1, 1)
+    rotvec = np.zeros((num_frames, 14, 3))
+    joint = OP14.index
+    rotvec[:, joint("left_elbow"), 2] = -1.3 + 1.1 * np.sin(0.7 * time + rng.uniform(0, 6)) ** 2
+    rotvec[:, joint("right_elbow"), 2] = 1.3
+    rotvec[:, joint("left_elbow"), 1] = 0.4 * swing * np.sin(phase)
+    rotvec[:, joint("right_elbow"), 1] = 0.9 * swing * np.sin(phase)
+    rotvec[:, joint("left_wrist"), 1] = -0.5 - 0.4 * np.sin(phase)
+    rotvec[:, joint("right_wrist"), 1] = 0.9 + 0.3 * np.sin(1.3 * phase)
+    rotvec[:, joint("left_knee"), 0] = -swing * np.sin(phase)
+    rotvec[:, joint("right_knee"), 0] = swing * np.sin(phase)
+    rotvec[:, joint("left_ankle"), 0] = 0.5 - 0.45 * np.cos(phase)
+    rotvec[:, joint("right_ankle"), 0] = 0.5 + 0.45 * np.cos(phase)
+    heading = np.zeros((num_frames, 3))
+    heading[:, 1] = turn_rad * time / max(time[-1], 1e-9) if num_frames > 1 else 0.0
+    lean = np.zeros((num_frames, 3))
+    lean[:, 0] = 0.1 + 0.05 * np.sin(phase)
+    unitquat = unitquat_from_rotvec(rotvec)
+    unitquat[:, OP14.root] = multiply(unitquat_from_rotvec(heading), unitquat_from_rotvec(lean))
+    root = np.stack([0.3 * np.sin(0.5 * time), 0.92 + 0.02 * np.cos(2 * phase), 0.4 * time], axis=-1)
+    return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, root)
+
+
+def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -> Array:
+    """Positions (count, 14, 3) of unrelated poses about the T-pose, mid-hip at the origin."""
+    unitquat = unitquat_from_rotvec(rng.normal(0, spread, (count, 14, 3)))
+    return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros((count, 3)))

@@ -19,7 +19,10 @@ _PREAMBLE = f"""# Data dictionary
 Written by `python -m storage_schema.dictionary` from `storage_schema/tables/`; do not edit.
 Schema version {SCHEMA_VERSION}.
 
-Tables are Parquet files. World axes are right-handed with Y up; lengths are in metres, angles in radians, times in
+Tables are Parquet files; a shard's part of a table is `<store>/<stage>/<key[:2]>/<key>/<table>.parquet`. From Python,
+`storage_schema.open_table("poses:duets/waltz", "store")` gives the rows of a partition as numpy arrays by column.
+
+World axes are right-handed with Y up; lengths are in metres, angles in radians, times in
 seconds, except where a column says otherwise. 2D columns in pixels have x to the right and y down. Quaternions are unit
 quaternions (x, y, z, w). An array of a fixed shape is a fixed-size list, row-major over the axes named here; the same
 shape, axes, joint names and unit stand in the field's metadata. Only columns marked *null* may be null; a number that

@@ -15,6 +15,9 @@ from storage_schema.errors import SchemaError
 
 __all__ = ["encode"]
 
+_EXACT_BELOW = 2.0**53
+"""Whole numbers below this are exact as float64."""
+
 
 def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
     """Give the rows of a table as Arrow, in the order given.
@@ -62,6 +65,10 @@ def _unknown_column(table: Table, name: str) -> str:
 
 
 def _num_rows(table: Table, name: str, values: Any) -> int:
+    if isinstance(values, np.ma.MaskedArray):
+        raise SchemaError(
+            f"table '{table.name}': column '{name}' is a masked array; give None or NaN where a value is missing"
+        )
     if isinstance(values, np.ndarray) and values.ndim:
         return len(values)
     if isinstance(values, Sequence) and not isinstance(values, str | bytes):
@@ -147,7 +154,7 @@ def _numbers(column: Column, kind: Kind, values: Any, stored: pa.DataType) -> pa
         if found.ndim == 1 and found.dtype.kind == "f":
             nulls = np.isnan(found)
             found = np.where(nulls, 0, found)
-            if kind is Kind.INTEGER and np.array_equal(found, np.rint(found)):
+            if kind is Kind.INTEGER and np.all((found == np.rint(found)) & (np.abs(found) < _EXACT_BELOW)):
                 found = found.astype(np.int64)
     else:
         found = _array(values)

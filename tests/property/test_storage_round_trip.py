@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from storage_schema import TABLES, SchemaError, Table
@@ -129,6 +129,9 @@ JUNK = st.one_of(
 
 
 @given(st.sampled_from([column.name for column in ANY.columns]), JUNK)
+@example("whole_or_null", [None, 2.0**63])
+@example("words", np.array([1, 2], dtype="datetime64[s]"))
+@example("flag", [np.zeros(2), {}])
 @settings(max_examples=300, deadline=None)
 def test_any_value_is_either_stored_or_refused_in_one_sentence(name: str, junk: object) -> None:
     columns = random_columns(ANY, 2)

@@ -155,6 +155,7 @@ def test_a_table_may_be_empty_and_keeps_its_shapes(store: Store) -> None:
         ({"draw": [1.5, 2, 3]}, "column 'draw' has values of type float64 such as 1.5; whole numbers are needed"),
         ({"draw": [1, 2, 2**40]}, "column 'draw' has values from 1 to 1099511627776; int32 holds"),
         ({"draw": [1, None, 2]}, "column 'draw' has values of type object such as None"),
+        ({"draw": np.ma.masked_equal([1, 2, 3], 2)}, "column 'draw' is a masked array; give None or NaN"),
         ({"draw": 3}, "column 'draw' is given as int; a list or array of rows is needed"),
         ({"density": "ic"}, "column 'density' is given as str"),
         ({"density": ["ic", 3, "ic"]}, "column 'density' has 3 in row 1; text is needed"),

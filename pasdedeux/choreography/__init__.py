@@ -8,6 +8,8 @@ from typing import Protocol
 
 from pasdedeux.choreography.anthropometry import CAPSULE_RADII, HEIGHT_LIMITS_M, Body, make_body
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Stance
+from pasdedeux.choreography.hug import make_hug
+from pasdedeux.choreography.judo import make_judo
 from pasdedeux.choreography.push_hands import make_push_hands
 from pasdedeux.choreography.waltz import make_waltz
 from pasdedeux.errors import InputError
@@ -42,7 +44,7 @@ class DuetMaker(Protocol):
         ...
 
 
-DUETS: dict[str, DuetMaker] = {"waltz": make_waltz, "push_hands": make_push_hands}
+DUETS: dict[str, DuetMaker] = {"waltz": make_waltz, "hug": make_hug, "judo": make_judo, "push_hands": make_push_hands}
 """The built-in duets by name."""
 
 

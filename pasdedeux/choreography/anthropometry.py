@@ -22,14 +22,14 @@ _UPPER_ARM, _FOREARM = 0.186, 0.146
 """Drillis and Contini 1966, as printed in Winter 2009, Biomechanics and Motor Control of Human Movement, figure 4.1."""
 _TOE_HEIGHT, _FOOT_FORWARD = 0.014, 0.092
 """Ball of the foot: its height over the floor, and how far it lies before the ankle (foot length there: 0.152)."""
-_HIP_HALF_WIDTH, _SHOULDER_HALF_WIDTH = 0.052, 0.108
+_HIP_HALF_WIDTH, _SHOULDER_HALF_WIDTH = 0.054, 0.108
 """Joint centres; the 0.0955 and 0.129 of the same figure are the outer breadths of pelvis and shoulders."""
 
 _FRACTIONS: dict[str, tuple[float, float, float]] = {
     "pelvis": (0.0, _HIP_HEIGHT + 0.015, 0.0),
-    "spine1": (0.0, 0.600, 0.002),
-    "spine2": (0.0, 0.662, 0.001),
-    "spine3": (0.0, 0.732, -0.004),
+    "spine1": (0.0, 0.612, 0.002),
+    "spine2": (0.0, 0.676, 0.001),
+    "spine3": (0.0, 0.742, -0.004),
     "neck": (0.0, 0.835, -0.008),
     "head": (0.0, 0.905, 0.008),
     "left_hip": (_HIP_HALF_WIDTH, _HIP_HEIGHT, 0.0),
@@ -52,11 +52,11 @@ CAPSULE_RADII: dict[str, float] = {
     "hip": 0.058,
     "knee": 0.042,
     "ankle": 0.028,
-    "toe": 0.014,
+    "toe": 0.018,
     "collar": 0.036,
     "shoulder": 0.032,
     "elbow": 0.026,
-    "wrist": 0.019,
+    "wrist": 0.020,
 }
 """Girth as the radius of the bone that ends in the joint, fraction of body height (half depths and mean radii)."""
 

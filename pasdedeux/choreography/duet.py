@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -183,6 +183,7 @@ def finish(
 ) -> Duet:
     """Make the duet of two solved figures: motions, stances from the feet, contacts that fall into its time."""
     stop = setting.duration_s
+    contacts = [replace(c, start_s=max(0.0, c.start_s), stop_s=min(stop, c.stop_s)) for c in contacts]
     stances = [
         Stance(person=person, foot=side, start_s=max(0.0, plant.land_s), stop_s=min(stop, plant.lift_s))
         for person, figure in enumerate(figures)
@@ -194,9 +195,7 @@ def finish(
         name=name,
         motions=(figures[0].motion(setting.rate_hz), figures[1].motion(setting.rate_hz)),
         bodies=(figures[0].body, figures[1].body),
-        contacts=tuple(
-            sorted((c for c in contacts if c.stop_s > 0.0 and c.start_s < stop), key=lambda contact: contact.start_s)
-        ),
+        contacts=tuple(sorted((c for c in contacts if c.start_s < c.stop_s), key=lambda contact: contact.start_s)),
         stances=tuple(stances),
         parameters={
             "duration_s": setting.duration_s,

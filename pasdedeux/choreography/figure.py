@@ -30,7 +30,7 @@ SIDES = ("left", "right")
 _ELEVATION, _PROTRACTION = 0.20, 0.28
 """How far the shoulder girdle goes with the arm, radians per unit of the arm's direction (about a third of the
 humerus up to the horizontal: Inman, Saunders and Abbott 1944)."""
-_PELVIS_SOFTNESS_M = 0.006
+_PELVIS_SOFTNESS_M = 0.010
 
 
 def facing(yaw_rad: Array | float, left_m: Array | float, up_m: Array | float, forward_m: Array | float) -> Array:
@@ -94,7 +94,7 @@ class Figure:
         self._place_trunk()
         for side, foot in zip(SIDES, self.feet, strict=True):
             self._place_leg(side, foot)
-            shoulder = self.on_bone(f"{side}_collar", 1.0)
+            shoulder = self.on_bone(f"{side}_shoulder", 1.0)
             down = self.chest_vector(
                 0.0, -0.9 * self.body.length_m("left_elbow") - self.body.length_m("left_wrist"), 0.0
             )

@@ -1,0 +1,55 @@
+"""Models that learn nothing: the source as it is, and plain forward kinematics with the new lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation import reference_motion
+from pasdedeux.augmentation.source import complete_scales
+from pasdedeux.learning.model import Items, LogEntry, VariantModel, VariantRequest
+
+__all__ = ["CopyModel", "NaiveFkModel"]
+
+Array = npt.NDArray[np.float64]
+
+
+class _Untrained(VariantModel):
+    """A model without anything to learn; its one array says which form of it this is."""
+
+    @classmethod
+    def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
+        """Learn nothing; the items are not read."""
+        return cls(), []
+
+    def arrays(self) -> dict[str, Array]:
+        """Give the form of the model, 1."""
+        return {"form": np.array([1.0])}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+        """Make the model; there is nothing in the arrays."""
+        return cls()
+
+
+class CopyModel(_Untrained):
+    """Gives the source back, whatever the proportions."""
+
+    name = "copy"
+
+    def predict(self, request: VariantRequest) -> Array:
+        """Give the source's motion."""
+        return np.array(request.source.positions_m)
+
+
+class NaiveFkModel(_Untrained):
+    """Gives the source's bone directions with the new lengths, each person alone."""
+
+    name = "naive_fk"
+
+    def predict(self, request: VariantRequest) -> Array:
+        """Give plain forward kinematics."""
+        scales = complete_scales(request.source, request.bone_scale[None])
+        return np.asarray(reference_motion(request.source, scales)[0])

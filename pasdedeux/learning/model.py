@@ -1,0 +1,104 @@
+"""What every model of augmentation does: from the source's motion and new proportions to the motion of both people."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation import Source
+from pasdedeux.augmentation.variations import check_bone_scales
+from pasdedeux.errors import InputError
+
+__all__ = ["Items", "LogEntry", "TrainingItem", "VariantModel", "VariantRequest"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VariantRequest:
+    """What is asked of a model: one take with new proportions.
+
+    Args:
+        take_id: Name of the take; a model may know it from training.
+        source: The take's own motion, T frames.
+        bone_scale: Scale of each bone (2, 22), the root's being the root height's.
+
+    Raises:
+        InputError: Scales of the wrong shape, or not positive.
+    """
+
+    take_id: str
+    source: Source
+    bone_scale: Array
+
+    def __post_init__(self) -> None:
+        """Check the scales."""
+        check_bone_scales(self.bone_scale, what=self.take_id)
+
+
+@dataclass(frozen=True)
+class TrainingItem:
+    """A request with its answer: the variant's motion (T, 2, 22, 3), metres."""
+
+    variant_id: str
+    request: VariantRequest
+    motion_m: Array
+
+    def __post_init__(self) -> None:
+        """Check that source and variant have the same frames."""
+        expected = self.request.source.positions_m.shape
+        if self.motion_m.shape != expected:
+            raise InputError(
+                f"{self.request.take_id}, variant {self.variant_id}: its motion has shape {self.motion_m.shape}, "
+                f"the source's is {expected}"
+            )
+
+
+Items = Callable[[], Iterator[TrainingItem]]
+"""Gives the training items anew each time, so that they can be read more than once without being held."""
+
+
+@dataclass(frozen=True)
+class LogEntry:
+    """One figure of training: step (0 for closed-form models), what was measured, its value."""
+
+    step: int
+    quantity: str
+    value: float
+
+
+class VariantModel(ABC):
+    """A model: trained on items, kept as named arrays, asked for motions."""
+
+    name: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
+        """Train on items.
+
+        Raises:
+            InputError: There is nothing to train on, for a model that needs it.
+        """
+
+    @abstractmethod
+    def arrays(self) -> dict[str, Array]:
+        """Give everything the model knows, as named float64 arrays; at least one."""
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+        """Make the model from its arrays.
+
+        Raises:
+            InputError: An array is missing or does not fit.
+        """
+
+    @abstractmethod
+    def predict(self, request: VariantRequest) -> Array:
+        """Give the motion of both people (T, 2, 22, 3), metres."""

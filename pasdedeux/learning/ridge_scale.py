@@ -1,0 +1,161 @@
+"""`ridge_scale`: a quadratic in the scales in closed form; for an unseen take, linear in plain forward kinematics.
+
+On a take of its training set, the motion is the source's plus a quadratic in the people's scales whose coefficients are
+fitted per frame, joint and axis by ridge regression; at scale 1 it is the source.  An unseen take has no coefficients:
+there each joint moves by a fixed mix of how plain forward kinematics moves all 44 joints, the same mix for all takes,
+frames and axes (so it turns with the pair), also fitted by ridge regression.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
+from pasdedeux.augmentation.source import NUM_POINTS, complete_scales
+from pasdedeux.errors import InputError
+from pasdedeux.learning.model import Items, LogEntry, TrainingItem, VariantModel, VariantRequest
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["RidgeScaleModel"]
+
+Array = npt.NDArray[np.float64]
+
+_RIDGE = 1e-9
+"""Ridge of the quadratic, as a share of the mean diagonal: holds what the scales at hand do not tell apart."""
+_MIX_RIDGE = 1e-4
+"""Ridge of the mix for unseen takes, as a share of the mean diagonal."""
+
+_WHOLE = [np.array([index for index in range(BODY22.num_joints) if index != BODY22.root])]
+_GROUPS = [np.array(BODY22.indices(bones)) for bones in LIMB_GROUPS.values()]
+
+
+@dataclass
+class _Sums:
+    """Normal equations of one take, added up item by item."""
+
+    gram: Array
+    moment: Array
+    num_items: int = 0
+
+
+@dataclass
+class RidgeScaleModel(VariantModel):
+    """Quadratic coefficients of each take it was trained on, and the mix for others.
+
+    Args:
+        is_by_group: Features are the scales of each limb group; of whole people where training varied nothing finer.
+        coefficients: Per take (feature, T, 2, 22, 3), metres.
+        mix: How much of each joint's plain displacement each joint takes (44, 44).
+    """
+
+    name = "ridge_scale"
+
+    is_by_group: bool = False
+    coefficients: dict[str, Array] = field(default_factory=dict)
+    mix: Array = field(default_factory=lambda: np.eye(NUM_POINTS))
+
+    @classmethod
+    def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
+        """Fit both parts; reads the items three times and holds one at a time."""
+        is_by_group, num_items = False, 0
+        for item in items():
+            num_items += 1
+            bones = np.delete(item.request.bone_scale, BODY22.root, axis=1)
+            is_by_group = is_by_group or bool(np.ptp(bones, axis=1).max() > 1e-6)
+        if num_items == 0:
+            raise InputError("ridge_scale: there is no variant to train on; check the split and the scales")
+        model = cls(is_by_group=is_by_group)
+        sums: dict[str, _Sums] = {}
+        gram, moment = np.zeros((2, NUM_POINTS, NUM_POINTS))
+        for item in items():
+            model._add(item, sums)
+            plain, change = _displacements(item)
+            gram += np.einsum("tia,tja->ij", plain, plain, optimize=True)
+            moment += np.einsum("tia,tja->ij", plain, change, optimize=True)
+        model.coefficients = {take: _ridge(total.gram, total.moment, _RIDGE) for take, total in sums.items()}
+        flat = _ridge(gram, moment, _MIX_RIDGE)
+        model.mix = np.ascontiguousarray(flat.T)
+        squared, count, squared_mix = 0.0, 0, 0.0
+        for item in items():
+            error = np.linalg.norm(model.predict(item.request) - item.motion_m, axis=-1)
+            plain, change = _displacements(item)
+            mixed = np.linalg.norm(np.einsum("ji,tia->tja", model.mix, plain) - change, axis=-1)
+            squared, squared_mix, count = squared + error.sum(), squared_mix + mixed.sum(), count + error.size
+        return model, [
+            LogEntry(0, "num_variants", float(num_items)),
+            LogEntry(0, "num_takes", float(len(sums))),
+            LogEntry(0, "train_error_cm", 100.0 * squared / count),
+            LogEntry(0, "train_error_as_unseen_cm", 100.0 * squared_mix / count),
+        ]
+
+    def arrays(self) -> dict[str, Array]:
+        """Give coefficients per take as `take/<take_id>`, the mix and the kind of features."""
+        arrays = {"mix": self.mix, "is_by_group": np.array([float(self.is_by_group)])}
+        return arrays | {f"take/{take}": values for take, values in self.coefficients.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+        """Make the model from its arrays."""
+        for name in ("mix", "is_by_group"):
+            if name not in arrays:
+                raise InputError(f"ridge_scale: array '{name}' is missing; found {', '.join(arrays) or 'none'}")
+        takes = {name.removeprefix("take/"): values for name, values in arrays.items() if name.startswith("take/")}
+        return cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
+
+    def predict(self, request: VariantRequest) -> Array:
+        """Give the motion: by the take's own quadratic where it was trained on, by the mix elsewhere."""
+        source = request.source.positions_m
+        known = self.coefficients.get(request.take_id)
+        if known is None:
+            plain = _plain_displacement(request)
+            return source + np.einsum("ji,tia->tja", self.mix, plain).reshape(source.shape)
+        if known.shape[1] != len(source):
+            raise InputError(
+                f"ridge_scale learned take {request.take_id} with {known.shape[1]} frames, asked for {len(source)}"
+            )
+        return np.asarray(source + np.tensordot(self.features(request.bone_scale), known, axes=1))
+
+    def features(self, bone_scale: Array) -> Array:
+        """Give the quadratic features (feature,) of scales (2, 22): zero at scale 1."""
+        groups = _GROUPS if self.is_by_group else _WHOLE
+        linear = np.array([[person[bones].mean() - 1.0 for bones in groups] for person in bone_scale])
+        sizes = linear.mean(axis=1)
+        return np.concatenate([linear.ravel(), linear.ravel() ** 2, [sizes[0] * sizes[1]]])
+
+    def _add(self, item: TrainingItem, sums: dict[str, _Sums]) -> None:
+        features = self.features(item.request.bone_scale)
+        change = item.motion_m - item.request.source.positions_m
+        take = item.request.take_id
+        if take not in sums:
+            count = len(features)
+            sums[take] = _Sums(np.zeros((count, count)), np.zeros((count, *change.shape)))
+        total = sums[take]
+        if total.moment.shape[1:] != change.shape:
+            raise InputError(f"{take}: variants of {total.moment.shape[1]} and of {len(change)} frames")
+        total.gram += np.outer(features, features)
+        total.moment += features[:, None, None, None, None] * change
+        total.num_items += 1
+
+
+def _ridge(gram: Array, moment: Array, share: float) -> Array:
+    """Solve (G + ridge) c = m with `moment` (feature, ...); features that never vary get nothing."""
+    scale = float(np.trace(gram)) / len(gram)
+    if scale <= 0.0:
+        return np.zeros(moment.shape)
+    regular = gram + share * scale * np.eye(len(gram))
+    return np.asarray(np.linalg.solve(regular, moment.reshape(len(gram), -1)).reshape(moment.shape))
+
+
+def _plain_displacement(request: VariantRequest) -> Array:
+    scales = complete_scales(request.source, request.bone_scale[None])
+    moved = reference_motion(request.source, scales)[0] - request.source.positions_m
+    return moved.reshape(-1, NUM_POINTS, 3)
+
+
+def _displacements(item: TrainingItem) -> tuple[Array, Array]:
+    change = item.motion_m - item.request.source.positions_m
+    return _plain_displacement(item.request), change.reshape(-1, NUM_POINTS, 3)

@@ -1,0 +1,126 @@
+"""Splits of variants into training and test set (Li et al. 2024, section 5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["SPLIT_NAMES", "Split", "VariantKey", "make_split"]
+
+Array = npt.NDArray[np.float64]
+
+SPLIT_NAMES = ("random", "cross_scale", "cross_interaction", "cross_scale_interaction")
+"""random: a fifth of the variants; cross_scale: near scales train, far ones test, of the same takes;
+cross_interaction: some takes train, others test; cross_scale_interaction: both."""
+
+TRAIN_REACH = 0.05
+"""Training scales lie in [0.95, 1.05]."""
+TEST_REACH = (0.15, 0.25)
+"""Test scales lie in [0.75, 0.85] or [1.15, 1.25]."""
+
+_TEST_SHARE = 0.2
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class VariantKey:
+    """A variant as splits see it: its take, its name and its scales (2, 22)."""
+
+    take_id: str
+    variant_id: str
+    bone_scale: Array
+
+    @property
+    def reach(self) -> float:
+        """How far its furthest bone is from scale 1; the root height is no bone."""
+        return float(np.abs(np.delete(self.bone_scale, BODY22.root, axis=1) - 1.0).max())
+
+
+@dataclass(frozen=True)
+class Split:
+    """Training and test variants; the two share no variant.
+
+    Args:
+        name: Name of the split.
+        train: Variants trained on.
+        test: Variants tested on.
+        shares_takes: Takes in the test set are also in the training set, by design of the split.
+    """
+
+    name: str
+    train: tuple[VariantKey, ...]
+    test: tuple[VariantKey, ...]
+    shares_takes: bool
+
+    @property
+    def train_takes(self) -> list[str]:
+        """Takes trained on, sorted."""
+        return sorted({key.take_id for key in self.train})
+
+
+def make_split(
+    name: str, keys: Sequence[VariantKey], generator: np.random.Generator, *, test_takes: Sequence[str] = ()
+) -> Split:
+    """Split variants.
+
+    Args:
+        name: One of `SPLIT_NAMES`.
+        keys: All variants.
+        generator: Decides the random split.
+        test_takes: Takes that are only tested on.  The two splits across interactions need some: where none are given,
+            the later half of the takes by name.  The other two leave them out.
+
+    Raises:
+        InputError: Unknown split, or its training or test set is empty.
+    """
+    if name not in SPLIT_NAMES:
+        raise InputError(f"split '{name}' is not known; known splits: {', '.join(SPLIT_NAMES)}")
+    ordered = sorted(keys, key=lambda key: (key.take_id, key.variant_id))
+    takes = sorted({key.take_id for key in ordered})
+    is_across = name in ("cross_interaction", "cross_scale_interaction")
+    tested = set(test_takes)
+    if is_across and not tested & set(takes):
+        tested = set(takes[(len(takes) + 1) // 2 :])
+    known = [key for key in ordered if key.take_id not in tested]
+    other = [key for key in ordered if key.take_id in tested]
+    if name == "random":
+        count = max(round(_TEST_SHARE * len(known)), 1)
+        chosen = set(generator.permutation(len(known))[:count].tolist())
+        train = [key for index, key in enumerate(known) if index not in chosen]
+        test = [key for index, key in enumerate(known) if index in chosen]
+    elif name == "cross_scale":
+        train, test = [key for key in known if _is_near(key)], [key for key in known if _is_far(key)]
+    elif name == "cross_interaction":
+        train, test = known, other
+    else:
+        train, test = [key for key in known if _is_near(key)], [key for key in other if _is_far(key)]
+    for kind, found in (("training", train), ("test", test)):
+        if not found:
+            raise InputError(
+                f"split '{name}' has no {kind} variant among {len(keys)} variants of {len(takes)} takes; it needs "
+                + _NEEDS[name]
+            )
+    return Split(name=name, train=tuple(train), test=tuple(test), shares_takes=not is_across)
+
+
+_NEEDS = {
+    "random": "at least two variants",
+    "cross_scale": "scales within 0.95 to 1.05, and within 0.75 to 0.85 or 1.15 to 1.25",
+    "cross_interaction": "variants of at least two takes",
+    "cross_scale_interaction": "at least two takes, scales within 0.95 to 1.05 of the one and 0.75 to 0.85 or 1.15 to "
+    "1.25 of the other",
+}
+
+
+def _is_near(key: VariantKey) -> bool:
+    return key.reach <= TRAIN_REACH + _ROUNDING
+
+
+def _is_far(key: VariantKey) -> bool:
+    return TEST_REACH[0] - _ROUNDING <= key.reach <= TEST_REACH[1] + _ROUNDING

@@ -1,0 +1,195 @@
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import (
+    PAPER_SCALES,
+    Augmenter,
+    Source,
+    group_variations,
+    reference_motion,
+    uniform_variations,
+)
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.model_metrics import key_joint_pairs, model_errors
+from pasdedeux.learning import (
+    MODELS,
+    RidgeScaleModel,
+    TrainingItem,
+    VariantKey,
+    VariantRequest,
+    load_model,
+    make_split,
+)
+from pasdedeux.skeletons import BODY22
+from tests.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(6), 30.0, "sway")
+
+
+def _quadratic_items(scales: list[float], seed: int = 0) -> list[TrainingItem]:
+    generator = np.random.default_rng(seed)
+    linear, square = generator.normal(size=(2, *TAKE.positions_m.shape))
+    items = []
+    for variation in uniform_variations(scales, ["A"]):
+        change = variation.bone_scale[0, 1] - 1.0
+        motion = TAKE.positions_m + linear * change + square * change**2
+        request = VariantRequest("sway", TAKE, variation.bone_scale)
+        items.append(TrainingItem(variation.variant_id, request, motion))
+    return items
+
+
+def _keys(takes: list[str]) -> list[VariantKey]:
+    return [VariantKey(take, v.variant_id, v.bone_scale) for take in takes for v in uniform_variations(PAPER_SCALES)]
+
+
+def test_ridge_recovers_a_quadratic_in_scale_from_two_scales() -> None:
+    train, test = _quadratic_items([0.95, 1.05]), _quadratic_items([0.75, 1.25])
+    model, log = RidgeScaleModel.train(lambda: iter(train))
+    for item in test:
+        np.testing.assert_allclose(model.predict(item.request), item.motion_m, atol=1e-4)
+    figures = {entry.quantity: entry.value for entry in log}
+    assert figures["num_variants"] == 2
+    assert figures["train_error_cm"] < 1e-4
+
+
+def test_ridge_gives_the_source_at_scale_one() -> None:
+    model, _ = RidgeScaleModel.train(lambda: iter(_quadratic_items([0.9, 1.1])))
+    np.testing.assert_array_equal(model.predict(VariantRequest("sway", TAKE, np.ones((2, 22)))), TAKE.positions_m)
+
+
+def test_ridge_tells_limb_groups_apart() -> None:
+    items = []
+    for variation in group_variations([0.8, 0.9, 1.1], ["A"], ["arms", "legs"]):
+        request = VariantRequest("sway", TAKE, variation.bone_scale)
+        change = variation.bone_scale[0, BODY22.index("left_wrist")] - 1.0
+        motion = TAKE.positions_m.copy()
+        motion[..., 0] += change
+        items.append(TrainingItem(variation.variant_id, request, motion))
+    model, _ = RidgeScaleModel.train(lambda: iter(items))
+    (arms,) = group_variations([1.2], ["A"], ["arms"])
+    (legs,) = group_variations([1.2], ["A"], ["legs"])
+    moved = model.predict(VariantRequest("sway", TAKE, arms.bone_scale)) - TAKE.positions_m
+    np.testing.assert_allclose(moved[..., 0], 0.2, atol=1e-3)
+    still = model.predict(VariantRequest("sway", TAKE, legs.bone_scale)) - TAKE.positions_m
+    np.testing.assert_allclose(still, 0.0, atol=1e-3)
+
+
+def test_on_an_unseen_take_ridge_learns_what_forward_kinematics_can_tell() -> None:
+    items = []
+    for variation in uniform_variations([0.8, 0.9, 1.1, 1.2], ["A", "B"]):
+        motion = reference_motion(TAKE, variation.bone_scale[None])[0]
+        items.append(TrainingItem(variation.variant_id, VariantRequest("sway", TAKE, variation.bone_scale), motion))
+    model, _ = RidgeScaleModel.train(lambda: iter(items))
+    other = Source(swaying_pair(6, seed=9), 30.0, "other")
+    (variation,) = uniform_variations([0.85], ["A"])
+    truth = reference_motion(other, variation.bone_scale[None])[0]
+    predicted = model.predict(VariantRequest("other", other, variation.bone_scale))
+    assert model_errors(predicted, truth, np.zeros((0, 2), int)).e_r_cm < 0.5
+    copied = model_errors(other.positions_m, truth, np.zeros((0, 2), int)).e_r_cm
+    assert copied > 3.0
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_every_model_survives_its_arrays(name: str) -> None:
+    def items() -> Iterator[TrainingItem]:
+        return iter(_quadratic_items([0.9, 1.1]))
+
+    model, _ = MODELS[name].train(items)
+    arrays = model.arrays()
+    assert arrays
+    again = load_model(name, arrays)
+    (variation,) = uniform_variations([0.8], ["A"])
+    for take_id in ("sway", "unseen"):
+        request = VariantRequest(take_id, TAKE, variation.bone_scale)
+        np.testing.assert_array_equal(model.predict(request), again.predict(request))
+
+
+def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
+    (variation,) = uniform_variations([0.8], ["A"])
+    (truth,) = Augmenter(TAKE).solve([variation])
+    pairs = key_joint_pairs(TAKE.positions_m)
+    request = VariantRequest("sway", TAKE, variation.bone_scale)
+    fk = model_errors(load_model("naive_fk", {}).predict(request), truth.positions_m, pairs)
+    copy = model_errors(load_model("copy", {}).predict(request), truth.positions_m, pairs)
+    assert fk.e_b_mm < 1e-6
+    assert copy.e_b_mm > 10.0
+    assert fk.jpd_cm > 1.0
+
+
+def test_metrics_are_in_the_papers_units() -> None:
+    truth = TAKE.positions_m
+    shifted = truth + np.array([0.01, 0.0, 0.0])
+    errors = model_errors(shifted, truth, np.array([[0, 0]]))
+    assert errors.e_r_cm == pytest.approx(1.0)
+    assert errors.e_b_mm == pytest.approx(0.0, abs=1e-9)
+    assert errors.jpd_cm == pytest.approx(0.0, abs=1e-9)
+    stretched = truth.copy()
+    stretched[:, 0, BODY22.index("head")] += (truth[:, 0, BODY22.index("head")] - truth[:, 0, BODY22.index("neck")]) * (
+        0.042 / TAKE.lengths_m[0, BODY22.index("head")]
+    )
+    assert model_errors(stretched, truth, np.array([[0, 0]])).e_b_mm == pytest.approx(1.0)
+    apart = truth.copy()
+    apart[:, 1] += 1.02 * (truth[:, 1] - truth[:, 0, :1]) - (truth[:, 1] - truth[:, 0, :1])
+    assert model_errors(apart, truth, np.array([[0, 0]])).jpd_cm == pytest.approx(
+        2.0 * np.linalg.norm(truth[:, 1, 0] - truth[:, 0, 0], axis=-1).mean()
+    )
+
+
+def test_key_pairs_are_those_in_contact_and_none_when_apart() -> None:
+    pairs = key_joint_pairs(TAKE.positions_m, most=2)
+    wrists = set(BODY22.indices(["left_wrist", "right_wrist"]))
+    assert len(pairs) == 2
+    assert set(pairs.ravel().tolist()) <= wrists
+    assert len(key_joint_pairs(swaying_pair(4, apart_m=5.0))) == 0
+    assert np.isnan(model_errors(TAKE.positions_m, TAKE.positions_m, np.zeros((0, 2), int)).jpd_cm)
+
+
+def test_cross_scale_trains_near_and_tests_far_on_the_same_takes() -> None:
+    split = make_split("cross_scale", _keys(["a", "b"]), np.random.default_rng(0))
+    assert {round(key.bone_scale[0, 1], 2) for key in split.train} == {0.95, 1.05}
+    assert {round(key.bone_scale[0, 1], 2) for key in split.test} == {0.75, 0.8, 0.85, 1.15, 1.2, 1.25}
+    assert split.shares_takes
+
+
+@pytest.mark.parametrize("name", ["cross_interaction", "cross_scale_interaction"])
+def test_splits_across_interactions_share_no_take(name: str) -> None:
+    for test_takes in ((), ("a",)):
+        split = make_split(name, _keys(["a", "b", "c"]), np.random.default_rng(0), test_takes=test_takes)
+        assert not {key.take_id for key in split.train} & {key.take_id for key in split.test}
+        assert not split.shares_takes
+        assert set(test_takes) <= {key.take_id for key in split.test}
+
+
+def test_the_random_split_tests_a_fifth_and_leaves_held_out_takes_out() -> None:
+    split = make_split("random", _keys(["a", "b"]), np.random.default_rng(0), test_takes=["b"])
+    assert len(split.test) == 2
+    assert len(split.train) == 8
+    assert split.train_takes == ["a"]
+    names = {key.variant_id for key in split.train} & {key.variant_id for key in split.test}
+    assert not names
+
+
+def test_the_order_of_variants_does_not_change_a_split() -> None:
+    keys = _keys(["a", "b"])
+    one = make_split("random", keys, np.random.default_rng(4))
+    other = make_split("random", keys[::-1], np.random.default_rng(4))
+    assert [key.variant_id for key in one.test] == [key.variant_id for key in other.test]
+
+
+def test_what_cannot_be_done_is_said() -> None:
+    with pytest.raises(InputError, match="split 'diagonal' is not known"):
+        make_split("diagonal", _keys(["a"]), np.random.default_rng(0))
+    with pytest.raises(InputError, match="at least two takes"):
+        make_split("cross_interaction", _keys(["a"]), np.random.default_rng(0))
+    with pytest.raises(InputError, match="model 'oracle' is not known"):
+        load_model("oracle", {})
+    with pytest.raises(InputError, match="array 'mix' is missing"):
+        load_model("ridge_scale", {})
+    with pytest.raises(InputError, match="no variant to train on"):
+        RidgeScaleModel.train(lambda: iter([]))
+    with pytest.raises(InputError, match="the source's is"):
+        TrainingItem("v", VariantRequest("sway", TAKE, np.ones((2, 22))), TAKE.positions_m[:3])
+    with pytest.raises(InputError, match="not finite"):
+        model_errors(TAKE.positions_m * np.nan, TAKE.positions_m, np.zeros((0, 2), int))

@@ -121,7 +121,10 @@ def commit(
     attachments: Mapping[str, bytes] | None = None,
     sources: Sequence[SourceCredit] = (),
 ) -> ArtifactRef:
-    """Commit a shard's tables under its key; `facts` are the small JSON facts that later planning reads."""
+    """Commit a shard's tables under its key; `facts` are the small JSON facts that later planning reads.
+
+    The manifest names the shard's inputs and the artifacts of the shards it follows.
+    """
     return store.commit(
         stage=shard.stage,
         key=shard.key,
@@ -130,13 +133,19 @@ def commit(
         version=shard.version,
         parameters=shard.parameters,
         seed=shard.seed,
-        inputs=shard.inputs,
+        inputs=(*shard.inputs, *_committed(shard, store)),
         files=[(Path(file.path).name, file.sha256) for file in shard.files],
         tables=tables,
         attachments=attachments or {},
         facts=facts,
         sources=sources,
     )
+
+
+def _committed(shard: Shard, store: Store) -> list[ArtifactRef]:
+    """Give the artifacts of the shards that this one follows, so that lineage and credits pass through them."""
+    found = [store.find(shard.stage, key) for key in shard.after]
+    return [manifest.ref for manifest in found if manifest is not None]
 
 
 def stream(seed: int, *labels: str | int) -> np.random.Generator:

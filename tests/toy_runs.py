@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -90,7 +91,12 @@ class Started:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            start_new_session=True,
         )
+
+    def interrupt(self) -> None:
+        """Do what Ctrl-C at a terminal does: SIGINT to the process and everything in its group."""
+        os.killpg(self.process.pid, signal.SIGINT)
 
     def ran(self) -> list[str]:
         """Give the shards whose computation began, in that order."""
@@ -109,11 +115,11 @@ class Started:
 
     def finish(self) -> tuple[int, str, str]:
         """Wait for the end; gives exit code, standard output and standard error."""
-        out, err = self.process.communicate(timeout=120)
+        out, err = self.process.communicate(timeout=240)
         return self.process.returncode, out, err
 
 
-def wait_until(is_so: Callable[[], bool], what: str, *, limit_s: float = 60.0) -> None:
+def wait_until(is_so: Callable[[], bool], what: str, *, limit_s: float = 120.0) -> None:
     deadline = time.monotonic() + limit_s
     while not is_so():
         assert time.monotonic() < deadline, f"waited {limit_s:.0f} s for {what}"

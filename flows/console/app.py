@@ -48,8 +48,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
         error.show()
         return _BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
-        typer.echo("interrupted; the same command goes on from here", err=True)
-        return _INTERRUPTED
+        code = _INTERRUPTED
     except Exception as error:  # noqa: BLE001 - the outermost place: every error becomes a sentence
         if context.is_debug:
             traceback.print_exception(error, file=sys.stderr)
@@ -58,6 +57,8 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
         else:
             typer.echo(f"error: {_sentence(error)}", err=True)
         return exit_code_of(error)
+    if code == _INTERRUPTED:
+        typer.echo("interrupted; the same command goes on from here", err=True)
     return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
 
 

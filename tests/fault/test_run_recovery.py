@@ -1,0 +1,150 @@
+"""Runs that are killed, interrupted or lose a worker: the same command finishes the job, bit for bit.
+
+Real store, real two-process Dask cluster, real Prefect, in a process of its own as a person would start it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.toy_runs import Started, digests, run_toys, wait_until, write_study
+
+pytestmark = pytest.mark.slow
+
+EVERYTHING = 14
+Start = Callable[..., Started]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """Digests of a run that nothing happened to, computed one shard after the other in this process."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run_toys(write_study(folder), folder / "store")
+    return digests(folder / "store")
+
+
+@pytest.fixture(scope="module")
+def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One cold start of Prefect for all tests of this file."""
+    return tmp_path_factory.mktemp("prefect")
+
+
+@pytest.fixture
+def start(tmp_path: Path, prefect_home: Path) -> Start:
+    """Give a function that starts the run of the toy study, with two workers if nothing else is said."""
+    study = write_study(tmp_path)
+
+    def start(*more: str) -> Started:
+        arguments = ["run", str(study), "--store", str(tmp_path / "store"), *(more or ("--workers", "2"))]
+        return Started(arguments, gates=tmp_path / "gates", prefect_home=prefect_home)
+
+    return start
+
+
+def hold(folder: Path, name: str) -> Path:
+    (folder / "gates").mkdir(exist_ok=True)
+    gate = folder / "gates" / f"hold-{name}"
+    gate.touch()
+    return gate
+
+
+def descendants(run: Started) -> list[psutil.Process]:
+    return psutil.Process(run.process.pid).children(recursive=True)
+
+
+def wait_until_gone(processes: list[psutil.Process]) -> None:
+    wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=60)
+
+
+def _is_running(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_a_run_killed_in_mid_stage_leaves_no_process_and_the_next_one_computes_only_the_rest(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    gate = hold(tmp_path, "grow-t1-s1")
+    first = start()
+    first.wait_for("grow-t1-s1")
+    wait_until(lambda: len(list((tmp_path / "store").glob("grow/*/*/manifest.json"))) == 4, "the other shards")
+    left = descendants(first)
+    assert len(left) >= 3, "two workers and Prefect's server"
+    first.process.kill()
+    first.finish()
+    wait_until_gone(left)
+    begun = first.ran()
+    gate.unlink()
+
+    second = start("--workers", "1")
+    code, out, err = second.finish()
+    assert code == 0, err
+    again = second.ran()[len(begun) :]
+    assert len(again) == EVERYTHING - 5, "aside and four segments were committed"
+    assert {"grow-t1-s1", "grow-t1-s2"} <= set(again)
+    assert not {"grow-t0-s0", "grow-t0-s1", "grow-t0-s2", "grow-t1-s0", "aside-aside-all"} & set(again)
+    assert f"done: {EVERYTHING - 5} shards computed" in out
+    assert digests(tmp_path / "store") == undisturbed
+
+
+def test_ctrl_c_ends_everything_and_the_next_run_goes_on(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    gate = hold(tmp_path, "bend-t0-s1")
+    first = start()
+    first.wait_for("bend-t0-s1")
+    left = descendants(first)
+    first.interrupt()
+    code, _, err = first.finish()
+    assert code == 130
+    assert "interrupted; the same command goes on from here" in err
+    assert "Traceback" not in err
+    wait_until_gone(left)
+    gate.unlink()
+
+    second = start("--workers", "0")
+    code, _, err = second.finish()
+    assert code == 0, err
+    assert not [name for name in second.ran()[len(first.ran()) :] if name.startswith("grow")]
+    assert digests(tmp_path / "store") == undisturbed
+
+
+def test_a_killed_worker_costs_its_shard_a_second_try_and_nothing_else(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    gate = hold(tmp_path, "grow-t0-s1")
+    run = start()
+    run.wait_for("grow-t0-s1")
+    os.kill(run.worker_of("grow-t0-s1"), signal.SIGKILL)
+    wait_until(lambda: run.ran().count("grow-t0-s1") == 2, "the shard's second try")
+    gate.unlink()
+    code, _, err = run.finish()
+    assert code == 0, err
+    assert len(set(run.ran())) == EVERYTHING
+    assert len(run.ran()) <= EVERYTHING + 2, "the killed worker may have held one more shard"
+    assert digests(tmp_path / "store") == undisturbed
+
+
+def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be_finished(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    (tmp_path / "gates").mkdir()
+    fault = tmp_path / "gates" / "fail-bend-t1-s0"
+    fault.touch()
+    code, _, err = start().finish()
+    assert code == 1
+    last = err.strip().splitlines()[-1]
+    assert last.startswith("error: stage bend, t1, shard s0: ")
+    assert "No space left on device" in last
+    assert "Traceback" not in err
+    fault.unlink()
+    assert start("--workers", "0").finish()[0] == 0
+    assert digests(tmp_path / "store") == undisturbed

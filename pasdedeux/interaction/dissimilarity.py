@@ -82,9 +82,9 @@ def interaction_dissimilarity(
 ) -> float:
     """Give d_I of eq. 8 (Yin et al. 2018) between two point sets (n, d), metres: D_I when d is 3.
 
-    `first` is brought onto `second` by the best proper rigid motion; then the edge vectors of both are compared over the
-    graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It is symmetric
-    and 0 for the same shape, but no metric: edges change with the points.
+    `first` is brought onto `second` by the best proper rigid motion; then the edge vectors of both are compared over
+    the graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It is
+    symmetric and 0 for the same shape, but no metric: edges change with the points.
 
     Raises:
         InputError: A coordinate is not finite.

@@ -110,7 +110,7 @@ def minimum_weight_edges(points: Array) -> Edges:
     """
     _check(points)
     if points.shape[1] != 2:
-        raise InputError(f"a minimum-weight triangulation needs points in the plane, found {points.shape[1]} dimensions")
+        raise InputError(f"a minimum-weight triangulation needs planar points, found {points.shape[1]} dimensions")
     moved = points + jitter(len(points))
     first, second = np.triu_indices(len(points), k=1)
     order = np.argsort(np.linalg.norm(moved[first] - moved[second], axis=1), kind="stable")

@@ -117,7 +117,7 @@ def _minor(m, r0, r1, r2, c0, c1, c2):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _null_vector(key, shift, m, q):  # type: ignore[no-untyped-def]
-    """Write the unit vector that `key` - `shift` maps nearest to zero into q: a row of the adjugate; false where it vanishes."""
+    """Write the unit vector that `key` - `shift` maps nearest to zero into q (from the adjugate); false if zero."""
     scale = 0.0
     for i in range(4):
         for j in range(4):

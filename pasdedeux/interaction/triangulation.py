@@ -70,7 +70,7 @@ def _in_conflict(x, y, triangles, t, px, py, infinity):  # type: ignore[no-untyp
 
 @numba.njit(cache=True, nogil=True)
 def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no-untyped-def]
-    """Write the Delaunay edges (i < j) of points `x`, `y` (already jittered) into `edges` (max_edges, 2); give their number.
+    """Write the Delaunay edges (i < j) of points `x`, `y` (already jittered) into `edges`; give their number.
 
     A point for which no conflicting triangle is found (an exact duplicate, or NaN) is left out of the triangulation.
     Fewer than two points give no edge; two give one.

@@ -1,1 +1,66 @@
+"""Lifting by sampling: the density of 3D pairs given 2D annotations, chains that sample it, and how well they cover."""
 
+from pasdedeux.sampling.annotations import GatheredPairs, draw_views, gather_pairs, points_from_pixels
+from pasdedeux.sampling.chain import (
+    ChainState,
+    Segment,
+    StepInfo,
+    generator_from_json,
+    generator_to_json,
+    run_segment,
+    step,
+)
+from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
+from pasdedeux.sampling.density import Density, Evaluation, PairDensity
+from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
+from pasdedeux.sampling.likelihood import (
+    AnnotatedPairs,
+    InteractionLikelihood,
+    Match,
+    ViewBank,
+    build_bank,
+    plain_log_likelihood,
+)
+from pasdedeux.sampling.parameters import NUM_PARAMETERS, PairChart, gauge_fix
+from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
+from pasdedeux.sampling.proposals import GaussianBlocks, Proposed
+from pasdedeux.sampling.seeds import SeedQuality, choose_seeds, seed_quality
+
+__all__ = [
+    "NUM_PARAMETERS",
+    "AnnotatedPairs",
+    "ChainReport",
+    "ChainState",
+    "Coverage",
+    "CoverageCurve",
+    "Density",
+    "Evaluation",
+    "GatheredPairs",
+    "GaussianBlocks",
+    "InteractionLikelihood",
+    "Match",
+    "PairChart",
+    "PairDensity",
+    "PhysicalPrior",
+    "PriorTerms",
+    "Proposed",
+    "SeedQuality",
+    "Segment",
+    "StepInfo",
+    "ViewBank",
+    "build_bank",
+    "choose_seeds",
+    "coverage_curve",
+    "diagnose",
+    "draw_views",
+    "gather_pairs",
+    "gauge_fix",
+    "generator_from_json",
+    "generator_to_json",
+    "invariants",
+    "plain_log_likelihood",
+    "points_from_pixels",
+    "run_segment",
+    "seed_quality",
+    "step",
+]

@@ -88,7 +88,7 @@ def pair_axes(points, axes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _project(points, axes, direction, x, y):  # type: ignore[no-untyped-def]
-    """Write the centred orthographic image of points (n, 3) under a view (a, b, c); its turn in the plane is arbitrary."""
+    """Write the centred orthographic image of points (n, 3) under a view (a, b, c), in any turn."""
     zx, zy, zz, _ = _unit(
         axes[0, 0] * direction[0] + axes[0, 1] * direction[1] + axes[0, 2] * direction[2],
         axes[1, 0] * direction[0] + axes[1, 1] * direction[1] + axes[1, 2] * direction[2],

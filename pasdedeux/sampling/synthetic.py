@@ -42,7 +42,8 @@ def standing_pair(*, distance_m: float = 0.6) -> Array:
     person = np.array([_STANDING[name] for name in PAIR17.joint_names])
     first = person @ yaw_rotmat(np.pi / 2).T
     second = person @ yaw_rotmat(-np.pi / 2).T
-    return np.stack([first - [distance_m / 2, 0, 0], second + [distance_m / 2, 0, 0]])
+    aside = np.array([distance_m / 2, 0.0, 0.0])
+    return np.stack([first - aside, second + aside])
 
 
 def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
@@ -58,7 +59,7 @@ def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float 
 
 
 def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations: int) -> AnnotatedPairs:
-    """Give annotations of randomly chosen pairs (pair, 2, 17, 3) under random views around the horizon, true views kept."""
+    """Give annotations of randomly chosen pairs (pair, 2, 17, 3) under random views, true views kept."""
     which = rng.integers(len(pairs_m), size=num_annotations)
     directions = normalise(rng.normal(size=(num_annotations, 3)) * [1.0, 0.3, 1.0])
     points = project_pair(pairs_m[which], directions)

@@ -1,0 +1,151 @@
+"""Metropolis-Hastings: one step, and a segment of kept draws, as pure functions of state and generator."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling.density import Evaluation
+from pasdedeux.sampling.proposals import Proposed
+
+__all__ = [
+    "ChainState",
+    "Segment",
+    "StepInfo",
+    "generator_from_json",
+    "generator_to_json",
+    "run_segment",
+    "step",
+]
+
+Array = npt.NDArray[np.float64]
+LogDensity = Callable[[Array, float], Evaluation]
+Proposal = Callable[[Array, np.random.Generator], Proposed]
+Settle = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """What the next step needs: where the chain is, and the target there."""
+
+    parameters: Array
+    evaluation: Evaluation
+
+
+@dataclass(frozen=True)
+class StepInfo:
+    """What a person wants to know of a step."""
+
+    is_accepted: bool
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The kept draws of a stretch of a chain.
+
+    Args:
+        parameters: Draws (draw, d).
+        log_density: Target at each draw, (draw,).
+        log_prior: Prior at each draw, (draw,).
+        log_likelihood: Likelihood at each draw, (draw,).
+        num_accepted: Accepted proposals since the draw before, (draw,).
+    """
+
+    parameters: Array
+    log_density: Array
+    log_prior: Array
+    log_likelihood: Array
+    num_accepted: npt.NDArray[np.int64]
+
+
+def step(
+    rng: np.random.Generator, state: ChainState, log_density: LogDensity, propose: Proposal
+) -> tuple[ChainState, StepInfo]:
+    """Take one Metropolis-Hastings step (eq. 10 of Yin et al. 2018).
+
+    The level that the proposed point must reach is drawn first, so the density may stop as soon as it is missed.
+
+    Args:
+        rng: Source of randomness.
+        state: Where the chain is; its density must be positive.
+        log_density: Target; called with a point and the level below which its value does not matter.
+        propose: Proposal.
+    """
+    proposed = propose(state.parameters, rng)
+    level = state.evaluation.log_density - rng.standard_exponential() - proposed.log_correction
+    evaluation = log_density(proposed.parameters, level)
+    if evaluation.log_density >= level and evaluation.log_density > -np.inf:
+        return ChainState(proposed.parameters, evaluation), StepInfo(is_accepted=True)
+    return state, StepInfo(is_accepted=False)
+
+
+def run_segment(
+    rng: np.random.Generator,
+    state: ChainState,
+    log_density: LogDensity,
+    propose: Proposal,
+    *,
+    num_draws: int,
+    thin: int = 1,
+    settle: Settle | None = None,
+) -> tuple[ChainState, Segment]:
+    """Run a chain for `num_draws` kept draws of `thin` steps each.
+
+    Args:
+        rng: Source of randomness; it moves on, so a following call continues the chain exactly.
+        state: Where the chain is.
+        log_density: Target.
+        propose: Proposal.
+        num_draws: Draws kept.
+        thin: Steps per kept draw.
+        settle: Moves a kept draw to another representative of the same point (a gauge); the target there is the same.
+
+    Raises:
+        InputError: `num_draws` or `thin` is not positive.
+    """
+    if num_draws < 1 or thin < 1:
+        raise InputError(f"a segment needs draws and steps, found {num_draws} draws of {thin} steps")
+    draws: list[ChainState] = []
+    num_accepted = np.zeros(num_draws, dtype=np.int64)
+    for draw in range(num_draws):
+        for _ in range(thin):
+            state, info = step(rng, state, log_density, propose)
+            num_accepted[draw] += info.is_accepted
+        if settle is not None and num_accepted[draw]:
+            state = ChainState(settle(state.parameters), state.evaluation)
+        draws.append(state)
+    segment = Segment(
+        parameters=np.stack([draw.parameters for draw in draws]),
+        log_density=np.array([draw.evaluation.log_density for draw in draws]),
+        log_prior=np.array([draw.evaluation.log_prior for draw in draws]),
+        log_likelihood=np.array([draw.evaluation.log_likelihood for draw in draws]),
+        num_accepted=num_accepted,
+    )
+    return state, segment
+
+
+def generator_to_json(rng: np.random.Generator) -> str:
+    """Give the state of a generator as JSON, for `generator_from_json`."""
+    return json.dumps(rng.bit_generator.state, sort_keys=True)
+
+
+def generator_from_json(text: str) -> np.random.Generator:
+    """Give a generator that continues exactly where the one of `generator_to_json` stood.
+
+    Raises:
+        InputError: The text is not the state of a PCG64 generator.
+    """
+    try:
+        state = json.loads(text)
+        if state["bit_generator"] != "PCG64":
+            raise ValueError(state["bit_generator"])
+        bits = np.random.PCG64(0)
+        bits.state = state
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"not the state of a PCG64 generator: {error}") from error
+    return np.random.Generator(bits)

@@ -1,0 +1,193 @@
+"""How chains went: R-hat and effective sample size on invariants, acceptance, and a verdict in words."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["INVARIANT_NAMES", "ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
+
+Array = npt.NDArray[np.float64]
+
+_LIMB_ANGLES = tuple(
+    (name, PAIR17.indices(joints))
+    for side in ("left", "right")
+    for name, joints in (
+        (f"{side} elbow", (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist")),
+        (f"{side} upper arm", ("neck", f"{side}_shoulder", f"{side}_elbow")),
+        (f"{side} thigh", ("spine", f"{side}_hip", f"{side}_knee")),
+        (f"{side} knee", (f"{side}_hip", f"{side}_knee", f"{side}_ankle")),
+    )
+)
+_JOINT_PAIRS = (
+    ("pelvis", "pelvis"),
+    ("head", "head"),
+    ("left_wrist", "neck"),
+    ("right_wrist", "neck"),
+    ("neck", "left_wrist"),
+    ("neck", "right_wrist"),
+    ("left_ankle", "right_ankle"),
+    ("right_ankle", "left_ankle"),
+)
+INVARIANT_NAMES = tuple(f"{person}: {name}" for person in "AB" for name, _ in _LIMB_ANGLES) + tuple(
+    f"A {one} - B {other}" for one, other in _JOINT_PAIRS
+)
+"""What is watched: limb angles of each person (radians) and distances between their joints (metres)."""
+
+LEAST_ACCEPTANCE = 0.005
+"""Accepted share of proposals below which a chain counts as stuck."""
+MOST_AT_CEILING = 0.5
+"""Share of draws in the flat top of the truncated density above which a chain counts as having left its range."""
+
+
+@dataclass(frozen=True)
+class ChainReport:
+    """How one chain went.
+
+    Args:
+        num_draws: Draws kept.
+        acceptance_rate: Accepted share of the proposals.
+        ess_min: Least effective sample size over the invariants of this chain; NaN when one never moved.
+        rhat_max: Greatest R-hat over the invariants and the chains of this seed; NaN when one never moved.
+        log_density_mean: Mean log of the target.
+        travelled_m: D_C between the seed and the last draw, metres.
+        verdict: ok, stuck or left_range.
+        reason: The verdict in words; empty when ok.
+    """
+
+    num_draws: int
+    acceptance_rate: float
+    ess_min: float
+    rhat_max: float
+    log_density_mean: float
+    travelled_m: float
+    verdict: str
+    reason: str
+
+
+def invariants(pair_m: Array) -> Array:
+    """Give limb angles (radians) and joint distances (metres), (*batch, 24), of pairs (*batch, person=2, joint=17, 3).
+
+    They do not change when the pair moves rigidly.  A limb with an empty bone has angle 0.
+    """
+    columns = []
+    for person in range(2):
+        for _, (start, middle, end) in _LIMB_ANGLES:
+            points = pair_m[..., person, :, :]
+            above, below = points[..., start, :] - points[..., middle, :], points[..., end, :] - points[..., middle, :]
+            cross = np.linalg.norm(np.cross(above, below), axis=-1)
+            columns.append(np.arctan2(cross, np.sum(above * below, axis=-1)))
+    for one, other in _JOINT_PAIRS:
+        gap = pair_m[..., 0, PAIR17.index(one), :] - pair_m[..., 1, PAIR17.index(other), :]
+        columns.append(np.linalg.norm(gap, axis=-1))
+    return np.stack(columns, axis=-1)
+
+
+def effective_sample_size(values: Array) -> Array:
+    """Give the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved."""
+    if values.shape[1] < 4:
+        return np.full(values.shape[-1], np.nan)
+    return np.array([_or_nan(_arviz().ess, values[..., index]) for index in range(values.shape[-1])])
+
+
+def rhat(values: Array) -> Array:
+    """Give the rank-normalised split R-hat (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
+
+    A single chain is split in two halves first.
+    """
+    if len(values) == 1:
+        half = values.shape[1] // 2
+        values = np.concatenate([values[:, :half], values[:, half : 2 * half]])
+    if values.shape[1] < 4:
+        return np.full(values.shape[-1], np.nan)
+    return np.array([_or_nan(_arviz().rhat, values[..., index]) for index in range(values.shape[-1])])
+
+
+def _arviz() -> Any:
+    """Import arviz late (1 s, and matplotlib with it: sampling itself does without) and without its daily notice."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
+    return arviz
+
+
+def _or_nan(statistic: Callable[[Array], object], values: Array) -> float:
+    if np.ptp(values) == 0.0:
+        return float("nan")
+    with warnings.catch_warnings():
+        # arviz divides by the variance of chains that stand still; the NaN it gives is what is wanted.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return float(np.asarray(statistic(values)))
+
+
+def diagnose(
+    pair_m: Array,
+    log_density: Array,
+    num_accepted: Array,
+    *,
+    thin: int,
+    seed_m: Array,
+    log_ceiling: float,
+) -> list[ChainReport]:
+    """Give a report for each chain of one seed.
+
+    Args:
+        pair_m: Draws (chain, draw, person=2, joint=17, 3), metres.
+        log_density: Log of the target, (chain, draw).
+        num_accepted: Accepted proposals since the draw before, (chain, draw).
+        thin: Steps per draw.
+        seed_m: The seed (2, 17, 3), metres.
+        log_ceiling: Log density above which the target is flat.
+
+    Raises:
+        InputError: There is no draw.
+    """
+    num_chains, num_draws = log_density.shape
+    if num_chains == 0 or num_draws == 0:
+        raise InputError("diagnostics need at least one chain with one draw")
+    values = invariants(np.asarray(pair_m, dtype=np.float64))
+    worst_rhat = _worst(rhat(values), largest=True)
+    reports = []
+    for chain in range(num_chains):
+        acceptance = float(num_accepted[chain].sum() / (num_draws * thin))
+        at_ceiling = float(np.mean(log_density[chain] >= log_ceiling))
+        travelled = float(
+            cartesian_dissimilarity(
+                np.asarray(pair_m[chain, -1], dtype=np.float64).reshape(-1, 3), seed_m.reshape(-1, 3)
+            )
+        )
+        verdict, reason = "ok", ""
+        if acceptance < LEAST_ACCEPTANCE:
+            verdict = "stuck"
+            reason = f"{acceptance:.2%} of the proposals were accepted, fewer than {LEAST_ACCEPTANCE:.1%}"
+        elif at_ceiling > MOST_AT_CEILING:
+            verdict = "left_range"
+            reason = f"{at_ceiling:.0%} of the draws lie above the seed's density range, where the target is flat"
+        reports.append(
+            ChainReport(
+                num_draws=num_draws,
+                acceptance_rate=acceptance,
+                ess_min=_worst(effective_sample_size(values[chain : chain + 1]), largest=False),
+                rhat_max=worst_rhat,
+                log_density_mean=float(log_density[chain].mean()),
+                travelled_m=travelled,
+                verdict=verdict,
+                reason=reason,
+            )
+        )
+    return reports
+
+
+def _worst(values: Array, *, largest: bool) -> float:
+    if np.isnan(values).any():
+        return float("nan")
+    return float(values.max() if largest else values.min())

@@ -1,0 +1,118 @@
+"""The physical prior of a pair: joint limits, interpenetration, bone lengths (Yin et al. 2018, eq. 2).
+
+log prior = -(|theta - theta_valid|^2 + alpha eta^2) / (2 sigma_p^2), over joint positions in metres: the squared
+distance to the nearest poses within joint limits, and the squared sum of penetration depths.  It is -inf when more than
+8 joint angles of the pair are invalid.  Bone lengths stay within 5 % of the seed's and equal on both sides of a body,
+which the paper's terms do not bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.plausibility.capsules import CapsuleModel, capsule_model
+from pasdedeux.plausibility.capsules_kernel import pair_penetration
+from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
+from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["PhysicalPrior", "PriorTerms"]
+
+Array = npt.NDArray[np.float64]
+
+_TIE_TOLERANCE = 1e-9
+_NUM_ANGLES = 29
+
+
+@dataclass(frozen=True)
+class PriorTerms:
+    """What the prior is made of.
+
+    Args:
+        log_prior: Log of eq. 2 up to a constant; -inf when the pair is impossible.
+        num_invalid: Joint angles out of range, of both people.
+        limit_distance_m: Distance to the nearest poses within joint limits, root of the sum of squares, metres.
+        penetration_m: Sum of penetration depths, metres.
+        length_change: Greatest relative change of a bone against the seed.
+        is_tied: Left and right bones changed alike.
+        is_turned_over: A joint was turned by half a turn or more from the seed: outside the chart.
+    """
+
+    log_prior: float
+    num_invalid: int
+    limit_distance_m: float
+    penetration_m: float
+    length_change: float
+    is_tied: bool
+    is_turned_over: bool
+
+
+class PhysicalPrior:
+    """Eq. 2 round one seed.
+
+    Args:
+        chart: Parameters round the seed; its bone lengths set the capsules' radii.
+        limits: Joint limits.
+        sigma_p: Bandwidth, metres.
+        alpha: Weight of the squared penetration.
+        most_invalid: Invalid angles of the pair beyond which it is impossible.
+        length_tolerance: Greatest relative change of a bone.
+    """
+
+    def __init__(
+        self,
+        chart: PairChart,
+        limits: JointLimits,
+        *,
+        sigma_p: float = 0.05,
+        alpha: float = 10.0,
+        most_invalid: int = MOST_INVALID_ANGLES,
+        length_tolerance: float = 0.05,
+    ) -> None:
+        self.sigma_p = sigma_p
+        self.alpha = alpha
+        self.most_invalid = most_invalid
+        self.length_tolerance = length_tolerance
+        self._lower = np.ascontiguousarray(limits.lower_rad)
+        self._upper = np.ascontiguousarray(limits.upper_rad)
+        model: CapsuleModel = capsule_model(PAIR17)
+        self._model = model
+        self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
+        self._work = np.empty((2, _NUM_ANGLES))
+        self._valid = np.empty((NUM_JOINTS, 3))
+        self._sums = np.empty(3)
+
+    def terms(self, parameters: Array, pair_m: Array) -> PriorTerms:
+        """Give the prior and its parts of parameters (108,) that give positions (2, 17, 3), metres."""
+        lengths = parameters[LENGTH_INDICES]
+        length_change = float(np.abs(lengths).max())
+        is_tied = bool(np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE)
+        bones = parameters.reshape(2, NUM_PER_PERSON)[:, 6:].reshape(2, NUM_JOINTS - 1, 3)
+        is_turned_over = bool((bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2)
+        num_invalid, squared = 0, 0.0
+        for person in range(2):
+            count, distance = move_to_nearest_valid(pair_m[person], self._lower, self._upper, self._work, self._valid)
+            num_invalid += count
+            squared += distance
+        depth = pair_penetration(
+            pair_m, self._radii, self._model.parents, self._model.within, self._model.between, self._sums
+        )
+        is_possible = (
+            num_invalid <= self.most_invalid
+            and length_change <= self.length_tolerance
+            and is_tied
+            and not is_turned_over
+        )
+        return PriorTerms(
+            log_prior=-(squared + self.alpha * depth * depth) / (2.0 * self.sigma_p**2) if is_possible else -np.inf,
+            num_invalid=int(num_invalid),
+            limit_distance_m=float(np.sqrt(squared)),
+            penetration_m=float(depth),
+            length_change=length_change,
+            is_tied=is_tied,
+            is_turned_over=is_turned_over,
+        )

@@ -1,0 +1,103 @@
+"""Seeds chosen among real frames: close interactions, plausible, and far from each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction import cartesian_dissimilarity, gap_m
+from pasdedeux.plausibility.capsules import capsule_model
+from pasdedeux.plausibility.capsules_kernel import clip_penetration
+from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
+
+Array = npt.NDArray[np.float64]
+
+CLOSE_SHARE = 0.25
+"""Share of the frames, those with the smallest gap, that count as close interaction."""
+SOUND_SHARE = 0.5
+"""Share of the close frames, those with the least violation of the prior, that may become seeds."""
+LEAST_POOL = 64
+"""Frames that stay in the choice however few are close and sound."""
+
+
+@dataclass(frozen=True)
+class SeedQuality:
+    """How fit pairs are to start chains from.
+
+    Args:
+        num_invalid: Joint angles out of range, of both people, (pair,).
+        violation_m2: Squared distance to valid poses plus alpha times squared penetration, (pair,): eq. 2's exponent.
+        gap_m: Distance between the closest joints of the two people, (pair,), metres.
+    """
+
+    num_invalid: npt.NDArray[np.int64]
+    violation_m2: Array
+    gap_m: Array
+
+    @property
+    def is_possible(self) -> npt.NDArray[np.bool_]:
+        """Whether the prior of a pair is above 0, (pair,)."""
+        return np.asarray(self.num_invalid <= MOST_INVALID_ANGLES)
+
+
+def seed_quality(pairs_m: Array, limits: JointLimits, *, alpha: float = 10.0) -> SeedQuality:
+    """Give how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds."""
+    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
+    model = capsule_model(PAIR17)
+    nearest = limits.nearest_valid(pairs)
+    depth = np.empty(len(pairs))
+    for row, pair in enumerate(pairs):
+        radii = model.radii_of(pair[None])
+        depth[row] = clip_penetration(pair[None], radii, model.parents, model.within, model.between).sum()
+    return SeedQuality(
+        num_invalid=nearest.num_invalid.sum(axis=-1),
+        violation_m2=nearest.squared_distance_m2.sum(axis=-1) + alpha * depth**2,
+        gap_m=gap_m(pairs),
+    )
+
+
+def choose_seeds(
+    pairs_m: Array, take_index: npt.NDArray[np.int64], quality: SeedQuality, num_seeds: int
+) -> npt.NDArray[np.int64]:
+    """Choose frames as seeds: indices (num_seeds,) into pairs (pair, person=2, joint=17, 3), metres.
+
+    Asking for more seeds keeps the first ones.
+
+    Of the frames with positive prior those with the smallest gap are kept, of these the ones that violate the prior
+    least; the first seed is the soundest, each next one the frame farthest in D_C from all chosen, taking turns over
+    the takes.
+
+    Raises:
+        InputError: There are fewer frames to choose from than seeds asked for.
+    """
+    possible = np.flatnonzero(quality.is_possible & np.isfinite(quality.violation_m2))
+    close = _least(possible, quality.gap_m, max(int(CLOSE_SHARE * len(possible)), 2 * LEAST_POOL))
+    pool = _least(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), LEAST_POOL))
+    if len(pool) < num_seeds:
+        raise InputError(
+            f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames will do: close to each "
+            f"other, and at most {MOST_INVALID_ANGLES} joint angles out of range ({len(possible)} of them)"
+        )
+    chosen = [int(pool[np.argmin(quality.violation_m2[pool])])]
+    points = np.asarray(pairs_m[pool], dtype=np.float64).reshape(len(pool), -1, 3)
+    distance = np.full(len(pool), np.inf)
+    used = np.zeros(int(take_index.max()) + 1, dtype=np.int64)
+    while len(chosen) < num_seeds:
+        latest = np.asarray(pairs_m[chosen[-1]], dtype=np.float64).reshape(-1, 3)
+        distance = np.minimum(distance, cartesian_dissimilarity(points, latest))
+        used[take_index[chosen[-1]]] += 1
+        is_free = ~np.isin(pool, chosen)
+        turns = used[take_index[pool]]
+        is_due = is_free & (turns == turns[is_free].min())
+        chosen.append(int(pool[np.argmax(np.where(is_due, distance, -1.0))]))
+    return np.array(chosen, dtype=np.int64)
+
+
+def _least(indices: npt.NDArray[np.int64], values: Array, count: int) -> npt.NDArray[np.int64]:
+    return indices[np.argsort(values[indices], kind="stable")[:count]]

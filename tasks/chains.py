@@ -1,0 +1,406 @@
+"""Stage `chains`: Markov chains over 3D pairs, from every seed and for every density, in segments that continue."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling import (
+    ChainState,
+    Evaluation,
+    GatheredPairs,
+    GaussianBlocks,
+    InteractionLikelihood,
+    PairChart,
+    PairDensity,
+    PhysicalPrior,
+    build_bank,
+    diagnose,
+    draw_views,
+    gather_pairs,
+    generator_from_json,
+    generator_to_json,
+    run_segment,
+)
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.seeds import read_limits
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
+
+__all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
+
+VERSION = 1
+
+DensityName = Literal["ic", "prior_only"]
+
+_LIKELIHOOD_PARAMETERS = ("num_views", "num_candidates", "num_ranked", "sigma_l", "sigma_v_rad", "beta_m")
+_PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
+_STEP_PARAMETERS = (
+    "segment_draws",
+    "thin",
+    "root_rotation_rad",
+    "root_position_m",
+    "joint_rotation_rad",
+    "length_change",
+    "most_blocks",
+)
+
+
+class ChainsParameters(Parameters):
+    """What is sampled, how much, and with which steps."""
+
+    densities: tuple[DensityName, ...] = Field(
+        ("ic", "prior_only"), min_length=1, description="Densities: ic (interaction coordinates), prior_only"
+    )
+    num_chains: int = Field(2, ge=1, le=1000, description="Chains of each seed and density")
+    num_draws: int = Field(500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
+    thin: int = Field(10, ge=1, description="Steps per kept draw")
+    segment_draws: int = Field(250, ge=4, description="Draws of a segment, the unit that is stored and resumed")
+    num_views: int = Field(20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
+    num_candidates: int = Field(500, ge=1, description="Annotations compared with each view, nearest by view")
+    num_ranked: int = Field(32, ge=1, description="Candidates of a view compared in full, nearest by rigid residual")
+    sigma_l: float = Field(0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)")
+    sigma_v_rad: float = Field(0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
+    beta_m: float = Field(0.05, gt=0, description="Edge length below which weights stop growing (eq. 8), metres")
+    sigma_p_m: float = Field(0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
+    alpha: float = Field(10.0, ge=0, description="Weight of the squared penetration (eq. 2)")
+    most_invalid_angles: int = Field(8, ge=0, description="Invalid joint angles beyond which a pair is impossible")
+    length_tolerance: float = Field(0.05, ge=0, lt=0.5, description="Greatest relative change of a bone's length")
+    truncation: float = Field(100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0")
+    root_rotation_rad: float = Field(0.02, ge=0, description="Step of a root's rotation, radians")
+    root_position_m: float = Field(0.005, ge=0, description="Step of a root's position, metres")
+    joint_rotation_rad: float = Field(0.04, ge=0, description="Step of a bone's rotation, radians")
+    length_change: float = Field(0.005, ge=0, description="Step of a bone's relative length")
+    most_blocks: int = Field(4, ge=1, le=34, description="Roots and bones moved by one step, at most")
+
+    @model_validator(mode="after")
+    def _densities_are_named_once(self) -> ChainsParameters:
+        if len(set(self.densities)) != len(self.densities):
+            raise ValueError("chains.densities names a density twice")
+        return self
+
+
+def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
+    """Plan, per density and seed, the segments of every chain and then a summary.
+
+    A segment's key knows its chain and number but not how many draws are asked for, so asking for more extends.
+    """
+    limits = [manifest.ref for manifest in inputs.of("joint_limits")]
+    annotated = _annotated(inputs)
+    seen = {manifest.ref for manifest in annotated}
+    views = [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
+    asked = parameters.model_dump(mode="json")
+    num_segments = -(-parameters.num_draws // parameters.segment_draws)
+    shards: list[Shard] = []
+    for density in parameters.densities:
+        needs = [manifest.ref for manifest in (*annotated, *views)] if density == "ic" else []
+        if density == "ic" and (not annotated or not views):
+            continue
+        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (_LIKELIHOOD_PARAMETERS if density == "ic" else ())
+        for seed in inputs.of("seeds"):
+            index = int(seed.facts["seed_index"])
+            common = {"density": density, "seed_index": index, **{name: asked[name] for name in names}}
+            refs = (seed.ref, *limits, *needs)
+            segments: list[Shard] = []
+            for chain in range(parameters.num_chains):
+                previous: tuple[str, ...] = ()
+                for segment in range(num_segments):
+                    shard = Shard(
+                        stage="chains",
+                        version=VERSION,
+                        partition=f"{density}-seed{index}",
+                        name=f"chain{chain}-segment{segment}",
+                        parameters={**common, "chain": chain, "segment": segment},
+                        inputs=refs,
+                        after=previous,
+                        seed=inputs.seed,
+                    )
+                    previous = (shard.key,)
+                    segments.append(shard)
+            summary = Shard(
+                stage="chains",
+                version=VERSION,
+                partition=f"{density}-seed{index}",
+                name="summary",
+                parameters={
+                    **common,
+                    "num_chains": parameters.num_chains,
+                    "num_segments": num_segments,
+                },
+                inputs=(seed.ref,),
+                after=tuple(shard.key for shard in segments),
+                seed=inputs.seed,
+            )
+            shards += [*segments, summary]
+    return shards
+
+
+def _annotated(inputs: StageInputs) -> list[Manifest]:
+    """Give the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
+    usable = [
+        manifest
+        for manifest in inputs.of("annotations")
+        if not manifest.facts.get("is_held_out", False) and int(manifest.facts.get("num_persons", 2)) >= 2
+    ]
+    preferred = [manifest for manifest in usable if manifest.facts.get("purpose") in ("random_views", "given")]
+    return preferred or usable
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Run one segment of a chain, or summarise the chains of a seed."""
+    return _summarise(shard, store) if shard.name == "summary" else _run_segment(shard, store)
+
+
+def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
+    options = shard.parameters
+    density, seed_index = str(options["density"]), int(options["seed_index"])
+    chain, segment, count = int(options["chain"]), int(options["segment"]), int(options["segment_draws"])
+    seed = _read_seed(store, shard.inputs[0])
+    chart = PairChart(seed.pair_m)
+    likelihood, num_skipped = _likelihood(shard, store) if density == "ic" else (None, 0)
+    target = PairDensity(
+        chart,
+        PhysicalPrior(
+            chart,
+            read_limits(shard, store),
+            sigma_p=options["sigma_p_m"],
+            alpha=options["alpha"],
+            most_invalid=options["most_invalid_angles"],
+            length_tolerance=options["length_tolerance"],
+        ),
+        likelihood,
+        truncation=options["truncation"],
+    )
+    propose = GaussianBlocks(
+        root_rotation_rad=options["root_rotation_rad"],
+        root_position_m=options["root_position_m"],
+        joint_rotation_rad=options["joint_rotation_rad"],
+        length_change=options["length_change"],
+        most_blocks=options["most_blocks"],
+    )
+    if segment == 0:
+        rng = stream(shard.seed, "chains", density, seed_index, chain)
+        state = ChainState(chart.seed_parameters(), target.seed_evaluation)
+    else:
+        rng, state = _resume(shard, store)
+    state, draws = run_segment(
+        rng, state, target, propose, num_draws=count, thin=int(options["thin"]), settle=chart.gauge_fixed
+    )
+    identity: dict[str, list[Any]] = {"density": [density], "seed_index": [seed_index], "chain": [chain]}
+    tables: dict[str, dict[str, Any]] = {
+        "draws": {
+            **{name: value * count for name, value in identity.items()},
+            "draw": np.arange(segment * count, (segment + 1) * count),
+            "pair17_m": chart.positions(draws.parameters),
+            "parameters": draws.parameters,
+            "log_density": draws.log_density,
+            "log_prior": draws.log_prior,
+            "log_likelihood": draws.log_likelihood,
+            "num_accepted": draws.num_accepted,
+            "take_id": [seed.take_id] * count,
+        },
+        "chain_states": {
+            **identity,
+            "segment": [segment],
+            "num_draws": [(segment + 1) * count],
+            "parameters": state.parameters[None],
+            "log_density": [state.evaluation.log_density],
+            "log_prior": [state.evaluation.log_prior],
+            "log_likelihood": [state.evaluation.log_likelihood],
+            "generator_state": [generator_to_json(rng)],
+            "kernel_state": ["{}"],
+        },
+    }
+    facts = {
+        "kind": "draws",
+        "density": density,
+        "seed_index": seed_index,
+        "chain": chain,
+        "segment": segment,
+        "num_draws": count,
+        "log_seed": target.log_seed,
+        "log_ceiling": target.log_ceiling,
+        "num_annotations_skipped": num_skipped,
+        "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
+    }
+    return commit(shard, store, tables=tables, facts=facts)
+
+
+def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState]:
+    """Give generator and state as the previous segment left them."""
+    table = store.read(_done(shard.after[0], store).ref, "chain_states")
+    evaluation = Evaluation(
+        log_density=float(table["log_density"][0]),
+        log_prior=float(table["log_prior"][0]),
+        log_likelihood=float(table["log_likelihood"][0]),
+    )
+    parameters = np.array(table["parameters"][0], dtype=np.float64)
+    return generator_from_json(str(table["generator_state"][0])), ChainState(parameters, evaluation)
+
+
+def _done(key: str, store: Store) -> Manifest:
+    manifest = store.find("chains", key)
+    if manifest is None:
+        raise InputError(f"the segment chains@{key[:12]} that this one continues is not in the store")
+    return manifest
+
+
+@dataclass(frozen=True)
+class _Seed:
+    """A seed as stored: the pair (2, 17, 3), metres, and the take it came from."""
+
+    pair_m: np.ndarray
+    take_id: str | None
+
+
+def _read_seed(store: Store, ref: ArtifactRef) -> _Seed:
+    table = store.read(ref, "seeds", columns=["pair17_m", "take_id"])
+    take_id = table["take_id"][0]
+    return _Seed(np.array(table["pair17_m"][0], dtype=np.float64), None if take_id is None else str(take_id))
+
+
+# Building a likelihood reads every annotation; the segments that one worker runs in a row mostly share it.
+_KEPT: OrderedDict[str, tuple[InteractionLikelihood, int]] = OrderedDict()
+_MOST_KEPT = 2
+
+
+def _likelihood(shard: Shard, store: Store) -> tuple[InteractionLikelihood, int]:
+    """Give the likelihood of a seed and how many annotations it left out."""
+    options = {name: shard.parameters[name] for name in _LIKELIHOOD_PARAMETERS}
+    seed_index = int(shard.parameters["seed_index"])
+    identity = json.dumps(
+        [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
+    )
+    if identity not in _KEPT:
+        gathered = _gather(shard, store)
+        rng = stream(shard.seed, "chains", "views", seed_index)
+        views = draw_views(rng, gathered, options["num_views"], bandwidth_rad=options["sigma_v_rad"])
+        bank = build_bank(
+            views,
+            gathered.pairs,
+            num_candidates=options["num_candidates"],
+            view_bandwidth_rad=options["sigma_v_rad"],
+        )
+        likelihood = InteractionLikelihood(
+            gathered.pairs,
+            bank,
+            sigma_l=options["sigma_l"],
+            beta_m=options["beta_m"],
+            num_ranked=options["num_ranked"],
+        )
+        _KEPT[identity] = (likelihood, gathered.num_skipped)
+        while len(_KEPT) > _MOST_KEPT:
+            _KEPT.popitem(last=False)
+    return _KEPT[identity]
+
+
+def _gather(shard: Shard, store: Store) -> GatheredPairs:
+    """Give every annotated pair among the inputs with its view hypotheses; annotations without both are left out."""
+    keypoints: dict[tuple[str, int], dict[int, np.ndarray]] = {}
+    for ref in shard.inputs:
+        if "annotations" not in store.manifest(ref).tables:
+            continue
+        table = store.read(
+            ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
+        )
+        is_wanted = np.asarray(table["is_key"]) & ~np.asarray(table["is_held_out"])
+        sequences, frames, persons = table["sequence_id"], np.asarray(table["frame"]), np.asarray(table["person_id"])
+        points = np.asarray(table["pair17_px"], dtype=np.float64)
+        for row in np.flatnonzero(is_wanted).tolist():
+            keypoints.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
+    pairs, scales, directions, weights, which = [], [], [], [], []
+    index: dict[tuple[str, int], int] = {}
+    for ref in shard.inputs:
+        if "views" not in store.manifest(ref).tables:
+            continue
+        table = store.read(ref, "views", columns=["sequence_id", "frame", "direction", "weight", "metres_per_pixel"])
+        for row in range(table.num_rows):
+            place = (str(table["sequence_id"][row]), int(table["frame"][row]))
+            people = keypoints.get(place, {})
+            if len(people) < 2:
+                continue
+            first, second = sorted(people)[:2]
+            pairs.append(np.stack([people[first], people[second]]))
+            scales.append(table["metres_per_pixel"][row])
+            directions.append(table["direction"][row])
+            weights.append(float(table["weight"][row]))
+            which.append(index.setdefault(place, len(index)))
+    if not pairs:
+        raise InputError("no annotated pair has a view: chains with density 'ic' need annotations of two people")
+    gathered = gather_pairs(
+        np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
+    )
+    return GatheredPairs(
+        pairs=gathered.pairs,
+        weights=gathered.weights,
+        num_skipped=gathered.num_skipped + sum(1 for place in keypoints if place not in index),
+    )
+
+
+def _summarise(shard: Shard, store: Store) -> ArtifactRef:
+    """Diagnose all chains of one density and seed."""
+    options = shard.parameters
+    num_chains, num_segments = int(options["num_chains"]), int(options["num_segments"])
+    done = [_done(key, store) for key in shard.after]
+    columns = ("pair17_m", "log_density", "num_accepted")
+    tables = [store.read(manifest.ref, "draws", columns=list(columns)) for manifest in done]
+    stacked = {
+        name: np.stack(
+            [
+                np.concatenate([tables[chain * num_segments + segment][name] for segment in range(num_segments)])
+                for chain in range(num_chains)
+            ]
+        )
+        for name in columns
+    }
+    facts = done[0].facts
+    reports = diagnose(
+        stacked["pair17_m"],
+        stacked["log_density"],
+        stacked["num_accepted"],
+        thin=int(options["thin"]),
+        seed_m=_read_seed(store, shard.inputs[0]).pair_m,
+        log_ceiling=float(facts["log_ceiling"]),
+    )
+    info = {
+        "density": [options["density"]] * num_chains,
+        "seed_index": [options["seed_index"]] * num_chains,
+        "chain": list(range(num_chains)),
+        "num_draws": [report.num_draws for report in reports],
+        "acceptance_rate": [report.acceptance_rate for report in reports],
+        "ess_min": [report.ess_min for report in reports],
+        "rhat_max": [report.rhat_max for report in reports],
+        "log_density_first": [float(facts["log_seed"])] * num_chains,
+        "log_density_mean": [report.log_density_mean for report in reports],
+        "travelled_m": [report.travelled_m for report in reports],
+        "verdict": [report.verdict for report in reports],
+        "reason": [report.reason for report in reports],
+    }
+    return commit(
+        shard,
+        store,
+        tables={"chain_info": info},
+        facts={
+            "kind": "chain_info",
+            "density": options["density"],
+            "seed_index": options["seed_index"],
+            "takes": merge_takes(*done),
+        },
+    )
+
+
+STAGE = Stage(
+    name="chains",
+    version=VERSION,
+    reads=("annotations", "views", "seeds", "joint_limits"),
+    writes=("draws", "chain_states", "chain_info"),
+    parameters=ChainsParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="draws of 3D pose pairs from the density that the annotations support",
+)

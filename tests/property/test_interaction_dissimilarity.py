@@ -1,0 +1,200 @@
+"""Laws of the dissimilarities, and agreement of the kernels with the plain forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction import (
+    align_plane,
+    cartesian_dissimilarity,
+    edge_table_3d,
+    interaction_dissimilarity,
+    plane_residual,
+)
+from pasdedeux.interaction.kernels import best_turn, nearest_update
+from pasdedeux.kinematics import align_rigid
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.sampling.coverage import Coverage, coverage_curve, plain_coverage
+from pasdedeux.sampling.synthetic import random_pairs
+
+seeds = st.integers(0, 2**31 - 1)
+
+
+def plane_points(seed: int) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    first = rng.normal(size=(34, 2)) * 0.4
+    return rng, first, first + 0.05 * rng.normal(size=(34, 2))
+
+
+def turn(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.floats(-np.pi, np.pi), st.floats(-5, 5))
+def test_planar_dissimilarity_ignores_rigid_motion(seed: int, angle: float, shift: float) -> None:
+    _, first, second = plane_points(seed)
+    expected = interaction_dissimilarity(first, second)
+    moved = first @ turn(angle).T + [shift, -shift]
+    assert interaction_dissimilarity(moved, second) == pytest.approx(expected, rel=1e-6)
+    assert interaction_dissimilarity(second, moved) == pytest.approx(expected, rel=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds)
+def test_planar_dissimilarity_sees_reflection_and_scale(seed: int) -> None:
+    _, first, _ = plane_points(seed)
+    assert interaction_dissimilarity(first, first) == pytest.approx(0.0, abs=1e-12)
+    assert interaction_dissimilarity(first * [-1.0, 1.0], first) > 0.05
+    assert interaction_dissimilarity(first * 1.2, first) > 0.01
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds)
+def test_closed_form_alignment_is_the_best_rotation(seed: int) -> None:
+    rng, first, second = plane_points(seed)
+    first = first @ turn(rng.uniform(-np.pi, np.pi)).T
+    residual = float(plane_residual(first, second))
+    assert ((align_plane(first, second) - second) ** 2).sum() == pytest.approx(residual, rel=1e-9)
+    centred = first - first.mean(axis=0)
+    for angle in np.linspace(-np.pi, np.pi, 60):
+        tried = centred @ turn(angle).T - (second - second.mean(axis=0))
+        assert (tried**2).sum() >= residual - 1e-12
+
+
+def test_equation_8_on_a_case_worked_by_hand() -> None:
+    # A triangle against itself with one corner moved away along the axis of symmetry, so no turn is needed.
+    first = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    second = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, 0.9]])
+    total = 0.0
+    for points in (first, second):
+        lengths = [1.0, np.hypot(0.5, points[2, 1]), np.hypot(0.5, points[2, 1])]
+        weights = 1.0 / np.array(lengths)
+        total += (weights * [0.0, 0.4, 0.4]).sum() / weights.sum()
+    assert interaction_dissimilarity(first, second) == pytest.approx(total, rel=1e-9)
+
+
+def test_short_edges_stop_gaining_weight_at_beta() -> None:
+    first = np.array([[0.0, 0.0], [0.001, 0.0], [1.0, 0.0], [0.5, 1.0]])
+    second = first + [[0.0, 0.0], [0.0, 0.001], [0.0, 0.0], [0.0, 0.0]]
+    assert interaction_dissimilarity(first, second, beta_m=0.05) < interaction_dissimilarity(first, second, beta_m=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.booleans())
+def test_fast_rotation_is_the_best_proper_rotation(seed: int, is_mirrored: bool) -> None:
+    rng = np.random.default_rng(seed)
+    fixed = rng.normal(size=(34, 3))
+    fixed -= fixed.mean(axis=0)
+    rotmat = rotmat_from_unitquat(normalise(rng.normal(size=4)))
+    moving = fixed @ rotmat.T + 0.1 * rng.normal(size=(34, 3))
+    if is_mirrored:
+        moving = moving * [-1.0, 1.0, 1.0]
+    moving -= moving.mean(axis=0)
+    result = np.empty((3, 3))
+    best_turn(moving, fixed, np.empty((4, 4)), np.empty((4, 4)), np.empty(4), result)
+    np.testing.assert_allclose(result, align_rigid(moving, fixed).rotmat, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["flat", "line", "point", "same"])
+def test_fast_rotation_takes_degenerate_points(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    fixed = rng.normal(size=(34, 3))
+    fixed *= {"flat": [1, 1, 0], "line": [1, 0, 0], "point": [0, 0, 0], "same": [1, 1, 1]}[kind]
+    fixed -= fixed.mean(axis=0)
+    moving = fixed @ rotmat_from_unitquat(normalise(rng.normal(size=4))).T
+    result = np.empty((3, 3))
+    best_turn(moving, fixed, np.empty((4, 4)), np.empty((4, 4)), np.empty(4), result)
+    np.testing.assert_allclose(result @ result.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(result) == pytest.approx(1.0)
+    np.testing.assert_allclose(moving @ result.T, fixed, atol=1e-7)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds)
+def test_spatial_dissimilarities_ignore_rigid_motion_of_the_pair(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_pairs(rng, 2).reshape(2, 34, 3)
+    rotmat = rotmat_from_unitquat(normalise(rng.normal(size=4)))
+    moved = first @ rotmat.T + rng.normal(size=3)
+    assert interaction_dissimilarity(moved, second) == pytest.approx(interaction_dissimilarity(first, second), rel=1e-6)
+    assert cartesian_dissimilarity(moved, second) == pytest.approx(cartesian_dissimilarity(first, second), rel=1e-9)
+    # One person moved is another pair.
+    other = first.copy()
+    other[17:] += [0.3, 0.0, 0.0]
+    assert cartesian_dissimilarity(other, first) > 0.05
+
+
+def test_compiled_minima_agree_with_the_definition() -> None:
+    rng = np.random.default_rng(4)
+    truth, draws = random_pairs(rng, 5), random_pairs(rng, 9)
+    coverage = Coverage(truth)
+    coverage.add(draws[:4])
+    coverage.add(draws[4:])
+    interaction, cartesian = plain_coverage(truth, draws)
+    assert coverage.interaction_m.mean() == pytest.approx(interaction, rel=1e-9)
+    assert coverage.cartesian_m.mean() == pytest.approx(cartesian, rel=1e-9)
+    points = draws.reshape(9, 34, 3)
+    every = cartesian_dissimilarity(points[None], truth.reshape(5, 1, 34, 3))
+    np.testing.assert_array_equal(coverage.nearest_by_cartesian, every.argmin(axis=1))
+
+
+def test_coverage_falls_with_draws_and_is_zero_on_the_truth_itself() -> None:
+    rng = np.random.default_rng(6)
+    truth = random_pairs(rng, 8)
+    draws = np.concatenate([random_pairs(rng, 20), truth])
+    curve = coverage_curve(truth, draws, [1, 5, 20, 28, 1000])
+    assert list(curve.num_draws) == [1, 5, 20, 28]
+    assert (np.diff(curve.interaction_m) <= 0).all()
+    assert (np.diff(curve.cartesian_m) <= 0).all()
+    assert curve.interaction_m[-1] == pytest.approx(0.0, abs=1e-7)
+    assert curve.cartesian_m[-1] == pytest.approx(0.0, abs=1e-7)
+
+
+def test_coverage_does_not_depend_on_the_batches() -> None:
+    rng = np.random.default_rng(7)
+    truth, draws = random_pairs(rng, 3), random_pairs(rng, 12)
+    whole, parts = Coverage(truth), Coverage(truth)
+    whole.add(draws)
+    for draw in draws:
+        parts.add(draw[None])
+    np.testing.assert_array_equal(whole.interaction_m, parts.interaction_m)
+    np.testing.assert_array_equal(whole.nearest_by_interaction, parts.nearest_by_interaction)
+
+
+def test_coverage_refuses_nothing_and_nan() -> None:
+    pairs = random_pairs(np.random.default_rng(0), 2)
+    with pytest.raises(InputError, match="at least one real pair"):
+        Coverage(pairs[:0])
+    with pytest.raises(InputError, match="no point of the curve"):
+        coverage_curve(pairs, pairs, [0, 3])
+    broken = pairs.copy()
+    broken[1, 0, 0, 0] = np.nan
+    with pytest.raises(InputError, match="point set 1"):
+        Coverage(pairs).add(broken)
+
+
+def test_an_empty_edge_table_gives_infinite_minima() -> None:
+    pairs = random_pairs(np.random.default_rng(0), 2).reshape(2, 34, 3)
+    table = edge_table_3d(pairs)
+    best, which = np.full((2, 2), np.inf), np.full((2, 2), -1)
+    none = pairs[:0]
+    empty = edge_table_3d(none)
+    nearest_update(
+        pairs,
+        table.edges,
+        table.weights,
+        table.counts,
+        none,
+        empty.edges,
+        empty.weights,
+        empty.counts,
+        0,
+        best,
+        which,
+    )
+    assert np.isinf(best).all()

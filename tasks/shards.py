@@ -6,7 +6,6 @@ import ctypes
 import logging
 import os
 import queue
-import shutil
 import signal
 import sys
 import tempfile
@@ -229,7 +228,6 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                 _check_workers(client, settings.scheduler, store_root)
                 yield client
             return
-        scratch = tempfile.mkdtemp(prefix="pasdedeux-dask-")
         cluster = LocalCluster(
             n_workers=settings.num_workers,
             threads_per_worker=1,
@@ -238,7 +236,6 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
             dashboard_address="127.0.0.1:0",
             scheduler_kwargs={"dashboard": False},
             silence_logs=logging.CRITICAL,
-            local_directory=scratch,
             host="127.0.0.1",
         )
         try:
@@ -251,7 +248,6 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                     raise
         finally:
             cluster.close()
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def worker_environment() -> dict[str, str]:

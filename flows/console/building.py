@@ -68,7 +68,8 @@ def run(
     settings: SettingOption = None,
     store: StoreOption = Path("store"),
     workers: Annotated[
-        int | None, typer.Option(min=0, help="Local worker processes; one per core when not given, 0 for none.")
+        int | None,
+        typer.Option(min=0, help="Local worker processes; one per core when not given, 0 for none but this one."),
     ] = None,
     worker_memory: Annotated[float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")] = 2.0,
     scheduler: Annotated[
@@ -88,7 +89,8 @@ def run(
         outcome = settle(Run(chosen, graph, opened, selection), made)
     else:
         _refuse_full_disk(opened)
-        cluster = ClusterSettings(_num_workers(workers), int(worker_memory * _GIB), scheduler)
+        worker_bytes = int(worker_memory * _GIB)
+        cluster = ClusterSettings(_num_workers(workers, worker_bytes), worker_bytes, scheduler)
         outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     if as_json:
@@ -170,8 +172,13 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
         listener.close()
 
 
-def _num_workers(asked: int | None) -> int:
-    return asked if asked is not None else len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+def _num_workers(asked: int | None, worker_bytes: int) -> int:
+    """Give the number of workers asked for, else one per usable core as far as the memory reaches."""
+    if asked is not None:
+        return asked
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(1, min(cores, memory // worker_bytes))
 
 
 def _refuse_full_disk(store: Store) -> None:

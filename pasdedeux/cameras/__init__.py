@@ -13,6 +13,26 @@ from pasdedeux.cameras.frames import (
 )
 from pasdedeux.cameras.orthographic import metres_from_pixels, pixels_from_metres, project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera, Projection
+from pasdedeux.cameras.torso import (
+    LEAST_TORSO_JOINTS,
+    TORSO_INDICES,
+    TORSO_JOINTS,
+    LiftedTorsos,
+    TorsoBasis,
+    learn_torso_basis,
+    lift_torsos,
+)
+from pasdedeux.cameras.torso_default import default_torso_basis
+from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD, ViewDensity
+from pasdedeux.cameras.views import (
+    DEPTH_RULES,
+    ViewAccuracy,
+    ViewEstimates,
+    ViewOptions,
+    estimate_views,
+    pair_in_metres,
+    view_accuracy,
+)
 from pasdedeux.cameras.virtual_video import (
     Annotated,
     ViewAngles,
@@ -25,27 +45,44 @@ from pasdedeux.cameras.virtual_video import (
 )
 
 __all__ = [
+    "DEPTH_RULES",
+    "LEAST_TORSO_JOINTS",
+    "TORSO_INDICES",
+    "TORSO_JOINTS",
+    "VIEW_DEVIATION_RAD",
     "Annotated",
+    "LiftedTorsos",
     "LocalFrame",
     "PinholeCamera",
     "Projection",
+    "TorsoBasis",
+    "ViewAccuracy",
     "ViewAngles",
+    "ViewDensity",
     "ViewDistribution",
+    "ViewEstimates",
+    "ViewOptions",
     "VirtualView",
     "angle_between_directions",
     "angles_of_direction",
     "annotate",
+    "default_torso_basis",
     "direction_of_angles",
+    "estimate_views",
     "frame_take",
+    "learn_torso_basis",
+    "lift_torsos",
     "local_frame",
     "look_at_camera",
     "metres_from_pixels",
     "pair_frame",
+    "pair_in_metres",
     "pixels_from_metres",
     "project_orthographic",
     "project_pair",
     "sample_views",
     "swap_people",
     "true_direction",
+    "view_accuracy",
     "view_rotmat",
 ]

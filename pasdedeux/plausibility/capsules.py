@@ -56,8 +56,8 @@ RADIUS_PER_HEIGHT: Mapping[str, float] = {
 """Radius of the capsule round each bone, named by its child joint, as a share of the stature.
 
 About four fifths of the half depth of the trunk and of girth / 2 pi of the limbs of an adult (a median man at 1.75 m:
-half depth of the chest 0.115, girth of upper arm 0.33, forearm 0.27, mid thigh 0.55, calf 0.38 m): limbs taper, and flesh
-gives way by a centimetre or two before bodies penetrate.
+half depth of the chest 0.115, girth of upper arm 0.33, forearm 0.27, mid thigh 0.55, calf 0.38 m): limbs taper, and
+flesh gives way by a centimetre or two before bodies penetrate.
 """
 
 

@@ -1,0 +1,371 @@
+"""The views of annotated pairs: weighted hypotheses of where the camera stood (Yin et al. 2018, section 4.2).
+
+Lifted torsos give two backbones, each with a twin mirrored in depth, and the scale of each person.  A weak-perspective
+image does not show which root is nearer, so their relative depth follows one of several rules:
+
+- `zero`: both at the same depth;
+- `contact_near`, `contact_far`: as close as bodies in contact are, person B nearer or further; where the image already
+  holds the roots further apart than that, there is no such hypothesis;
+- `size`: a pinhole at a known or assumed distance shows the nearer person larger;
+- `near`, `far`: person B nearer or further than that (than `zero` when the distance is unknown) by sqrt(3) standard
+  deviations of what is known, so that the three together have its mean and variance.
+
+A hypothesis is weighed by how people stand (backbones near upright for a camera held near level), how well its depth
+agrees with the apparent sizes, and whether the bodies would share one place.  The fit of the torso says nothing about
+which twin is true (in trials on captured dancers the better fitting one was right in 36-49 % of the cases), so it does
+not enter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras.frames import angle_between_directions, angles_of_direction, local_frame
+from pasdedeux.cameras.orthographic import metres_from_pixels
+from pasdedeux.cameras.torso import TORSO_INDICES, LiftedTorsos, TorsoBasis, lift_torsos
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import normalise
+
+__all__ = [
+    "DEPTH_RULES",
+    "ViewAccuracy",
+    "ViewEstimates",
+    "ViewOptions",
+    "estimate_views",
+    "pair_in_metres",
+    "view_accuracy",
+]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+DEPTH_RULES = ("zero", "contact_near", "contact_far", "size", "near", "far")
+_ZERO, _CONTACT_NEAR, _CONTACT_FAR, _SIZE, _NEAR, _FAR = range(6)
+_FLIPS = ((0, 0), (1, 0), (0, 1), (1, 1))
+
+SIZE_PRIOR_COUNT = 12.0
+"""Annotations after which the ratio of two body sizes is as well known from apparent sizes as beforehand.
+
+Statures differ by about 0.06 (standard deviation of the logarithm of a ratio), apparent sizes of dancers at 4 m by 0.2.
+"""
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How hypotheses are made and weighed.
+
+    Args:
+        distance_m: Distance of the camera, known or assumed, metres; None when it must not be used (no `size` rule).
+        calibrate_sizes: Estimate the ratio of the two bodies' sizes as the median ratio of their apparent sizes: right
+            where neither is always nearer.
+        size_deviation: Standard deviation of the logarithm of the sizes' ratio beyond the noise of the fit.
+        depth_deviation_m: Standard deviation of the relative depth of two roots before anything is seen, metres.
+        contact_distance_m: Distance of the roots of two people in close contact, metres.
+        least_root_distance_m: Roots closer than this cannot be: the bodies would share one place, metres.
+        camera_pitch_rad: Mean elevation of cameras, radians.
+        camera_pitch_deviation_rad: Its standard deviation.
+        lean_deviation_rad: Standard deviation of a backbone's lean from the vertical, towards or from the camera.
+        least_weight: Hypotheses below this weight are dropped.
+    """
+
+    distance_m: float | None = 4.0
+    calibrate_sizes: bool = True
+    size_deviation: float = 0.05
+    depth_deviation_m: float = 0.6
+    contact_distance_m: float = 0.35
+    least_root_distance_m: float = 0.2
+    camera_pitch_rad: float = float(np.deg2rad(10.0))
+    camera_pitch_deviation_rad: float = float(np.deg2rad(12.0))
+    lean_deviation_rad: float = float(np.deg2rad(20.0))
+    least_weight: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Check that widths and distances are positive."""
+        positive = (
+            "size_deviation",
+            "depth_deviation_m",
+            "contact_distance_m",
+            "least_root_distance_m",
+            "camera_pitch_deviation_rad",
+            "lean_deviation_rad",
+        )
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise InputError(f"views: {name} is {getattr(self, name)}, it must be positive")
+        if self.distance_m is not None and not self.distance_m > 0:
+            raise InputError(f"views: distance_m is {self.distance_m}, it must be positive")
+        if not 0 <= self.least_weight < 0.05:
+            raise InputError(f"views: least_weight is {self.least_weight}; allowed are 0 to 0.05")
+
+
+@dataclass(frozen=True)
+class ViewEstimates:
+    """Hypotheses of n annotations, flat: sorted by annotation, within one by falling weight.
+
+    Args:
+        annotation: Index of the annotation, (h,).
+        hypothesis: Index within the annotation, (h,); 0 is the likeliest.
+        depth_rule: Index into `DEPTH_RULES`, (h,).
+        flip: Torso twins, (h,): bit 0 for person A, bit 1 for person B; set where the neck is the further one.
+        root_depth_m: Depth of root B against root A, towards the camera positive, (h,), metres.
+        direction: View in the local frame of the hypothesis, (h, 3), unit.
+        weight: (h,); those of one annotation sum to 1.
+        metres_per_pixel: Scale of each person, (h, person=2).
+        trust: Trust in each annotation's view, (n,): length of the weighted mean direction, 1 when all hypotheses
+            agree; 0 where there is none.
+        is_lifted: Which annotations have hypotheses, (n,): enough torso joints of both people were seen.
+        size_ratio: Size of person A over person B that was found and used.
+    """
+
+    annotation: Indices
+    hypothesis: Indices
+    depth_rule: Indices
+    flip: Indices
+    root_depth_m: Array
+    direction: Array
+    weight: Array
+    metres_per_pixel: Array
+    trust: Array
+    is_lifted: npt.NDArray[np.bool_]
+    size_ratio: float
+
+    def best(self) -> Indices:
+        """Give the rows of the likeliest hypotheses, one per annotation that has any."""
+        return np.flatnonzero(self.hypothesis == 0)
+
+    def angles(self) -> tuple[Array, Array]:
+        """Give (psi, phi) of every hypothesis, lift eq. 4, radians."""
+        return angles_of_direction(self.direction)
+
+
+@dataclass(frozen=True)
+class ViewAccuracy:
+    """Angles in radians between estimated and true views, one per annotation that has an estimate, (m,).
+
+    `best` is the likeliest hypothesis, `nearest` the best of all hypotheses (what weighing could reach at most), and
+    `baseline` the mean of the true views, given for everything: an estimate worse than that is worth nothing.
+    """
+
+    best_rad: Array
+    nearest_rad: Array
+    baseline_rad: Array
+
+
+def estimate_views(
+    pair17_px: Array,
+    basis: TorsoBasis,
+    *,
+    confidence: Array | None = None,
+    options: ViewOptions | None = None,
+) -> ViewEstimates:
+    """Estimate the views of annotated pairs.
+
+    Args:
+        pair17_px: Pairs (n, person=2, joint=17, 2), pixels, x right, y down; NaN where a joint is missing.
+        basis: Torso basis learned from other takes.
+        confidence: Weights of the joints, (n, person=2, joint=17); all 1 when not given.
+        options: How hypotheses are made and weighed.
+
+    An annotation in which either torso has too few joints gets no hypothesis and trust 0.
+    """
+    options = options or ViewOptions()
+    px = np.asarray(pair17_px, dtype=np.float64)
+    count = len(px)
+    torso_px = px[:, :, TORSO_INDICES].reshape(-1, len(TORSO_INDICES), 2)
+    weights = None
+    if confidence is not None:
+        weights = np.asarray(confidence, dtype=np.float64)[:, :, TORSO_INDICES].reshape(-1, len(TORSO_INDICES))
+    lifted = lift_torsos(torso_px, basis, weights=weights)
+    is_lifted = np.asarray(lifted.is_lifted.reshape(count, 2).all(axis=1))
+    rows = np.flatnonzero(is_lifted)
+    pairs = _Lifted.of(lifted, rows)
+    log_ratio = _size_ratio(pairs) if options.calibrate_sizes else 0.0
+    if len(rows) == 0:
+        return _empty(count)
+
+    blocks = [_hypotheses(pairs, flip, log_ratio, options) for flip in range(len(_FLIPS))]
+    num_rules = len(DEPTH_RULES)
+    rule = np.tile(np.arange(num_rules), len(_FLIPS))
+    flip = np.repeat(np.arange(len(_FLIPS)), num_rules)
+    log_weight = np.concatenate([block.log_weight for block in blocks], axis=1)
+    depth = np.concatenate([block.depth_m for block in blocks], axis=1)
+    direction = np.concatenate([block.direction for block in blocks], axis=1)
+    scale = np.concatenate([np.repeat(block.metres_per_pixel[:, None], num_rules, axis=1) for block in blocks], axis=1)
+    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
+    weight /= weight.sum(axis=1, keepdims=True)
+    weight = np.where(weight < options.least_weight, 0.0, weight)
+    weight /= weight.sum(axis=1, keepdims=True)
+    trust = np.zeros(count)
+    trust[rows] = np.linalg.norm((weight[..., None] * direction).sum(axis=1), axis=-1)
+
+    order = np.argsort(-weight, axis=1, kind="stable")
+    each, place = np.nonzero(np.take_along_axis(weight, order, axis=1) > 0)
+    column = order[each, place]
+    return ViewEstimates(
+        annotation=rows[each],
+        hypothesis=place,
+        depth_rule=rule[column],
+        flip=flip[column],
+        root_depth_m=depth[each, column],
+        direction=direction[each, column],
+        weight=weight[each, column],
+        metres_per_pixel=scale[each, column],
+        trust=np.minimum(trust, 1.0),
+        is_lifted=is_lifted,
+        size_ratio=float(np.exp(log_ratio)),
+    )
+
+
+def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
+    """Give annotated pairs (*batch, person=2, joint, 2) in metres, x right, y up, the middle of the roots at (0, 0).
+
+    Each person is scaled about the own pelvis by the own scale (*batch, person=2); the distance of the pelvises is
+    scaled by the mean of the two, as a pinhole does with people at two depths.  Where a pelvis is missing its person is
+    placed by the mean of the joints seen in both instead.
+    """
+    px = np.asarray(pair17_px, dtype=np.float64)
+    scale = np.asarray(metres_per_pixel, dtype=np.float64)
+    anchor = px[..., 0, :]
+    is_missing = ~np.asarray(np.isfinite(anchor).all(axis=(-1, -2)))
+    if is_missing.any():
+        shared = np.asarray(np.isfinite(px).all(axis=(-1, -3)))[..., None, :, None]
+        total = np.where(shared, px, 0.0).sum(axis=-2) / np.maximum(shared.sum(axis=-2), 1)
+        anchor = np.where(is_missing[..., None, None], total, anchor)
+    own = metres_from_pixels(px, scale, anchor)
+    between = (anchor[..., 1, :] - anchor[..., 0, :]) * np.array([1.0, -1.0]) * scale.mean(axis=-1)[..., None]
+    place = between[..., None, :] * np.array([[-0.5], [0.5]])
+    return np.asarray(own + place[..., None, :])
+
+
+def view_accuracy(estimates: ViewEstimates, true_directions: Array) -> ViewAccuracy:
+    """Compare estimates with the true views (n, 3) of the same annotations, as `frames.true_direction` gives them."""
+    truth = normalise(np.asarray(true_directions, dtype=np.float64))
+    error = angle_between_directions(estimates.direction, truth[estimates.annotation])
+    nearest = np.full(len(truth), np.inf)
+    np.minimum.at(nearest, estimates.annotation, error)
+    best = estimates.best()
+    shown = estimates.annotation[best]
+    mean = normalise(truth.mean(axis=0)) if len(truth) else np.zeros(3)
+    return ViewAccuracy(
+        best_rad=error[best],
+        nearest_rad=nearest[shown],
+        baseline_rad=angle_between_directions(np.broadcast_to(mean, (len(shown), 3)), truth[shown]),
+    )
+
+
+@dataclass(frozen=True)
+class _Lifted:
+    """Lifted torsos of pairs: arrays (pair, person, twin, ...)."""
+
+    backbones: Array
+    metres_per_pixel: Array
+    root_px: Array
+    log_scale_deviation: Array
+
+    @classmethod
+    def of(cls, lifted: LiftedTorsos, rows: Indices) -> _Lifted:
+        def pick(values: Array) -> Array:
+            return np.asarray(values.reshape(-1, 2, *values.shape[1:])[rows])
+
+        return cls(
+            backbones=pick(lifted.backbones),
+            metres_per_pixel=pick(lifted.metres_per_pixel),
+            root_px=pick(lifted.root_px),
+            log_scale_deviation=pick(lifted.log_scale_deviation),
+        )
+
+
+@dataclass(frozen=True)
+class _Block:
+    """All depth rules under one choice of twins: arrays (pair, rule, ...)."""
+
+    depth_m: Array
+    direction: Array
+    log_weight: Array
+    metres_per_pixel: Array
+
+
+def _size_ratio(pairs: _Lifted) -> float:
+    """Logarithm of the size of person A over person B: median of the apparent one, drawn to 0 while there are few."""
+    count = len(pairs.metres_per_pixel)
+    if count == 0:
+        return 0.0
+    # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
+    apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
+    return float(np.median(apparent) * count / (count + SIZE_PRIOR_COUNT))
+
+
+def _hypotheses(pairs: _Lifted, flip: int, log_ratio: float, options: ViewOptions) -> _Block:
+    twins = _FLIPS[flip]
+    backbones = np.stack([pairs.backbones[:, person, twins[person]] for person in range(2)], axis=1)
+    scale = np.stack([pairs.metres_per_pixel[:, person, twins[person]] for person in range(2)], axis=1)
+    deviation = np.stack([pairs.log_scale_deviation[:, person, twins[person]] for person in range(2)], axis=1)
+    # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
+    scale = scale * np.exp(np.array([0.5, -0.5]) * log_ratio)
+    root_px = np.stack([pairs.root_px[:, person, twins[person]] for person in range(2)], axis=1)
+    across = (root_px[:, 1] - root_px[:, 0]) * np.array([1.0, -1.0]) * scale.mean(axis=1)[:, None]
+    gap = np.linalg.norm(across, axis=1)
+
+    depth = np.zeros((len(scale), len(DEPTH_RULES)))
+    log_weight = np.zeros_like(depth)
+    reach = np.sqrt(np.maximum(options.contact_distance_m**2 - gap**2, 0.0))
+    depth[:, _CONTACT_NEAR], depth[:, _CONTACT_FAR] = reach, -reach
+    # What is known of the relative depth: normal, mean and variance.
+    mean, variance = np.zeros(len(scale)), np.full(len(scale), options.depth_deviation_m**2)
+    if options.distance_m is not None:
+        # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
+        apparent = 2.0 * options.distance_m * (scale[:, 0] - scale[:, 1]) / scale.sum(axis=1)
+        noise = options.distance_m**2 * (options.size_deviation**2 + (deviation**2).sum(axis=1))
+        # The mean stays the apparent depth: drawing it towards 0, as a normal prior would, turns every view the same
+        # way and cost 3 degrees in the median on captured dancers.
+        mean, variance = apparent, variance * noise / (variance + noise)
+    step = np.sqrt(3.0 * variance)
+    depth[:, _SIZE], depth[:, _NEAR], depth[:, _FAR] = mean, mean + step, mean - step
+    centre = _ZERO if options.distance_m is None else _SIZE
+    for rule in range(len(DEPTH_RULES)):
+        agreement = -0.5 * (depth[:, rule] - mean) ** 2 / variance
+        log_weight[:, rule] = 0.0 if rule in (_NEAR, _FAR) else agreement
+        log_weight[:, rule] += np.log(2 / 3) if rule == centre else np.log(1 / 6)
+    log_weight[:, [_CONTACT_NEAR, _CONTACT_FAR]] += np.where(reach > 0, 0.0, -np.inf)[:, None]
+    if options.distance_m is None:
+        log_weight[:, _SIZE] = -np.inf
+    distance = np.sqrt(gap[:, None] ** 2 + depth**2)
+    shortfall = np.maximum(options.least_root_distance_m - distance, 0.0) / (0.5 * options.least_root_distance_m)
+    log_weight -= 0.5 * shortfall**2
+    log_weight += _log_lean(backbones, options)[:, None]
+
+    roots = np.zeros((*depth.shape, 2, 3))
+    roots[:, :, 1, :2] = across[:, None]
+    roots[:, :, 1, 2] = depth
+    frame = local_frame(roots, np.broadcast_to(backbones[:, None], roots.shape))
+    direction = frame.coordinates(np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*depth.shape, 3)))
+    return _Block(depth_m=depth, direction=direction, log_weight=log_weight, metres_per_pixel=scale)
+
+
+def _log_lean(backbones: Array, options: ViewOptions) -> Array:
+    """Log weight of the backbones' leans towards the camera: an upright person leans by the camera's elevation."""
+    lean = np.arctan2(backbones[..., 2], np.linalg.norm(backbones[..., :2], axis=-1)) - options.camera_pitch_rad
+    own, shared = options.lean_deviation_rad**2, options.camera_pitch_deviation_rad**2
+    # Inverse of own x identity + shared x ones for two people.
+    total = lean.sum(axis=-1)
+    return np.asarray(-0.5 * ((lean**2).sum(axis=-1) - shared * total**2 / (own + 2.0 * shared)) / own)
+
+
+def _empty(count: int) -> ViewEstimates:
+    none = np.zeros(0, dtype=np.int64)
+    return ViewEstimates(
+        annotation=none,
+        hypothesis=none,
+        depth_rule=none,
+        flip=none,
+        root_depth_m=np.zeros(0),
+        direction=np.zeros((0, 3)),
+        weight=np.zeros(0),
+        metres_per_pixel=np.zeros((0, 2)),
+        trust=np.zeros(count),
+        is_lifted=np.zeros(count, dtype=bool),
+        size_ratio=1.0,
+    )

@@ -1,0 +1,230 @@
+"""View estimation of annotated pairs, and the density of views."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import (
+    DEPTH_RULES,
+    ViewDensity,
+    ViewOptions,
+    angle_between_directions,
+    default_torso_basis,
+    direction_of_angles,
+    estimate_views,
+    frame_take,
+    metres_from_pixels,
+    pair_in_metres,
+    sample_views,
+    swap_people,
+    true_direction,
+    view_accuracy,
+)
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.skeletons import PAIR17
+from tests.unit.test_joint_limits import standing
+
+BASIS = default_torso_basis()
+
+
+def dancers(seed: int, count: int) -> np.ndarray:
+    """Standing people 0.4 to 1 m apart, turned any way, leaning by about 10 degrees."""
+    rng = np.random.default_rng(seed)
+    pose = standing() - [0, 1, 0]
+    lean = rotmat_from_unitquat(unitquat_from_rotvec(rng.normal(scale=0.15, size=(count, 2, 3)) * [1, 0, 1]))
+    turn = yaw_rotmat(rng.uniform(-np.pi, np.pi, size=(count, 2))) @ lean
+    pairs = np.einsum("npij,kj->npki", turn, pose)
+    angle, gap = rng.uniform(-np.pi, np.pi, size=count), rng.uniform(0.4, 1.0, size=count)
+    pairs[:, 1] += np.stack([gap * np.sin(angle), 0 * gap, gap * np.cos(angle)], axis=-1)[:, None]
+    return pairs + np.array([0, 1, 0])
+
+
+def filmed(pairs: np.ndarray, seed: int, distance_m: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (n, 2, 17, 2) and true views (n, 3) from random cameras."""
+    angles = sample_views(np.random.default_rng(seed), len(pairs))
+    px, truth = [], []
+    for pair, yaw, pitch in zip(pairs, angles.yaw_rad, angles.pitch_rad, strict=True):
+        view = frame_take(pair, pair[:, 0], distance_m=distance_m, yaw_rad=yaw, pitch_rad=pitch)
+        px.append(view.camera.project(pair).px)
+        truth.append(true_direction(pair, view.camera))
+    return np.array(px), np.array(truth)
+
+
+def test_views_of_filmed_pairs_are_found_and_apparent_size_is_what_finds_them() -> None:
+    px, truth = filmed(dancers(0, 300), 1)
+    accuracy = view_accuracy(estimate_views(px, BASIS), truth)
+    assert np.rad2deg(np.median(accuracy.best_rad)) < 8
+    assert (accuracy.nearest_rad <= accuracy.best_rad).all()
+    assert np.median(accuracy.baseline_rad) > np.deg2rad(60)
+    blind = view_accuracy(estimate_views(px, BASIS, options=ViewOptions(distance_m=None)), truth)
+    assert np.median(blind.best_rad) > 2 * np.median(accuracy.best_rad)
+
+
+def test_trust_is_higher_where_the_error_is_lower() -> None:
+    px, truth = filmed(dancers(1, 400), 2)
+    px = px + np.random.default_rng(3).normal(scale=3.0, size=px.shape)
+    estimates = estimate_views(px, BASIS)
+    error = view_accuracy(estimates, truth).best_rad
+    trust = estimates.trust[estimates.annotation[estimates.best()]]
+    is_trusted = trust > np.median(trust)
+    assert np.median(error[is_trusted]) < np.median(error[~is_trusted])
+    assert trust.min() > 0
+    assert trust.max() <= 1
+
+
+def test_hypotheses_are_sorted_weighted_and_unit() -> None:
+    px, _ = filmed(dancers(2, 40), 4)
+    estimates = estimate_views(px, BASIS)
+    np.testing.assert_allclose(np.bincount(estimates.annotation, estimates.weight), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(estimates.direction, axis=-1), 1.0)
+    for annotation in range(40):
+        mine = estimates.annotation == annotation
+        np.testing.assert_array_equal(estimates.hypothesis[mine], np.arange(mine.sum()))
+        assert (np.diff(estimates.weight[mine]) <= 0).all()
+    assert (np.diff(estimates.annotation) >= 0).all()
+    assert set(estimates.depth_rule) <= set(range(len(DEPTH_RULES)))
+    np.testing.assert_allclose(direction_of_angles(*estimates.angles()), estimates.direction, atol=1e-9)
+    np.testing.assert_array_equal(estimates.depth_rule[estimates.best()], DEPTH_RULES.index("size"))
+
+
+def test_swapping_the_people_swaps_the_view() -> None:
+    px, _ = filmed(dancers(3, 60), 5)
+    one, other = estimate_views(px, BASIS), estimate_views(px[:, ::-1], BASIS)
+    np.testing.assert_allclose(one.size_ratio * other.size_ratio, 1.0)
+    turned = swap_people(other.direction[other.best()])
+    assert angle_between_directions(one.direction[one.best()], turned).max() < 1e-6
+    np.testing.assert_allclose(one.trust, other.trust, atol=1e-9)
+
+
+def test_a_smaller_partner_is_not_taken_for_a_farther_one() -> None:
+    pairs = dancers(4, 300)
+    root = pairs[:, 1, :1].copy()
+    pairs[:, 1] = root + 0.85 * (pairs[:, 1] - root)
+    px, truth = filmed(pairs, 6)
+    estimates = estimate_views(px, BASIS)
+    assert estimates.size_ratio == pytest.approx(1 / 0.85, rel=0.04)
+    plain = estimate_views(px, BASIS, options=ViewOptions(calibrate_sizes=False))
+    calibrated = np.median(view_accuracy(estimates, truth).best_rad)
+    assert calibrated < 0.6 * np.median(view_accuracy(plain, truth).best_rad)
+    scale = estimates.metres_per_pixel[estimates.best()]
+    heights = np.linalg.norm(np.diff(px[:, :, [0, 3]], axis=2), axis=-1)[..., 0] * scale
+    assert np.median(heights[:, 1] / heights[:, 0]) == pytest.approx(0.85, rel=0.05)
+
+
+def test_annotations_without_a_torso_have_no_view_and_no_trust() -> None:
+    px, _ = filmed(dancers(5, 6), 7)
+    px[2, 1] = np.nan
+    px[4, 0, PAIR17.indices(("neck", "left_shoulder", "right_shoulder"))] = np.nan
+    estimates = estimate_views(px, BASIS)
+    np.testing.assert_array_equal(estimates.is_lifted, [True, True, False, True, False, True])
+    assert set(estimates.annotation) == {0, 1, 3, 5}
+    assert (estimates.trust[[2, 4]] == 0).all()
+    nothing = estimate_views(np.full((3, 2, 17, 2), np.nan), BASIS)
+    assert len(nothing.weight) == 0
+    assert (nothing.trust == 0).all()
+    assert len(estimate_views(np.zeros((0, 2, 17, 2)), BASIS).weight) == 0
+
+
+def test_a_joint_without_confidence_does_not_count() -> None:
+    px, _ = filmed(dancers(6, 10), 8)
+    neck = PAIR17.index("neck")
+    confidence = np.ones(px.shape[:-1])
+    confidence[:, :, neck] = 0.0
+    spoiled = px.copy()
+    spoiled[:, :, neck] += 500.0
+    missing = px.copy()
+    missing[:, :, neck] = np.nan
+    one, other = estimate_views(spoiled, BASIS, confidence=confidence), estimate_views(missing, BASIS)
+    np.testing.assert_allclose(one.direction, other.direction, atol=1e-9)
+
+
+def test_hugging_people_get_contact_hypotheses_when_the_distance_is_unknown() -> None:
+    pose = standing()
+    pair = np.stack([pose, pose * [-1, 1, -1] + [0, 0, 0.35]])
+    view = frame_take(pair, pair[:, 0], distance_m=4.0, yaw_rad=0.1, pitch_rad=0.1)
+    estimates = estimate_views(view.camera.project(pair).px[None], BASIS, options=ViewOptions(distance_m=None))
+    rules = {DEPTH_RULES[rule] for rule in estimates.depth_rule}
+    assert {"contact_near", "contact_far"} <= rules
+    assert "size" not in rules
+    is_contact = [DEPTH_RULES[rule].startswith("contact") for rule in estimates.depth_rule]
+    assert (np.abs(estimates.root_depth_m[is_contact]) > 0.3).all()
+    nearest = view_accuracy(estimates, true_direction(pair, view.camera)[None]).nearest_rad
+    assert np.rad2deg(nearest) < 12
+
+
+def test_pairs_in_metres_keep_the_own_scale_of_each_person_and_the_mean_between_them() -> None:
+    rng = np.random.default_rng(9)
+    px = rng.uniform(0, 500, size=(4, 2, 17, 2))
+    same = pair_in_metres(px, np.full((4, 2), 0.01))
+    middle = px[:, :, 0].mean(axis=1)
+    np.testing.assert_allclose(same.reshape(4, -1, 2), metres_from_pixels(px.reshape(4, -1, 2), 0.01, middle))
+    scaled = pair_in_metres(px, np.array([[0.01, 0.02]] * 4))
+    np.testing.assert_allclose(scaled[:, :, 0].mean(axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(scaled[:, 1] - scaled[:, 1, :1], 2 * (same[:, 1] - same[:, 1, :1]))
+    px[0, 0, 0] = np.nan
+    without = pair_in_metres(px, np.full((4, 2), 0.01))
+    assert np.isnan(without[0, 0, 0]).all()
+    assert np.isfinite(without[0, 0, 1:]).all()
+    np.testing.assert_allclose(without[0, 1] - without[0, 0, 5], same[0, 1] - same[0, 0, 5])
+
+
+def test_bad_options_are_refused() -> None:
+    with pytest.raises(InputError, match="distance_m"):
+        ViewOptions(distance_m=-1.0)
+    with pytest.raises(InputError, match="lean_deviation_rad"):
+        ViewOptions(lean_deviation_rad=0.0)
+
+
+def _sphere(count: int) -> np.ndarray:
+    """Nearly even points on the sphere (a Fibonacci lattice)."""
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
+    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    level = np.sqrt(1 - height**2)
+    return np.stack([level * np.cos(turn), height, level * np.sin(turn)], axis=-1)
+
+
+@pytest.mark.parametrize("deviation", [0.2, 0.5, 2.0])
+def test_the_view_density_integrates_to_one_over_the_sphere(deviation: float) -> None:
+    rng = np.random.default_rng(0)
+    density = ViewDensity(normalise(rng.normal(size=(30, 3))), rng.random(30), deviation)
+    assert density.density(_sphere(20000)).mean() * 4 * np.pi == pytest.approx(1.0, rel=1e-3)
+
+
+def test_the_planar_density_integrates_to_one_over_the_plane_that_holds_its_views() -> None:
+    density = ViewDensity(np.array([[1.0, 0, 0]]), np.ones(1), 0.2, form="planar")
+    psi, phi = np.meshgrid(np.linspace(-np.pi, np.pi, 400), np.linspace(0, np.pi, 200))
+    cell = (2 * np.pi / 399) * (np.pi / 199)
+    assert density.density(direction_of_angles(psi, phi)).sum() * cell == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("form", ["sphere", "planar"])
+def test_drawn_views_follow_the_density(form: str) -> None:
+    rng = np.random.default_rng(1)
+    centres = direction_of_angles(np.array([0.3, 2.0, -1.0]), np.array([1.2, 1.6, 1.9]))
+    density = ViewDensity(centres, np.array([1.0, 2.0, 3.0]), 0.25, form=form)
+    draws = density.sample(rng, 20000)
+    np.testing.assert_allclose(np.linalg.norm(draws, axis=-1), 1.0)
+    grid = _sphere(40000)
+    share = density.density(grid)
+    if form == "planar":
+        # per square radian of (psi, phi) to per steradian
+        share = share / np.sqrt(1 - grid[:, 1] ** 2)
+    share /= share.sum()
+    for axis in np.eye(3):
+        for sign in (1.0, -1.0):
+            expected = share[(grid @ axis * sign) > 0.5].sum()
+            # 20,000 draws: six standard deviations of a share are below 0.022.
+            assert ((draws @ axis * sign) > 0.5).mean() == pytest.approx(expected, abs=0.022)
+    np.testing.assert_allclose(draws.mean(axis=0), share @ grid, atol=0.03)
+
+
+def test_unusable_densities_are_refused() -> None:
+    one = np.array([[0.0, 0, 1]])
+    with pytest.raises(InputError, match="allowed: sphere, planar"):
+        ViewDensity(one, np.ones(1), form="round")
+    with pytest.raises(InputError, match="positive weight"):
+        ViewDensity(one, np.zeros(1))
+    with pytest.raises(InputError, match="must be positive"):
+        ViewDensity(one, np.ones(1), 0.0)

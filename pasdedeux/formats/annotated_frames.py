@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -50,6 +51,10 @@ LEAST_CHECKED = 5
 """A segment seen in fewer rows than this says nothing."""
 
 
+_SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
+"""Sequences name files and partitions later on."""
+
+
 @dataclass(frozen=True)
 class AnnotatedFrames:
     """2D keypoints, a row per sequence, frame and person, sorted so.
@@ -89,6 +94,9 @@ class AnnotatedFrames:
             raise FormatError(
                 f"{rows} frames, {len(self.sequence_id)} sequences and {len(self.person_id)} people differ"
             )
+        for name in set(self.sequence_id):
+            if not _SEQUENCE_NAME.fullmatch(name):
+                raise FormatError(f"sequence '{name[:40]}': names have letters, digits, '.', '-' and '_', at most 200")
         order = sorted(range(rows), key=lambda i: (self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])))
         keys = [(self.sequence_id[i], int(self.frame[i]), int(self.person_id[i])) for i in order]
         for before, after in pairwise(keys):

@@ -73,7 +73,7 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
     """Read an ASF file.
 
     Raises:
-        FormatError: The file is mangled: a missing section, an unknown bone, one without parent, NaN; the line is named.
+        FormatError: The file is mangled: a missing section, an unknown bone, one without parent, NaN (line named).
     """
     lines = split_lines(decode(data, "ASF file"))
     sections = _split_sections(lines)

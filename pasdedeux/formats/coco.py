@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def read_coco(data: bytes | str, *, sequence_id: str, rate_hz: float | None = No
             raise FormatError(f"{where}: its 'image_id' is not among the images")
         else:
             video, frame = images[image_id]
-            place = (f"{sequence_id}/{video}" if video else sequence_id, frame)
+            place = (f"{sequence_id}.{video}" if video else sequence_id, frame)
         person = int(item["track_id"]) if has_tracks else counts.get(place, 0)
         counts[place] = counts.get(place, 0) + 1
         keypoints.append(np.where((confidence > 0)[:, None], table[:, :2], np.nan))
@@ -101,7 +102,11 @@ def _images(content: dict[str, Any]) -> dict[int | str, tuple[str, int]]:
             raise FormatError(f"image {index} has no 'id'")
         if image["id"] in result:
             raise FormatError(f"image {index}: its id {str(image['id'])[:40]!r} appears twice")
-        video = str(image["video_id"])[:100] if isinstance(image.get("video_id"), int | str) else ""
+        video = (
+            re.sub(r"[^A-Za-z0-9_-]", "_", str(image["video_id"]))[:100]
+            if isinstance(image.get("video_id"), int | str)
+            else ""
+        )
         frame = image.get("frame_id")
         if frame is None:
             frame = counts.get(video, 0)

@@ -1,6 +1,6 @@
 """Our npz of 3D joint positions without rotations.
 
-`positions_m` (frame, joint, 3) of one person, metres unless the study says otherwise, `joint_names` (joint,) of texts,
+`positions_m` (frame, joint, 3) of one person, metres, `joint_names` (joint,) of texts,
 `parents` (joint,) with -1 for the root (may be left out when the names are those of body22), `rate_hz`.
 """
 
@@ -13,7 +13,9 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE
+from pasdedeux.formats.working_poses import motion_from_positions
 from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = ["PositionTake", "read_positions_npz"]
@@ -23,11 +25,24 @@ _MAX_JOINTS = 1000
 
 @dataclass(frozen=True)
 class PositionTake:
-    """Positions (frame, J, 3) of one person in the file's unit; `rate_hz` is None when the file does not say."""
+    """Positions (frame, J, 3) of one person in metres; `rate_hz` is None when the file does not say."""
 
     skeleton: Skeleton
     positions: npt.NDArray[np.float64]
     rate_hz: float | None
+
+    def to_source_motion(self) -> SourceMotion:
+        """Give the positions as a motion whose rotations are swings only, in metres."""
+        motion = motion_from_positions(self.skeleton, self.positions, self.rate_hz or 1.0)
+        return SourceMotion(
+            skeleton=motion.skeleton,
+            rest_offsets=motion.rest_offsets_m,
+            root_translation=motion.root_translation_m,
+            local_unitquat=motion.local_unitquat,
+            end_sites=frozenset(),
+            rate_hz=self.rate_hz,
+            metres_per_unit=1.0,
+        )
 
 
 def read_positions_npz(data: bytes) -> PositionTake:

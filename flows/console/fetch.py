@@ -1,0 +1,224 @@
+"""`fetch`: brings motion capture from the sites that give it freely, checked, and picks up where it stopped."""
+
+from __future__ import annotations
+
+import re
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from http.client import HTTPException
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats import count_amc_frames, read_asf
+
+__all__ = ["FetchError", "Fetched", "app", "fetch_cmu"]
+
+CMU_BASE_URL = "http://mocap.cs.cmu.edu"
+CMU_CREDIT = """The data used in this project was obtained from mocap.cs.cmu.edu.
+The database was created with funding from NSF EIA-0196217.
+Free for all uses; the data itself may not be resold.
+"""
+_CHUNK_BYTES = 1 << 16
+_MAX_FILE_BYTES = 200 << 20
+_NUM_ATTEMPTS = 4
+_NO_ANSWER_S = 30.0
+_FIRST_WAIT_S = 0.5
+
+T = TypeVar("T")
+
+app = typer.Typer(help="Bring motion capture from the sites that give it freely.", no_args_is_help=True)
+
+
+class FetchError(Exception):
+    """A file could not be brought: says which, from where, and why."""
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """One file: its path, its size, and whether it had to be brought or was there already."""
+
+    path: Path
+    num_bytes: int
+    was_there: bool
+
+
+@app.callback()
+def _group() -> None:
+    """Bring motion capture from the sites that give it freely."""
+
+
+@app.command("cmu")
+def cmu(
+    subjects: Annotated[str, typer.Option(help="Subjects, such as 60,61.")],
+    out: Annotated[Path, typer.Option(help="Folder for the files.")],
+    takes: Annotated[str | None, typer.Option(help="Takes, such as 01,03; by default all that the site lists.")] = None,
+    base_url: Annotated[str, typer.Option(help="Address of the site.")] = CMU_BASE_URL,
+) -> None:
+    """Bring ASF/AMC files of the CMU motion capture database."""
+    count = 0
+    for item in fetch_cmu(
+        _numbers(subjects, "subjects"), out, takes=_numbers(takes, "takes") if takes else None, base_url=base_url
+    ):
+        count += 1
+        state = "was there" if item.was_there else "fetched"
+        typer.echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
+    typer.echo(f"{count} files in {out}")
+    typer.echo(CMU_CREDIT.strip())
+
+
+def fetch_cmu(
+    subjects: Sequence[str],
+    out: Path,
+    *,
+    takes: Sequence[str] | None = None,
+    base_url: str = CMU_BASE_URL,
+    wait_s: float = _FIRST_WAIT_S,
+) -> Iterator[Fetched]:
+    """Bring skeleton and takes of each subject into a folder, file by file.
+
+    A file that is there and can be read is left alone.  A download that was cut off goes on from its `.part` file; a file
+    gets its name only when it is whole and has been parsed.
+
+    Args:
+        subjects: Numbers of subjects, such as "60".
+        out: Folder, made if needed.
+        takes: Numbers of takes; by default those that the subject's page lists.
+        base_url: Address of the site.
+        wait_s: Wait before the first repetition, doubled each time.
+
+    Raises:
+        FetchError: The site cannot be reached, has no such file, or sends something that is no motion file.
+    """
+    base = base_url.rstrip("/")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "CREDITS.txt").write_text(CMU_CREDIT, encoding="utf-8")
+    except OSError as error:
+        raise FetchError(f"folder {out} cannot be written: {error.strerror}") from None
+    for subject in subjects:
+        wanted = list(takes) if takes is not None else _listed_takes(base, subject, wait_s)
+        folder = f"{base}/subjects/{subject}"
+        skeleton = out / f"{subject}.asf"
+        yield _fetch_file(f"{folder}/{subject}.asf", skeleton, None, wait_s)
+        for take in wanted:
+            name = f"{subject}_{take}.amc"
+            yield _fetch_file(f"{folder}/{name}", out / name, skeleton, wait_s)
+
+
+def _numbers(text: str, what: str) -> list[str]:
+    """Give the numbers of a list such as 1,60,61 as the site writes them: with at least two digits."""
+    numbers = [item.strip() for item in text.split(",") if item.strip()]
+    for number in numbers:
+        if not re.fullmatch(r"\d{1,3}", number):
+            raise InputError(f"{what}: '{number}' is not a number of at most three digits, such as 60")
+    if not numbers:
+        raise InputError(f"{what}: at least one number is needed")
+    return [number.zfill(2) for number in numbers]
+
+
+def _listed_takes(base: str, subject: str, wait_s: float) -> list[str]:
+    url = f"{base}/search.php?subjectnumber={int(subject)}"
+    page = _attempt(url, wait_s, lambda: _download(url))
+    takes = sorted(set(re.findall(rf"\b{subject}_(\d{{2,3}})\.amc".encode(), page)))
+    if not takes:
+        raise FetchError(f"{url} lists no takes of subject {subject}; name them with --takes")
+    return [take.decode() for take in takes]
+
+
+def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> Fetched:
+    if path.exists() and _fault(path.read_bytes(), skeleton) is None:
+        return Fetched(path=path, num_bytes=path.stat().st_size, was_there=True)
+    part = path.with_name(path.name + ".part")
+    try:
+        _attempt(url, wait_s, lambda: _resume(url, part))
+        fault = _fault(part.read_bytes(), skeleton)
+        if fault is not None:
+            part.unlink()
+            raise FetchError(f"{url} did not send a motion file: {fault}")
+        part.replace(path)
+    except OSError as error:
+        raise FetchError(f"{path} cannot be written: {error.strerror}") from None
+    return Fetched(path=path, num_bytes=path.stat().st_size, was_there=False)
+
+
+def _fault(data: bytes, skeleton: Path | None) -> str | None:
+    """Say what is wrong with a file, nothing if it can be read."""
+    try:
+        if skeleton is None:
+            read_asf(data)
+        else:
+            count_amc_frames(data, read_asf(skeleton.read_bytes()))
+    except InputError as error:
+        return str(error)
+    return None
+
+
+class _CutOffError(Exception):
+    """The connection ended before the file did; what came is kept."""
+
+
+def _attempt(url: str, wait_s: float, work: Callable[[], T]) -> T:
+    """Do some work on the network, again a few times when the network fails."""
+    for attempt in range(_NUM_ATTEMPTS):
+        try:
+            return work()
+        except urllib.error.HTTPError as error:
+            if error.code < 500:
+                raise FetchError(f"{url}: the site answers {error.code} {error.reason}") from None
+            problem = f"the site answers {error.code} {error.reason}"
+        except (urllib.error.URLError, HTTPException, ConnectionError, TimeoutError, _CutOffError) as error:
+            problem = str(getattr(error, "reason", None) or error or type(error).__name__)
+        if attempt + 1 < _NUM_ATTEMPTS:
+            time.sleep(wait_s * 2**attempt)
+    raise FetchError(f"{url}: {problem} ({_NUM_ATTEMPTS} attempts; the same command goes on from here)")
+
+
+def _download(url: str) -> bytes:
+    with closing(urllib.request.urlopen(url, timeout=_NO_ANSWER_S)) as answer:
+        return bytes(answer.read(_MAX_FILE_BYTES))
+
+
+def _resume(url: str, part: Path) -> None:
+    """Bring the rest of a file into its `.part` file; all of it when the site does not know ranges."""
+    start = part.stat().st_size if part.exists() else 0
+    request = urllib.request.Request(url, headers={"Range": f"bytes={start}-"} if start else {})
+    try:
+        answer = urllib.request.urlopen(request, timeout=_NO_ANSWER_S)
+    except urllib.error.HTTPError as error:
+        if error.code == 416:  # nothing lies beyond what is here: whole, or another file; the parser will tell
+            error.close()
+            _restart_unless_whole(error.headers.get("Content-Range"), start, part)
+            return
+        raise
+    with closing(answer):
+        goes_on = answer.status == 206 and _range_start(answer.headers.get("Content-Range")) == start
+        length = answer.headers.get("Content-Length")
+        expected = int(length) if length and length.isdigit() else None
+        received = 0
+        with part.open("ab" if goes_on else "wb") as file:
+            while chunk := answer.read(_CHUNK_BYTES):
+                file.write(chunk)
+                received += len(chunk)
+                if received > _MAX_FILE_BYTES:
+                    raise FetchError(f"{url} is larger than {_MAX_FILE_BYTES >> 20} MB")
+    if expected is not None and received < expected:
+        raise _CutOffError(f"only {received} of {expected} bytes came")
+
+
+def _range_start(content_range: str | None) -> int | None:
+    found = re.match(r"bytes (\d+)-", content_range or "")
+    return int(found.group(1)) if found else None
+
+
+def _restart_unless_whole(content_range: str | None, size: int, part: Path) -> None:
+    found = re.search(r"/(\d+)$", content_range or "")
+    if found is None or int(found.group(1)) != size:
+        part.unlink()
+        raise _CutOffError("the part that was here is not of this file")

@@ -1,0 +1,54 @@
+"""Where the people of a take stand in the world: shifts, turns, and the floor at y = 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["floor_shift", "place_motion"]
+
+Array = npt.NDArray[np.float64]
+
+FOOT_PERCENTILE = 5.0
+"""Feet are on the floor in at least this share of the frames; the frames below it may be noise."""
+STANDING_HEIGHTS_M = (-0.02, 0.06)
+"""Height of the lowest joint of a foot that stands: toe joints lie 2-5 cm above the sole."""
+
+_FEET = BODY22.indices(["left_toe", "right_toe", "left_ankle", "right_ankle"])
+
+
+def place_motion(motion: Motion, *, translation_m: Sequence[float], yaw_rad: float) -> Motion:
+    """Turn a motion about the world's Y axis by `yaw_rad` and then shift it by `translation_m` (3,)."""
+    turn = unitquat_from_rotvec(np.array([0.0, yaw_rad, 0.0]))
+    root = motion.skeleton.root
+    local = motion.local_unitquat.copy()
+    local[:, root] = multiply(np.broadcast_to(turn, local[:, root].shape), local[:, root])
+    turned = rotate(np.broadcast_to(turn, (motion.num_frames, 4)), motion.root_translation_m)
+    return Motion(
+        skeleton=motion.skeleton,
+        rest_offsets_m=motion.rest_offsets_m,
+        root_translation_m=turned + np.asarray(translation_m, dtype=np.float64),
+        local_unitquat=local,
+        rate_hz=motion.rate_hz,
+    )
+
+
+def floor_shift(body22_m: Array) -> float:
+    """Give the height to add to a take so that its floor is at y = 0.
+
+    The lowest foot joint of all people in each frame is looked at; its 5th percentile is where feet stand.  A take
+    whose feet already stand within -2 to 6 cm of y = 0 keeps its world (0 is given); any other comes to stand at 0.
+
+    Args:
+        body22_m: Positions of all people of the take together, (frame, person, 22, 3).
+    """
+    lowest = body22_m[..., _FEET, 1].min(axis=(-1, -2))
+    standing = float(np.percentile(lowest, FOOT_PERCENTILE))
+    low, high = STANDING_HEIGHTS_M
+    return 0.0 if low <= standing <= high else -standing

@@ -1,0 +1,257 @@
+"""The `[ingest]` section of a study: what comes in, and what is known about it better than by its files."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from tasks.stage import Parameters
+
+__all__ = [
+    "AnnotationOptions",
+    "DuetOptions",
+    "IngestParameters",
+    "PairOptions",
+    "PersonOptions",
+    "TakeOptions",
+    "VirtualVideoOptions",
+]
+
+_ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
+BUILT_IN_DUETS = ("waltz", "hug", "judo", "push_hands")
+MappingTable = dict[str, str | dict[str, float]]
+
+
+class PersonOptions(Parameters):
+    """What is known of one person's file; each value wins over the take's."""
+
+    rate_hz: float | None = Field(default=None, gt=0, le=10_000, description="True frame rate of the file")
+    metres_per_unit: float | None = Field(default=None, gt=0, description="Length of the file's unit in metres")
+    up_axis: Literal["auto", "x", "y", "z"] | None = Field(default=None, description="Axis of the file that points up")
+    layout: str | None = Field(default=None, description="Joint mapping: a known layout or one of `ingest.mappings`")
+    skeleton: Path | None = Field(default=None, description="ASF of an AMC file, or BVH template of rotation rows")
+    first_frame: int = Field(default=0, ge=0, description="Source frame at which the take starts for this person")
+    translation_m: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Shift in the world, after scaling"
+    )
+    yaw_deg: float = Field(default=0.0, ge=-360, le=360, description="Turn about the world's Y axis, before the shift")
+
+
+class CommonOptions(Parameters):
+    """What single takes and families of takes have in common."""
+
+    format: Literal["auto", "bvh", "asf_amc", "rotation_rows", "positions_npz"] = Field(
+        default="auto", description="Format of the files; told from their content by default"
+    )
+    rate_hz: float | None = Field(
+        default=None,
+        gt=0,
+        le=10_000,
+        description="True frame rate; by default what the file states, and for AMC files named like CMU's 120 Hz "
+        "(60 Hz for subjects 60 and 61)",
+    )
+    metres_per_unit: float | None = Field(
+        default=None,
+        gt=0,
+        description="Length of the files' unit; by default what the file states, or the unit that makes adults",
+    )
+    up_axis: Literal["auto", "x", "y", "z"] = Field(
+        default="auto", description="Axis that points up; by default the one along which the bodies stand"
+    )
+    layout: str = Field(default="auto", description="Joint mapping: a known layout or one of `ingest.mappings`")
+    frames: tuple[int, int] | None = Field(
+        default=None, description="Source frames taken: first, and one past the last"
+    )
+    swap_persons: bool = Field(default=False, description="Make the second file person A")
+    on_unequal: Literal["refuse", "trim"] = Field(
+        default="refuse", description="What to do with files of unequal length"
+    )
+    floor: Literal["auto", "keep"] = Field(
+        default="auto",
+        description="auto: shift a take whose feet do not stand near y = 0; keep: leave the world as it is",
+    )
+    persons: tuple[PersonOptions, ...] = Field(
+        default=(), max_length=2, description="Options of each file, in their order"
+    )
+    licence: str | None = Field(default=None, description="Licence of the source; known for CMU, else 'not stated'")
+    credit: str | None = Field(default=None, description="Credit line of the source; known for CMU, else 'not stated'")
+
+    @field_validator("frames")
+    @classmethod
+    def _check_frames(cls, frames: tuple[int, int] | None) -> tuple[int, int] | None:
+        if frames is not None and not 0 <= frames[0] < frames[1]:
+            raise ValueError("frames are [first, one past the last], both at least 0 and growing")
+        return frames
+
+
+class TakeOptions(CommonOptions):
+    """One take: a file per person."""
+
+    id: str = Field(pattern=_ID, max_length=100, description="Name of the take, unique in the study")
+    files: tuple[Path, ...] = Field(min_length=1, max_length=2, description="A motion file for each person")
+
+
+class PairOptions(CommonOptions):
+    """Takes in a folder whose files are named by subject and take, such as 60_03.bvh and 61_03.bvh."""
+
+    folder: Path = Field(description="Folder of the files; what `fetch` filled, for instance")
+    pattern: str = Field(
+        default="auto",
+        description="File name with {subject} and {take}; auto takes {subject}_{take}.bvh, else {subject}_{take}.amc",
+    )
+    subjects: tuple[str, ...] = Field(min_length=1, max_length=2, description="Subjects: person A, then person B")
+    takes: tuple[str, ...] = Field(min_length=1, description="Takes, as they stand in the file names")
+    id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
+
+    @field_validator("pattern", "id")
+    @classmethod
+    def _check_pattern(cls, text: str) -> str:
+        if text != "auto" and "{take}" not in text:
+            raise ValueError("it must contain {take}")
+        return text
+
+
+class DuetOptions(Parameters):
+    """A built-in duet."""
+
+    name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
+    id: str | None = Field(
+        default=None, pattern=_ID, max_length=100, description="Name of the take; the duet's name by default"
+    )
+    duration_s: float = Field(default=10.0, gt=0, le=600, description="Length in seconds")
+    rate_hz: float = Field(default=60.0, gt=0, le=1000, description="Frame rate at which the duet is made")
+    heights_m: tuple[float, float] = Field(
+        default=(1.82, 1.65), description="Standing heights of person A and person B"
+    )
+    variation: int = Field(default=0, ge=0, description="Another number is another take of the same dance")
+    style: dict[str, float] = Field(default={}, description="Further parameters of that duet")
+
+    @property
+    def take_id(self) -> str:
+        """Name of the take."""
+        return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
+
+
+class VirtualVideoOptions(Parameters):
+    """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
+
+    takes: tuple[str, ...] | None = Field(default=None, description="Takes that are seen; all by default")
+    num_videos: int = Field(default=1, ge=0, le=100, description="Cameras that see each whole take")
+    num_random_views: int = Field(
+        default=100,
+        ge=0,
+        le=100_000,
+        description="Annotated pairs from random views, for each take of two people that is not held out",
+    )
+    distance_m: float = Field(
+        default=4.0, gt=0.5, le=100, description="Distance from the camera to the middle of the pair"
+    )
+    yaw_range_deg: tuple[float, float] = Field(default=(-180.0, 180.0), description="Azimuth of the cameras, uniform")
+    pitch_mean_deg: float = Field(default=10.0, ge=-89, le=89, description="Mean elevation of the cameras")
+    pitch_deviation_deg: float = Field(
+        default=10.0, ge=0, description="Standard deviation of the elevation; inf for uniform"
+    )
+    pitch_range_deg: tuple[float, float] = Field(default=(-15.0, 60.0), description="Elevations are kept inside")
+    noise_px: float = Field(default=1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
+    occlusion: float = Field(default=0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
+    image_size_px: tuple[int, int] | None = Field(
+        default=None, description="Width and height; by default as large as the people need.  Outside is not detected"
+    )
+
+
+class AnnotationOptions(Parameters):
+    """2D poses of the user's own: a folder of OpenPose JSON, a COCO JSON, or our CSV or npz."""
+
+    id: str = Field(
+        pattern=_ID, max_length=100, description="Name of the source, and of its sequence if it has one only"
+    )
+    path: Path = Field(description="File, or folder of OpenPose files")
+    format: Literal["auto", "openpose", "coco", "annotation_csv", "annotation_npz"] = Field(
+        default="auto", description="Format; told from the content by default"
+    )
+    layout: Literal["auto", "coco18", "body25", "coco17", "pair17", "op14"] = Field(
+        default="auto", description="Keypoint layout; told from the file, and refused if it is not the file's"
+    )
+    image_size_px: tuple[int, int] | None = Field(default=None, description="Width and height of the images")
+    rate_hz: float | None = Field(
+        default=None, gt=0, le=10_000, description="Frame rate; by default the file's, else 30 Hz"
+    )
+    on_unreadable: Literal["refuse", "skip"] = Field(
+        default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
+    )
+    take_id: str | None = Field(default=None, description="Take of this study that the video shows, if it is one")
+    licence: str = Field(default="not stated", description="Licence of the source")
+    credit: str = Field(default="not stated", description="Credit line of the source")
+
+
+class IngestParameters(Parameters):
+    """What comes in.  A study that names no source at all gets the four built-in duets."""
+
+    rate_hz: float = Field(default=30.0, gt=0, le=1000, description="Frame rate of all poses of the study")
+    duets: tuple[DuetOptions, ...] | None = Field(default=None, description="Built-in duets")
+    takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one or two people, file by file")
+    pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
+    annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
+    mappings: dict[str, dict[Literal["pair17", "op14", "body22"], MappingTable]] = Field(
+        default={},
+        description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
+        "is a source joint or weights of source joints",
+    )
+    held_out: tuple[str, ...] = Field(
+        default=(), description="Takes kept for evaluation: never learned from or matched against"
+    )
+    prior: tuple[str, ...] | None = Field(
+        default=None, description="Takes that priors learn from; every take that is not held out by default"
+    )
+    virtual_video: VirtualVideoOptions = Field(
+        default=VirtualVideoOptions(), description="Virtual cameras over the takes"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        ids = self.take_ids()
+        for kind, names in (
+            ("take", ids),
+            ("annotation source", [source.id for source in self.annotations]),
+        ):
+            double = sorted({name for name in names if list(names).count(name) > 1})
+            if double:
+                raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
+        named = [
+            *self.held_out,
+            *(self.prior or ()),
+            *(source.take_id for source in self.annotations if source.take_id),
+        ]
+        for name in named:
+            if name not in ids:
+                near = difflib.get_close_matches(name, ids, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else f"; takes: {', '.join(ids) or 'none'}"
+                raise ValueError(f"'{name}' is not a take of this study{hint}")
+        both = sorted(set(self.held_out) & set(self.prior or ()))
+        if both:
+            raise ValueError(f"take '{both[0]}' is held out and cannot be a prior take")
+        return self
+
+    def resolved_duets(self) -> tuple[DuetOptions, ...]:
+        """Give the duets: those named, or the four built-in ones when nothing else comes in."""
+        if self.duets is not None:
+            return self.duets
+        if self.takes or self.pairs or self.annotations:
+            return ()
+        return tuple(DuetOptions(name=name) for name in BUILT_IN_DUETS)
+
+    def take_ids(self) -> list[str]:
+        """Give the names of all takes, in the order in which they are planned."""
+        families = [
+            family.id.format(subject=family.subjects[0], take=take)
+            for family in self.pairs.values()
+            for take in family.takes
+        ]
+        return [*(duet.take_id for duet in self.resolved_duets()), *(take.id for take in self.takes), *families]
+
+    def is_prior(self, take_id: str) -> bool:
+        """Tell whether priors learn from a take."""
+        return take_id not in self.held_out if self.prior is None else take_id in self.prior

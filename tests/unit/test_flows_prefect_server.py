@@ -1,0 +1,69 @@
+"""Prefect's server of one run: it answers, it ends with the run, and one that does not answer is named."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from flows.prefect_server import LocalServer, ServerError, check_server, starting_server
+from tests.toy_runs import ROOT, write_study
+
+
+@pytest.fixture(autouse=True)
+def _home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PREFECT_HOME", str(tmp_path_factory.getbasetemp() / "prefect_home"))
+    monkeypatch.setenv("DO_NOT_TRACK", "1")
+    monkeypatch.setenv("PREFECT_SERVER_ANALYTICS_ENABLED", "false")
+    monkeypatch.setenv("PREFECT_LOGGING_LEVEL", "CRITICAL")
+    monkeypatch.setenv("PREFECT_SERVER_UI_ENABLED", "false")
+    monkeypatch.setenv("PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS", "120")
+
+
+@pytest.mark.slow
+def test_the_server_answers_inside_the_block_and_is_gone_after_it() -> None:
+    with starting_server() as server:
+        address = server.wait()
+        check_server(address)
+        with urllib.request.urlopen(f"{address}/health", timeout=10) as answer:
+            assert answer.read() == b"true"
+    with pytest.raises(ServerError, match="does not answer"):
+        check_server(address)
+
+
+def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
+    server = LocalServer()
+    process = server._process
+    assert process.stdin is not None
+    process.stdin.close()  # what the system does to the pipe of a killed process
+    assert process.wait(timeout=60) == 0
+    server.end()
+
+
+def test_a_server_that_cannot_start_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\nexit 7\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(broken))
+    with starting_server() as server, pytest.raises(ServerError, match="ended with code 7 instead of starting"):
+        server.wait()
+
+
+def test_a_users_server_that_does_not_answer_fails_the_run_before_any_work(tmp_path: Path) -> None:
+    environment = {**os.environ, "PREFECT_API_URL": "http://127.0.0.1:9/api"}
+    arguments = ["run", str(write_study(tmp_path)), "--store", str(tmp_path / "store"), "--workers", "0"]
+    found = subprocess.run(
+        [sys.executable, "-m", "tests.toys", *arguments],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert found.returncode == 1
+    assert "error: Prefect's server at http://127.0.0.1:9/api does not answer" in found.stderr
+    assert "Traceback" not in found.stderr

@@ -50,10 +50,38 @@ VARIANT_QUALITY = Table(
         float64(
             "contact_drift_fk_m", "The same for plain forward kinematics with the new lengths (the baseline)", unit="m"
         ),
+        float64(
+            "contact_drift_extremity_m",
+            "Contact drift of pairs of two hands or feet; null without such a pair",
+            unit="m",
+            is_nullable=True,
+        ),
+        float64(
+            "contact_drift_mixed_m",
+            "Contact drift of pairs of a hand or foot with the rest of the body; null without such a pair",
+            unit="m",
+            is_nullable=True,
+        ),
+        float64(
+            "contact_drift_body_m",
+            "Contact drift of pairs without hand or foot; null without such a pair",
+            unit="m",
+            is_nullable=True,
+        ),
         float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
         float64("foot_slide_m", "Mean horizontal foot movement per frame in stance above the source's", unit="m"),
         float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
-        float64("penetration_m", "95th percentile of capsule penetration beyond the source's", unit="m"),
+        float64(
+            "penetration_m",
+            "95th percentile over frames of the capsule penetration between the two beyond the source's",
+            unit="m",
+        ),
+        float64(
+            "self_penetration_m",
+            "The same within each person, for information: limbs that shrink keep their girth and so come closer",
+            unit="m",
+            is_nullable=True,
+        ),
         float64("jerk_ratio", "Root mean square jerk over that of the source"),
         integer("num_iterations", "Iterations of the solver"),
         text("solver", "Solver that gave the result"),

@@ -28,7 +28,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from tests.moving_pairs import swaying_pair
 
-EXACT = BulkSettings(max_iterations=600, tolerance_m=1e-9)
+EXACT = BulkSettings(max_iterations=5000, tolerance_m=1e-9)
 
 
 def _problem(frames: int, scale: float = 0.8, rate_hz: float = 30.0) -> tuple[Problem, Targets]:

@@ -1,0 +1,329 @@
+"""Stage `augmentation`: every pair again for other body proportions, contacts kept, each variant measured."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pasdedeux.augmentation import (
+    LIMB_GROUPS,
+    PAPER_SCALES,
+    AugmentationSettings,
+    Augmenter,
+    BulkSettings,
+    ContactSettings,
+    Limit,
+    QualityLimits,
+    Source,
+    Variant,
+    Variation,
+    Weights,
+    bone_variations,
+    drawn_variations,
+    group_variations,
+    scale_grid,
+    uniform_variations,
+    variant_rotations,
+)
+from storage_schema import ArtifactRef, Store
+from storage_schema.artifact_writer import ArtifactWriter
+from tasks.stage import Parameters, Shard, Stage, StageInputs, stream
+
+__all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
+
+VERSION = 1
+
+Scale = Annotated[float, Field(ge=0.05, le=20.0)]
+PersonName = Literal["A", "B", "AB"]
+KindName = Literal["uniform", "groups", "bones", "drawn"]
+
+_SOLVED_TOGETHER = 16
+"""Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
+
+
+class ScaleGrid(Parameters):
+    """Scales from start to stop by step, without 1."""
+
+    start: Scale = Field(0.75, description="Smallest scale")
+    stop: Scale = Field(1.25, description="Greatest scale")
+    step: float = Field(0.05, gt=0, description="Distance of neighbouring scales")
+
+    @model_validator(mode="after")
+    def _rises(self) -> ScaleGrid:
+        if self.stop < self.start:
+            raise ValueError("augmentation.grid.stop is below its start")
+        return self
+
+
+class DrawnScales(Parameters):
+    """Scales drawn per bone, left and right alike."""
+
+    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
+    low: Scale = Field(0.75, description="Smallest scale of a bone")
+    high: Scale = Field(1.25, description="Greatest scale of a bone")
+
+
+class WeightParameters(Parameters):
+    """Weights of the terms; one set serves all takes."""
+
+    laplacian: float = Field(Weights.laplacian, ge=0, description="Interaction mesh")
+    smoothness: float = Field(Weights.smoothness, ge=0, description="Acceleration of the change against plain FK")
+    reference: float = Field(Weights.reference, gt=0, description="Pull towards plain forward kinematics")
+    contact_extremity: float = Field(Weights.contact_extremity, ge=0, description="Contacts of two hands or feet")
+    contact_mixed: float = Field(Weights.contact_mixed, ge=0, description="Contacts of a hand or foot with the body")
+    contact_limb: float = Field(Weights.contact_limb, ge=0, description="Contacts of an elbow or knee with the body")
+    contact_torso: float = Field(Weights.contact_torso, ge=0, description="Contacts of two torsos")
+    stance: float = Field(Weights.stance, ge=0, description="Horizontal velocity of stance feet")
+    floor: float = Field(Weights.floor, ge=0, description="Height of joints near the floor")
+    girdle: float = Field(Weights.girdle, ge=0, description="Rigidity of girdle and hips")
+    fixed: float = Field(Weights.fixed, ge=0, description="Pull of a person held fixed towards the source")
+
+
+class LimitParameters(Parameters):
+    """From where on a figure is a warning, and from where on a failure: (warn, fail)."""
+
+    bone_error_m: tuple[float, float] = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
+    contact_drift_extremity_m: tuple[float, float] = Field((0.005, 0.02), description="Hands and feet, metres")
+    contact_drift_body_m: tuple[float, float] = Field((0.02, 0.06), description="Body on body, metres")
+    foot_slide_m: tuple[float, float] = Field((0.001, 0.005), description="Sliding in stance per frame, metres")
+    floor_penetration_m: tuple[float, float] = Field((0.02, 0.06), description="Depth under the floor, metres")
+    penetration_m: tuple[float, float] = Field((0.01, 0.1), description="Depth in the partner, metres")
+    jerk_ratio: tuple[float, float] = Field((1.2, 2.0), description="Jerk over the source's")
+
+
+class AugmentationParameters(Parameters):
+    """Which variants are made, and how."""
+
+    scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
+    grid: ScaleGrid | None = Field(None, description="Scales as a grid, in place of the list")
+    persons: tuple[PersonName, ...] = Field(("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)")
+    kinds: tuple[KindName, ...] = Field(("uniform",), min_length=1, description="uniform, groups, bones or drawn")
+    groups: tuple[str, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
+    drawn: DrawnScales = Field(
+        default_factory=lambda: DrawnScales.model_validate({}), description="Scales of kind drawn"
+    )
+    fixed_person: Literal["A", "B"] | None = Field(None, description="Person who keeps the source's motion")
+    weights: WeightParameters = Field(
+        default_factory=lambda: WeightParameters.model_validate({}), description="Weights of the terms"
+    )
+    limits: LimitParameters = Field(
+        default_factory=lambda: LimitParameters.model_validate({}), description="Limits of pass, warn and fail"
+    )
+    contact_m: tuple[float, float] = Field((0.2, 0.3), description="Contact distance: full weight up to, none from")
+    mesh_smoothing_s: float = Field(0.1, ge=0, description="Averaging of the mesh over time; 0 as published")
+    solver: Literal["bulk", "descent"] = Field("bulk", description="bulk (with descent as fallback) or descent alone")
+    max_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver")
+    variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
+
+    @model_validator(mode="after")
+    def _groups_are_known(self) -> AugmentationParameters:
+        for group in self.groups:
+            if group not in LIMB_GROUPS:
+                raise ValueError(f"augmentation.groups: '{group}' is not known; known groups: {', '.join(LIMB_GROUPS)}")
+        return self
+
+
+@dataclass(frozen=True)
+class PairTake:
+    """A pair as the store holds it: its motion, its rest poses (2, 22, 3) and world rotations (T, 2, 22, 4)."""
+
+    source: Source
+    rest_m: np.ndarray
+    world_unitquat: np.ndarray
+    time_s: np.ndarray
+
+
+def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
+    """Plan one shard per pair and batch of variants; takes of other than two people have none."""
+    asked = parameters.model_dump(mode="json")
+    size = asked.pop("variants_per_shard")
+    shards = []
+    for take in inputs.of("poses"):
+        if take.facts.get("kind") != "take" or take.facts["num_persons"] != 2:
+            continue
+        take_id = take.facts["take_id"]
+        names = [variation.variant_id for variation in _variations(parameters, inputs.seed, take_id)]
+        for start in range(0, len(names), size):
+            batch = names[start : start + size]
+            shards.append(
+                Shard(
+                    stage="augmentation",
+                    version=VERSION,
+                    partition=take_id,
+                    name=f"{batch[0]} to {batch[-1]}",
+                    parameters={**asked, "variants": batch},
+                    inputs=(take.ref,),
+                    seed=inputs.seed,
+                )
+            )
+    return shards
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Solve a batch of variants of one take and stream them to the store."""
+    names = list(shard.parameters["variants"])
+    asked = {name: value for name, value in shard.parameters.items() if name != "variants"}
+    parameters = AugmentationParameters.model_validate(json.loads(json.dumps(asked)))
+    manifest = store.manifest(shard.inputs[0])
+    take_id = manifest.facts["take_id"]
+    known = {v.variant_id: v for v in _variations(parameters, shard.seed, take_id)}
+    take = read_pair(store, shard.inputs[0])
+    started = time.monotonic()
+    augmenter = Augmenter(take.source, _settings(parameters))
+    facts = {
+        "kind": "variants",
+        "takes": [take_id],
+        "take_id": take_id,
+        "variants": names,
+        "num_frames": take.source.num_frames,
+        "rate_hz": take.source.rate_hz,
+        "is_held_out": bool(manifest.facts.get("is_held_out", False)),
+        "num_joggled_frames": augmenter.problem.mesh.num_joggled,
+        "closest_m": take.source.closest_m,
+    }
+    verdicts = {"pass": 0, "warn": 0, "fail": 0}
+    with store.writer(
+        stage=shard.stage,
+        key=shard.key,
+        partition=shard.partition,
+        name=shard.name,
+        version=shard.version,
+        parameters=shard.parameters,
+        seed=shard.seed,
+        inputs=shard.inputs,
+        files=[(Path(file.path).name, file.sha256) for file in shard.files],
+        facts=facts,
+    ) as writer:
+        for start in range(0, len(names), _SOLVED_TOGETHER):
+            batch = [known[name] for name in names[start : start + _SOLVED_TOGETHER]]
+            for variant in augmenter.solve(batch):
+                verdicts[variant.verdict] += 1
+                _write(writer, take_id, take, variant)
+        writer.facts["verdicts"] = verdicts
+        writer.timings["solve_s"] = time.monotonic() - started
+    return writer.ref
+
+
+def read_pair(store: Store, ref: ArtifactRef) -> PairTake:
+    """Read a pair's take from its artifact.
+
+    Raises:
+        InputError: A frame is not finite.
+    """
+    facts = store.manifest(ref).facts
+    takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
+    poses = store.read(ref, "poses", columns=["time_s", "body22_m", "body22_world_unitquat"])
+    people, world = (
+        np.swapaxes(poses[name].astype(np.float64).reshape(2, -1, *poses[name].shape[1:]), 0, 1)
+        for name in ("body22_m", "body22_world_unitquat")
+    )
+    return PairTake(
+        source=Source(np.ascontiguousarray(people), float(facts["rate_hz"]), f"take {facts['take_id']}"),
+        rest_m=takes["body22_rest_m"].astype(np.float64),
+        world_unitquat=np.ascontiguousarray(world),
+        time_s=np.asarray(poses["time_s"][: len(people)]),
+    )
+
+
+def _variations(parameters: AugmentationParameters, seed: int, take_id: str) -> list[Variation]:
+    grid = parameters.grid
+    scales: Sequence[float] = scale_grid(grid.start, grid.stop, grid.step) if grid else parameters.scales
+    found: list[Variation] = []
+    for kind in parameters.kinds:
+        if kind == "uniform":
+            found += uniform_variations(scales, parameters.persons)
+        elif kind == "groups":
+            found += group_variations(scales, parameters.persons, parameters.groups)
+        elif kind == "bones":
+            found += bone_variations(scales, parameters.persons)
+        else:
+            for persons in parameters.persons:
+                drawn = parameters.drawn
+                generator = stream(seed, "augmentation", take_id, persons)
+                found += drawn_variations(generator, drawn.count, low=drawn.low, high=drawn.high, persons=persons)
+    return list({variation.variant_id: variation for variation in found}.values())
+
+
+def _settings(parameters: AugmentationParameters) -> AugmentationSettings:
+    limits = parameters.limits.model_dump()
+    return AugmentationSettings(
+        weights=Weights(**parameters.weights.model_dump()),
+        contacts=ContactSettings(contact_m=parameters.contact_m),
+        limits=QualityLimits(**{name: Limit(*pair) for name, pair in limits.items()}),
+        bulk=BulkSettings(max_iterations=parameters.max_iterations, is_single_precision=True),
+        is_bulk=parameters.solver == "bulk",
+        mesh_smoothing_s=parameters.mesh_smoothing_s,
+        fixed_person=None if parameters.fixed_person is None else "AB".index(parameters.fixed_person),
+    )
+
+
+def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Variant) -> None:
+    frames = take.source.num_frames
+    name = variant.variation.variant_id
+    rotations = variant_rotations(take.rest_m, variant.bone_scale, variant.positions_m, take.world_unitquat)
+    writer.append(
+        "variants",
+        {
+            "take_id": [take_id] * frames,
+            "variant_id": [name] * frames,
+            "frame": np.arange(frames, dtype=np.int32),
+            "time_s": take.time_s,
+            "body22_m": variant.positions_m,
+            "body22_unitquat": rotations,
+        },
+    )
+    quality = variant.quality
+    row: dict[str, Any] = {
+        "take_id": take_id,
+        "variant_id": name,
+        "bone_scale": variant.bone_scale,
+        "scale_a": variant.variation.uniform_scale(0),
+        "scale_b": variant.variation.uniform_scale(1),
+        "num_frames": frames,
+        **{column: getattr(quality, column) for column in _QUALITY_COLUMNS},
+        "num_iterations": variant.num_iterations,
+        "solver": variant.solver,
+        "verdict": variant.verdict,
+        "reason": variant.reason,
+    }
+    writer.append("variant_quality", {column: _one_row(value) for column, value in row.items()})
+
+
+_QUALITY_COLUMNS = (
+    "num_contact_pairs",
+    "bone_error_m",
+    "contact_drift_m",
+    "contact_drift_fk_m",
+    "contact_drift_extremity_m",
+    "contact_drift_mixed_m",
+    "contact_drift_body_m",
+    "laplacian_error_m",
+    "foot_slide_m",
+    "floor_penetration_m",
+    "penetration_m",
+    "self_penetration_m",
+    "jerk_ratio",
+)
+
+
+def _one_row(value: Any) -> Any:
+    return value[None] if isinstance(value, np.ndarray) else [value]
+
+
+STAGE = Stage(
+    name="augmentation",
+    version=VERSION,
+    reads=("takes", "poses"),
+    writes=("variants", "variant_quality"),
+    parameters=AugmentationParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="Variants of every pair for other body proportions, by interaction mesh with exact bone lengths",
+)

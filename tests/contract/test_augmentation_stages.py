@@ -1,0 +1,212 @@
+"""The stages augmentation and training on real artifacts in a real store."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths, forward_kinematics
+from pasdedeux.learning import VariantRequest, load_model
+from pasdedeux.skeletons import BODY22
+from storage_schema import Manifest, Store, artifact_key
+from tasks import augmentation, training
+from tasks.augmentation import AugmentationParameters, read_pair
+from tasks.stage import StageInputs
+from tasks.training import TrainingParameters
+from tests.moving_pairs import standing_person, swaying_pair
+
+FRAMES = 12
+
+
+def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: bool = False) -> Manifest:
+    pair = swaying_pair(FRAMES, seed=len(take_id))[:, :num_persons]
+    people = np.swapaxes(pair, 0, 1).reshape(-1, 22, 3)
+    rows = len(people)
+    identity = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 22, 1))
+    frame = np.tile(np.arange(FRAMES), num_persons)
+    person = np.repeat(np.arange(num_persons), FRAMES)
+    takes = {
+        "take_id": [take_id] * num_persons,
+        "person": np.arange(num_persons),
+        "source_name": ["invented"] * num_persons,
+        "source_sha256": [hashlib.sha256(take_id.encode()).hexdigest()] * num_persons,
+        "source_format": ["duet"] * num_persons,
+        "num_persons": [num_persons] * num_persons,
+        "num_frames": [FRAMES] * num_persons,
+        "rate_hz": [30.0] * num_persons,
+        "source_rate_hz": [30.0] * num_persons,
+        "metres_per_unit": [1.0] * num_persons,
+        "up_axis": ["y"] * num_persons,
+        "layout": ["body22"] * num_persons,
+        "is_position_only": [True] * num_persons,
+        "is_held_out": [is_held_out] * num_persons,
+        "joint_names": [list(BODY22.joint_names)] * num_persons,
+        "joint_parents": [np.array(BODY22.parents, np.int32)] * num_persons,
+        "rest_offset_m": [np.zeros(66)] * num_persons,
+        "body22_rest_m": np.stack([standing_person()] * num_persons),
+        "licence": ["CC0"] * num_persons,
+        "credit": ["nobody"] * num_persons,
+    }
+    poses = {
+        "take_id": [take_id] * rows,
+        "person": person,
+        "frame": frame,
+        "time_s": frame / 30.0,
+        "root_translation_m": people[:, 0],
+        "local_unitquat": [np.zeros(88)] * rows,
+        "pair17_m": np.zeros((rows, 17, 3)),
+        "op14_m": np.zeros((rows, 14, 3)),
+        "body22_m": people,
+        "body22_world_unitquat": identity,
+    }
+    facts = {
+        "kind": "take",
+        "take_id": take_id,
+        "takes": [take_id],
+        "num_persons": num_persons,
+        "num_frames": FRAMES,
+        "rate_hz": 30.0,
+        "is_held_out": is_held_out,
+    }
+    ref = store.commit(
+        stage="ingest",
+        key=artifact_key(stage="ingest", version=1, parameters={"name": take_id}, input_digests=[], seed=0),
+        partition=take_id,
+        name=take_id,
+        version=1,
+        parameters={"name": take_id},
+        seed=0,
+        inputs=[],
+        files=[],
+        tables={"takes": takes, "poses": poses},
+        facts=facts,
+    )
+    return store.manifest(ref)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path / "store")
+
+
+def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Manifest]:
+    inputs = StageInputs({"poses": takes, "takes": takes}, seed=3)
+    shards = augmentation.plan(inputs, AugmentationParameters(**parameters))
+    return [store.manifest(augmentation.run_shard(shard, store)) for shard in shards]
+
+
+def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
+    takes = [put_take(store, "pair"), put_take(store, "alone", num_persons=1)]
+    made = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
+    assert [manifest.facts["takes"] for manifest in made] == [["pair"], ["pair"]]
+    assert [len(manifest.facts["variants"]) for manifest in made] == [3, 1]
+    variants = store.read(made[0].ref, "variants")
+    quality = store.read(made[0].ref, "variant_quality")
+    assert variants.num_rows == 3 * FRAMES
+    assert list(quality["variant_id"]) == ["A-uniform-0.80", "A-uniform-0.95", "A-uniform-1.05"]
+    for column in ("body22_m", "body22_unitquat", "time_s"):
+        assert np.isfinite(variants[column]).all()
+    np.testing.assert_allclose(quality["scale_a"], [0.8, 0.95, 1.05])
+    np.testing.assert_allclose(quality["scale_b"], 1.0)
+    assert np.all(quality["contact_drift_m"] < quality["contact_drift_fk_m"])
+    source = read_pair(store, takes[0].ref).source
+    lengths = bone_lengths(BODY22, variants["body22_m"][:FRAMES].astype(np.float64))
+    wanted = source.lengths_m * quality["bone_scale"][0]
+    wanted[:, BODY22.root] = 0.0
+    np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
+
+
+def test_stored_rotations_play_the_variant_on_its_own_skeleton(store: Store) -> None:
+    take = put_take(store, "pair")
+    (made,) = augment(store, [take], scales=(0.8,))
+    variants = store.read(made.ref, "variants")
+    scale = store.read(made.ref, "variant_quality")["bone_scale"][0]
+    rest = standing_person()
+    offsets = (rest - rest[[max(parent, 0) for parent in BODY22.parents]]) * scale[0][:, None]
+    played, _ = forward_kinematics(
+        BODY22, offsets, variants["body22_m"][:, 0, 0].astype(float), variants["body22_unitquat"][:, 0].astype(float)
+    )
+    # The invented skeleton differs from its own rest pose by some millimetres a joint.
+    assert np.abs(played - variants["body22_m"][:, 0]).max() < 0.08
+
+
+def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:
+    take = put_take(store, "pair")
+    other = Store(tmp_path / "other")
+    put_take(other, "pair")
+    one = augment(store, [take], kinds=("uniform", "drawn"), drawn={"count": 3}, persons=("AB",))
+    two = augment(other, [take], kinds=("uniform", "drawn"), drawn={"count": 3}, persons=("AB",))
+    assert [m.ref for m in one] == [m.ref for m in two]
+
+
+def test_held_out_takes_are_never_trained_on(store: Store) -> None:
+    takes = [put_take(store, "one"), put_take(store, "second"), put_take(store, "held", is_held_out=True)]
+    variants = augment(store, takes)
+    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
+    parameters = TrainingParameters(splits=("cross_scale", "cross_interaction"))
+    made = [store.manifest(training.run_shard(shard, store)) for shard in training.plan(inputs, parameters)]
+    scale, interaction = made
+    assert scale.facts["takes"] == interaction.facts["takes"] == ["one", "second"]
+    assert scale.facts["shares_takes"]
+    assert set(scale.facts["test"]) == {"one", "second"}
+    assert set(interaction.facts["test"]) == {"held"}
+    assert not interaction.facts["shares_takes"]
+
+
+def test_a_stored_model_predicts(store: Store) -> None:
+    takes = [put_take(store, "one")]
+    variants = augment(store, takes)
+    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
+    (shard,) = training.plan(inputs, TrainingParameters())
+    made = store.manifest(training.run_shard(shard, store))
+    table = store.read(made.ref, "models")
+    source = read_pair(store, takes[0].ref).source
+    quality = store.read(variants[0].ref, "variant_quality")
+    motions = store.read(variants[0].ref, "variants")["body22_m"].reshape(-1, FRAMES, 2, 22, 3)
+    errors = {}
+    for name in made.facts["models"]:
+        arrays = {
+            str(table["array_name"][row]): np.reshape(table["values"][row], table["array_shape"][row])
+            for row in range(table.num_rows)
+            if table["model"][row] == name
+        }
+        predicted = load_model(name, arrays).predict(VariantRequest("one", source, quality["bone_scale"][1]))
+        errors[name] = float(np.linalg.norm(predicted - motions[1], axis=-1).mean())
+    assert errors["ridge_scale"] < 0.3 * errors["naive_fk"]
+    assert errors["ridge_scale"] < 0.3 * errors["copy"]
+    log = store.read(made.ref, "training_log")
+    assert "train_error_cm" in list(log["quantity"])
+
+
+def test_a_split_without_far_scales_says_what_it_needs(store: Store) -> None:
+    takes = [put_take(store, "one")]
+    variants = augment(store, takes, scales=(0.95, 1.05))
+    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
+    (shard,) = training.plan(inputs, TrainingParameters())
+    with pytest.raises(InputError, match=r"0\.75 to 0\.85 or 1\.15 to 1\.25"):
+        training.run_shard(shard, store)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"scales": (0.0,)},
+        {"scales": (-1.0,)},
+        {"grid": {"start": 1.2, "stop": 0.8, "step": 0.1}},
+        {"groups": ("wings",)},
+        {"persons": ("C",)},
+        {"weights": {"reference": 0.0}},
+        {"limits": {"nonsense": (1, 2)}},
+    ],
+)
+def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        AugmentationParameters(**parameters)
+    with pytest.raises(ValidationError, match="known models"):
+        TrainingParameters(models=("oracle",))

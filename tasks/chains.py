@@ -22,7 +22,6 @@ from pasdedeux.sampling import (
     PhysicalPrior,
     build_bank,
     diagnose,
-    draw_views,
     gather_pairs,
     generator_from_json,
     generator_to_json,
@@ -38,7 +37,15 @@ VERSION = 1
 
 DensityName = Literal["ic", "prior_only"]
 
-_LIKELIHOOD_PARAMETERS = ("num_views", "num_candidates", "num_ranked", "sigma_l", "sigma_v_rad", "beta_m")
+_LIKELIHOOD_PARAMETERS = (
+    "num_views",
+    "num_candidates",
+    "num_hypotheses",
+    "num_ranked",
+    "sigma_l",
+    "sigma_v_rad",
+    "beta_m",
+)
 _PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
 _STEP_PARAMETERS = (
     "segment_draws",
@@ -63,6 +70,7 @@ class ChainsParameters(Parameters):
     segment_draws: int = Field(250, ge=4, description="Draws of a segment, the unit that is stored and resumed")
     num_views: int = Field(20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(500, ge=1, description="Annotations compared with each view, nearest by view")
+    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
     num_ranked: int = Field(32, ge=1, description="Candidates of a view compared in full, nearest by rigid residual")
     sigma_l: float = Field(0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)")
     sigma_v_rad: float = Field(0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
@@ -279,7 +287,7 @@ def _likelihood(shard: Shard, store: Store) -> tuple[InteractionLikelihood, int]
     if identity not in _KEPT:
         gathered = _gather(shard, store)
         rng = stream(shard.seed, "chains", "views", seed_index)
-        views = draw_views(rng, gathered, options["num_views"], bandwidth_rad=options["sigma_v_rad"])
+        views = gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
         bank = build_bank(
             views,
             gathered.pairs,
@@ -309,7 +317,7 @@ def _gather(shard: Shard, store: Store) -> GatheredPairs:
             ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
         )
         is_wanted = np.asarray(table["is_key"]) & ~np.asarray(table["is_held_out"])
-        sequences, frames, persons = table["sequence_id"], np.asarray(table["frame"]), np.asarray(table["person_id"])
+        sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
         points = np.asarray(table["pair17_px"], dtype=np.float64)
         for row in np.flatnonzero(is_wanted).tolist():
             keypoints.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
@@ -318,17 +326,19 @@ def _gather(shard: Shard, store: Store) -> GatheredPairs:
     for ref in shard.inputs:
         if "views" not in store.manifest(ref).tables:
             continue
-        table = store.read(ref, "views", columns=["sequence_id", "frame", "direction", "weight", "metres_per_pixel"])
-        for row in range(table.num_rows):
-            place = (str(table["sequence_id"][row]), int(table["frame"][row]))
+        names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "trust", "metres_per_pixel"]
+        table = store.read(ref, "views", columns=names)
+        sequence, frame, hypothesis, direction, weight, trust, scale = (table[name] for name in names)
+        for row in np.flatnonzero(np.asarray(hypothesis) < int(shard.parameters["num_hypotheses"])).tolist():
+            place = (str(sequence[row]), int(frame[row]))
             people = keypoints.get(place, {})
             if len(people) < 2:
                 continue
             first, second = sorted(people)[:2]
             pairs.append(np.stack([people[first], people[second]]))
-            scales.append(table["metres_per_pixel"][row])
-            directions.append(table["direction"][row])
-            weights.append(float(table["weight"][row]))
+            scales.append(scale[row])
+            directions.append(direction[row])
+            weights.append(float(weight[row]) * float(trust[row]))
             which.append(index.setdefault(place, len(index)))
     if not pairs:
         raise InputError("no annotated pair has a view: chains with density 'ic' need annotations of two people")

@@ -1,6 +1,6 @@
 """Lifting by sampling: the density of 3D pairs given 2D annotations, chains that sample it, and how well they cover."""
 
-from pasdedeux.sampling.annotations import GatheredPairs, draw_views, gather_pairs, points_from_pixels
+from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
 from pasdedeux.sampling.chain import (
     ChainState,
     Segment,
@@ -52,14 +52,12 @@ __all__ = [
     "choose_seeds",
     "coverage_curve",
     "diagnose",
-    "draw_views",
     "gather_pairs",
     "gauge_fix",
     "generator_from_json",
     "generator_to_json",
     "invariants",
     "plain_log_likelihood",
-    "points_from_pixels",
     "run_segment",
     "seed_quality",
     "step",

@@ -80,7 +80,7 @@ def test_equation_8_on_a_case_worked_by_hand() -> None:
 
 def test_short_edges_stop_gaining_weight_at_beta() -> None:
     first = np.array([[0.0, 0.0], [0.001, 0.0], [1.0, 0.0], [0.5, 1.0]])
-    second = first + [[0.0, 0.0], [0.0, 0.001], [0.0, 0.0], [0.0, 0.0]]
+    second = first + np.array([[0.0, 0.0], [0.0, 0.001], [0.0, 0.0], [0.0, 0.0]])
     assert interaction_dissimilarity(first, second, beta_m=0.05) < interaction_dissimilarity(first, second, beta_m=1e-6)
 
 

@@ -20,11 +20,9 @@ from pasdedeux.sampling import (
     PhysicalPrior,
     ViewBank,
     build_bank,
-    draw_views,
     gather_pairs,
     gauge_fix,
     plain_log_likelihood,
-    points_from_pixels,
 )
 from pasdedeux.sampling.kernels import pair_axes
 from pasdedeux.sampling.parameters import (
@@ -71,7 +69,7 @@ def annotated() -> tuple[AnnotatedPairs, ViewBank]:
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 200, spread_rad=0.15)
     annotations = random_annotations(rng, pairs, 600)
-    views = draw_views(rng, GatheredPairs(annotations, np.ones(600), 0), 8)
+    views = GatheredPairs(annotations, np.ones(600), 0).view_density().sample(rng, 8)
     return annotations, build_bank(views, annotations, num_candidates=80)
 
 
@@ -296,16 +294,6 @@ def test_proposals_keep_ties_and_move_few_blocks() -> None:
         assert 1 <= len(changed) <= 3
 
 
-def test_people_are_scaled_about_themselves_and_placed_by_their_mean_scale() -> None:
-    pixels = np.zeros((1, 2, 17, 2))
-    pixels[0, 0] += [100.0, 50.0]
-    pixels[0, 1] += [300.0, 50.0]
-    pixels[0, 0, 1] += [0.0, -10.0]
-    points = points_from_pixels(pixels, np.array([[0.01, 0.02]]))
-    np.testing.assert_allclose(points[0, 0, 1] - points[0, 0, 0], [0.0, 0.1], atol=1e-12)
-    np.testing.assert_allclose(points[0, 1, 0] - points[0, 0, 0], [200 * 0.015, 0.0], atol=1e-12)
-
-
 def test_annotations_with_missing_joints_are_left_out_and_counted() -> None:
     rng = np.random.default_rng(14)
     pixels = rng.normal(size=(4, 2, 17, 2))
@@ -340,15 +328,3 @@ def test_fewer_annotations_than_candidates_are_all_used() -> None:
     assert list(bank.counts) == [3, 3, 3, 3]
     match = InteractionLikelihood(pairs, bank).match(random_pairs(rng, 1)[0])
     assert np.isfinite(match.log_likelihood)
-
-
-def test_views_are_drawn_round_the_annotations_views() -> None:
-    rng = np.random.default_rng(17)
-    directions = np.tile([[0.0, 0.0, 1.0]], (50, 1))
-    pairs = AnnotatedPairs(rng.normal(size=(50, 2, 17, 2)), directions, np.arange(50))
-    views = draw_views(rng, GatheredPairs(pairs, np.ones(50), 0), 4000, bandwidth_rad=0.2)
-    np.testing.assert_allclose(np.linalg.norm(views, axis=1), 1.0)
-    angle = np.arccos(np.clip(views[:, 2], -1, 1))
-    # Rayleigh with scale 0.2: its mean square is 2 * 0.2^2; 5 standard errors of 4,000 draws are 8 %.
-    assert np.mean(angle**2) == pytest.approx(0.08, rel=0.08)
-    np.testing.assert_allclose(views.mean(axis=0)[:2], 0.0, atol=0.02)

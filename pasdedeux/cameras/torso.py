@@ -6,7 +6,7 @@ weak-perspective image fixes its scale and its turn up to one twin: the torso mi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ NOISE_SHARE = 0.05
 
 _SIZE_BONES = PAIR17.indices(("spine", "chest", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip"))
 _NUM_ITERATIONS = 20
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,22 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
         basis: Basis learned from other takes.
         weights: Weight of each joint, (n, 6), such as its confidence; 1 when not given.
     """
+    if len(torso_px) > _BLOCK:
+        # Torsos do not know of each other; blocks keep the memory small.
+        parts = [
+            lift_torsos(
+                torso_px[start : start + _BLOCK],
+                basis,
+                weights=None if weights is None else weights[start : start + _BLOCK],
+            )
+            for start in range(0, len(torso_px), _BLOCK)
+        ]
+        return LiftedTorsos(
+            **{
+                field.name: np.concatenate([getattr(part, field.name) for part in parts])
+                for field in fields(LiftedTorsos)
+            }
+        )
     seen = np.asarray(np.isfinite(torso_px).all(axis=-1))
     weight = np.where(seen, 1.0 if weights is None else np.asarray(weights, dtype=np.float64), 0.0)
     num_seen = (weight > 0).sum(axis=-1)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.plausibility.joint_limits import JointLimits, joint_angles
+from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits, joint_angles
 from pasdedeux.plausibility.joint_limits_kernel import measure_angles, move_to_nearest_valid
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons.layouts import LAYOUTS
 
 LIMITS = JointLimits.published()
 ANGLE = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
@@ -164,3 +169,18 @@ def test_both_forms_survive_collapsed_poses() -> None:
     for pose in (np.zeros((17, 3)), np.ones((17, 3)), standing() * [0, 1, 0]):
         assert np.isfinite(LIMITS.nearest_valid(pose).positions).all()
         assert np.isfinite(move_to_nearest_valid(pose, LIMITS.lower_rad, LIMITS.upper_rad, work, valid)[1])
+
+
+@pytest.mark.data
+def test_captured_single_people_are_in_range(data_dir: Path) -> None:
+    folder = data_dir / "cmu_asfamc"
+    counts = []
+    for file in sorted(folder.glob("0[123]_*.amc")):
+        asf = read_asf((folder / f"{file.stem[:2]}.asf").read_bytes())
+        source = read_amc(file.read_bytes(), asf).frames(0, 2000)
+        motion = source.to_motion(metres_per_unit=asf.metres_per_unit, rate_hz=120.0).resample(24.0)
+        counts.append(LIMITS.num_invalid(derive_working_poses(motion, LAYOUTS["cmu_asf"]).pair17_m))
+    invalid = np.concatenate(counts)
+    assert len(invalid) > 1000
+    assert (invalid == 0).mean() >= 0.99
+    assert invalid.max() <= MOST_INVALID_ANGLES

@@ -11,6 +11,7 @@ from pasdedeux.cameras import (
     default_torso_basis,
     learn_torso_basis,
     lift_torsos,
+    torso,
 )
 from pasdedeux.cameras.torso import NOISE_SHARE
 from pasdedeux.errors import InputError
@@ -122,3 +123,13 @@ def test_unusable_bases_are_refused() -> None:
         learn_torso_basis(wild(0, 20), num_components=13)
     with pytest.raises(InputError, match="per component"):
         TorsoBasis(BASIS.mean_m, BASIS.components_m, np.ones(1), np.ones(1))
+
+
+def test_many_torsos_are_lifted_in_blocks_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    px = picture(turned_torsos(6, 50, 1.0))
+    whole = lift_torsos(px, BASIS)
+    monkeypatch.setattr(torso, "_BLOCK", 7)
+    for weights in (None, np.ones((50, 6))):
+        blocks = lift_torsos(px, BASIS, weights=weights)
+        np.testing.assert_allclose(blocks.torso_m, whole.torso_m, atol=1e-9)
+        np.testing.assert_array_equal(blocks.is_lifted, whole.is_lifted)

@@ -1,0 +1,118 @@
+"""Stage `priors`: torso basis and joint limits, learned from the takes named as prior takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.cameras import TorsoBasis, default_torso_basis, learn_torso_basis
+from pasdedeux.plausibility import ANGLES, JointLimits
+from pasdedeux.skeletons import PAIR17
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+
+__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "run_shard"]
+
+VERSION = 1
+
+LEAST_POSES = 10
+"""A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
+
+
+class PriorsParameters(Parameters):
+    """How torsos and joint angles are learned from prior takes."""
+
+    num_components: int = Field(4, ge=0, le=12, description="Components of the torso basis beside its mean")
+    percentile: float = Field(
+        0.5, ge=0, le=10, description="Share of the observed angles beyond which ranges are not widened, percent"
+    )
+    max_frames_per_take: int = Field(
+        2000, ge=10, description="Frames of each take that are learned from, evenly spread"
+    )
+
+
+def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
+    """Plan one shard over all prior takes; a take that is held out is never among them."""
+    takes = [manifest for manifest in inputs.of("poses") if _is_prior(manifest)]
+    return [
+        Shard(
+            stage="priors",
+            version=VERSION,
+            partition="body",
+            name="priors",
+            parameters=parameters.model_dump(mode="json"),
+            inputs=tuple(manifest.ref for manifest in takes),
+            seed=inputs.seed,
+        )
+    ]
+
+
+def _is_prior(manifest: Manifest) -> bool:
+    facts = manifest.facts
+    return facts.get("kind") == "take" and bool(facts.get("is_prior", False)) and not facts.get("is_held_out", False)
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Learn the torso basis and widen the published joint limits; without prior takes both are the defaults."""
+    options = shard.parameters
+    parts = [_read_poses(store, ref, int(options["max_frames_per_take"])) for ref in shard.inputs]
+    poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
+    takes = merge_takes(*(store.manifest(ref) for ref in shard.inputs))
+    is_learned = len(poses) >= LEAST_POSES
+    count = int(options["num_components"])
+    basis = learn_torso_basis(poses, num_components=count) if is_learned else default_torso_basis(num_components=count)
+    limits = JointLimits.published()
+    if is_learned:
+        limits = limits.widened(poses, name="prior takes", percentile=float(options["percentile"]))
+    facts = {
+        "kind": "priors",
+        "takes": takes,
+        "num_poses": len(poses),
+        "origin": "prior takes" if is_learned else "body proportions: no prior take is named",
+        "explained_variance": float(basis.explained_variance.sum()),
+        "valid_share": float(limits.is_valid(poses).mean()) if len(poses) else None,
+    }
+    return commit(
+        shard, store, tables={"torso_basis": _basis_columns(basis), "joint_limits": _limit_columns(limits)}, facts=facts
+    )
+
+
+def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:
+    """Give poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
+    poses = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
+    frames = np.unique(np.asarray(poses["frame"]))
+    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))]
+    rows = np.flatnonzero(np.isin(np.asarray(poses["frame"]), chosen))
+    return np.asarray(poses["pair17_m"], dtype=np.float64)[rows]
+
+
+def _basis_columns(basis: TorsoBasis) -> dict[str, object]:
+    return {
+        "component": np.arange(1 + len(basis.components_m)),
+        "torso_m": np.concatenate([basis.mean_m[None], basis.components_m]),
+        "standard_deviation_m": np.concatenate([[0.0], basis.standard_deviation_m]),
+        "explained_variance": np.concatenate([[0.0], basis.explained_variance]),
+    }
+
+
+def _limit_columns(limits: JointLimits) -> dict[str, object]:
+    return {
+        "angle_id": np.arange(len(ANGLES)),
+        "joint": [angle.joint for angle in ANGLES],
+        "angle": [angle.angle for angle in ANGLES],
+        "lower_rad": limits.lower_rad,
+        "upper_rad": limits.upper_rad,
+        "source": list(limits.source),
+    }
+
+
+STAGE = Stage(
+    name="priors",
+    version=VERSION,
+    reads=("poses",),
+    writes=("torso_basis", "joint_limits"),
+    parameters=PriorsParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="torso basis and joint limits from prior takes",
+)

@@ -1,0 +1,203 @@
+"""The stages `priors` and `views` keep their promises over a real store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import PinholeCamera, angle_between_directions, frame_take, sample_views, true_direction
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility import ANGLES, JointLimits
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
+from tasks import priors, views
+from tasks.seeds import read_limits
+from tasks.stage import Shard, StageInputs
+from tests.unit.test_joint_limits import wild
+from tests.unit.test_views import dancers
+
+
+def put(store: Store, name: str, tables: dict[str, Any], facts: dict[str, Any]) -> Manifest:
+    """Commit what `ingest` would have written."""
+    ref = store.commit(
+        stage="ingest",
+        key=artifact_key(stage="ingest", version=1, parameters={"name": name}, input_digests=[], seed=0),
+        partition=name,
+        name=name,
+        version=1,
+        parameters={"name": name},
+        seed=0,
+        inputs=[],
+        files=[],
+        tables=tables,
+        facts=facts,
+        sources=[SourceCredit("dancers", "CC0", "made up for tests")],
+    )
+    return store.manifest(ref)
+
+
+def put_take(store: Store, take_id: str, *, is_prior: bool, is_held_out: bool = False, frames: int = 60) -> Manifest:
+    count = 2 * frames
+    pairs = dancers(sum(map(ord, take_id)), frames)
+    columns = {
+        "take_id": [take_id] * count,
+        "person": np.repeat([0, 1], frames),
+        "frame": np.tile(np.arange(frames), 2),
+        "time_s": np.tile(np.arange(frames) / 30.0, 2),
+        "root_translation_m": np.zeros((count, 3)),
+        "local_unitquat": [np.zeros(4)] * count,
+        "pair17_m": pairs.swapaxes(0, 1).reshape(count, 17, 3),
+        "op14_m": np.zeros((count, 14, 3)),
+        "body22_m": np.zeros((count, 22, 3)),
+        "body22_world_unitquat": np.zeros((count, 22, 4)),
+    }
+    facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "is_prior": is_prior, "is_held_out": is_held_out}
+    return put(store, take_id, {"poses": columns}, facts)
+
+
+def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
+    """Give 30 annotated frames from random views, each with a neighbour kept for velocity, and the true views."""
+    count, rows, truth = 30, [], {}
+    pairs, angles = dancers(8, count), sample_views(np.random.default_rng(8), count)
+    for index in range(count):
+        view = frame_take(
+            pairs[index],
+            pairs[index][:, 0],
+            distance_m=4.0,
+            yaw_rad=angles.yaw_rad[index],
+            pitch_rad=angles.pitch_rad[index],
+        )
+        sequence_id = f"{name}.view{index:03d}"
+        truth[sequence_id] = true_direction(pairs[index], view.camera)
+        rows += [
+            (sequence_id, frame, person, frame == 2, _px(view.camera, pairs[index, person]))
+            for frame in (1, 2)
+            for person in range(persons)
+        ]
+    # Rows need not come sorted, and one person of one annotation was hardly seen.
+    rows = rows[::-1]
+    px = np.array([row[4] for row in rows])
+    px[1, 2:] = np.nan
+    total = len(rows)
+    columns = {
+        "sequence_id": [row[0] for row in rows],
+        "frame": [row[1] for row in rows],
+        "person_id": [row[2] for row in rows],
+        "time_s": np.zeros(total),
+        "is_key": [row[3] for row in rows],
+        "is_virtual": [True] * total,
+        "is_held_out": [False] * total,
+        "take_id": ["waltz"] * total,
+        "take_frame": [0] * total,
+        "layout": ["pair17"] * total,
+        "keypoints_px": [np.zeros(2)] * total,
+        "keypoint_confidence": [np.zeros(1)] * total,
+        "pair17_px": px,
+        "pair17_confidence": np.isfinite(px).all(axis=-1).astype(float),
+        "op14_px": np.zeros((total, 14, 2)),
+        "op14_confidence": np.zeros((total, 14)),
+    }
+    facts = {
+        "kind": "sequences",
+        "takes": ["waltz"],
+        "sequence_ids": sorted(truth),
+        "is_held_out": False,
+        "purpose": "random_views",
+        "num_persons": persons,
+    }
+    return put(store, name, {"annotations": columns}, facts), truth
+
+
+def _px(camera: PinholeCamera, pose: np.ndarray) -> np.ndarray:
+    return camera.project(pose).px
+
+
+def run(stage: Any, store: Store, manifests: dict[str, list[Manifest]], **parameters: Any) -> list[ArtifactRef]:
+    shards: list[Shard] = stage.plan(StageInputs(manifests, seed=1), stage.STAGE.parameters(**parameters))
+    return [stage.run_shard(shard, store) for shard in shards]
+
+
+def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    takes = [
+        put_take(store, "waltz", is_prior=True),
+        put_take(store, "hug", is_prior=False),
+        put_take(store, "judo", is_prior=True, is_held_out=True),
+    ]
+    (ref,) = run(priors, store, {"poses": takes}, num_components=3)
+    facts = store.manifest(ref).facts
+    assert facts["takes"] == ["waltz"]
+    assert facts["num_poses"] == 120
+    assert facts["valid_share"] > 0.95
+    basis = views.read_torso_basis(store, (ref,))
+    assert basis.components_m.shape == (3, 6, 3)
+    shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
+    limits = read_limits(shard, store)
+    assert (limits.lower_rad <= JointLimits.published().lower_rad).all()
+    table = open_table(ref, store, table="joint_limits")
+    assert list(table["joint"]) == [angle.joint for angle in ANGLES]
+    assert store.manifest(ref).sources[0].name == "dancers"
+
+
+def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    (ref,) = run(priors, store, {"poses": [put_take(store, "hug", is_prior=False)]})
+    facts = store.manifest(ref).facts
+    assert facts["takes"] == []
+    assert "no prior take" in facts["origin"]
+    assert len(views.read_torso_basis(store, (ref,)).components_m) == 4
+
+
+def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    annotations, truth = put_annotations(store, "salon")
+    basis = [store.manifest(ref) for ref in run(priors, store, {"poses": [put_take(store, "hug", is_prior=True)]})]
+    (ref,) = run(views, store, {"annotations": [annotations], "torso_basis": basis})
+    table, facts = store.read(ref, "views"), store.manifest(ref).facts
+    assert facts["takes"] == ["hug", "waltz"]
+    assert facts["learned_takes"] == ["hug"]
+    assert facts["num_annotations"] == 30
+    assert facts["num_without_view"] == 1
+    assert facts["skipped"] == [
+        "salon.view029: 1 frames skipped, fewer than 4 torso joints of one of the two people were seen"
+    ]
+    keys = list(zip(table["sequence_id"], table["frame"], table["hypothesis"], strict=True))
+    assert keys == sorted(keys)
+    assert set(table["frame"]) == {2}
+    best = np.flatnonzero(table["hypothesis"] == 0)
+    assert len(best) == 29
+    errors = [angle_between_directions(table["direction"][row], truth[table["sequence_id"][row]]) for row in best]
+    assert np.rad2deg(np.median(errors)) < 10
+    weight = np.add.reduceat(table["weight"], best)
+    np.testing.assert_allclose(weight, 1.0)
+
+
+def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    annotations, _ = put_annotations(store, "solo", persons=1)
+    (ref,) = run(views, store, {"annotations": [annotations]})
+    assert store.manifest(ref).tables["views"].rows == 0
+    skipped = store.manifest(ref).facts["skipped"]
+    assert skipped[0] == "solo.view000: 1 frames skipped, 1 person is annotated, not two"
+    assert skipped[-1] == "10 more sequences: 10 frames skipped, 1 person is annotated, not two"
+
+
+def test_the_same_inputs_give_the_same_bytes_and_a_parameter_changes_the_key(tmp_path: Path) -> None:
+    digests, keys = [], []
+    for name, distance in (("one", 4.0), ("two", 4.0), ("three", 5.0)):
+        store = Store(tmp_path / name)
+        annotations, _ = put_annotations(store, "salon")
+        (ref,) = run(views, store, {"annotations": [annotations]}, distance_m=distance)
+        digests.append(ref.content_digest)
+        keys.append(ref.key)
+    assert digests[0] == digests[1] != digests[2]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_unknown_parameters_are_refused() -> None:
+    with pytest.raises(ValueError, match="distance"):
+        views.ViewsParameters(distance=3.0)  # type: ignore[call-arg]
+    with pytest.raises(InputError, match="10 poses"):
+        priors.learn_torso_basis(wild(0, 3))

@@ -1,0 +1,16 @@
+"""The fast forms of the sampling room beat their plain baselines by a wide margin, measured in the same run."""
+
+from __future__ import annotations
+
+import pytest
+
+from pasdedeux.sampling.benchmarks import BENCHMARKS
+
+# A tenth or less of what an idle core shows, so that a busy machine does not fail the test.
+LEAST_RATIO = {"likelihood": 30.0, "chain": 20.0, "triangulation": 3.0, "coverage": 30.0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(BENCHMARKS))
+def test_fast_form_beats_its_plain_baseline(name: str) -> None:
+    assert BENCHMARKS[name]().ratio > LEAST_RATIO[name]

@@ -52,7 +52,7 @@ class AugmentationSettings:
     descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=1e-3))
     fallback_residual_m: float = 5e-4
     is_bulk: bool = True
-    mesh_smoothing_s: float = 0.1
+    mesh_smoothing_s: float = 0.25
     fixed_person: int | None = None
     user_contacts: tuple[UserContact, ...] = ()
 

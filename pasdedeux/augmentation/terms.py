@@ -94,14 +94,14 @@ class Weights:
     """
 
     laplacian: float = 1.0
-    smoothness: float = 1.0
+    smoothness: float = 20.0
     reference: float = 1e-3
     contact_extremity: float = 60.0
     contact_mixed: float = 6.0
     contact_limb: float = 8.0
     contact_torso: float = 8.0
-    stance: float = 20.0
-    floor: float = 20.0
+    stance: float = 50.0
+    floor: float = 100.0
     girdle: float = 10.0
     fixed: float = 1e3
 
@@ -189,7 +189,7 @@ def build_problem(
     mesh: InteractionMesh | None = None,
     user_contacts: Sequence[UserContact] = (),
     fixed_person: int | None = None,
-    mesh_smoothing_s: float = 0.1,
+    mesh_smoothing_s: float = 0.25,
 ) -> Problem:
     """Find the terms of a take and add them up to its quadratic form.
 
@@ -307,12 +307,14 @@ def right_hand_side(problem: Problem, targets: Targets) -> Array:
 
 
 def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array:
-    """Height targets less r's height (variant, T, 44): the source's, but an ankle rises with its foot's length."""
+    """Height targets less r's height (variant, T, 44): the source's, but a foot's higher end rises with its length."""
     heights = np.repeat(source.positions_m[None, ..., 1], len(bone_scale), axis=0)
     for ankle, toe in (("left_ankle", "left_toe"), ("right_ankle", "right_toe")):
         a, t = BODY22.index(ankle), BODY22.index(toe)
         rise = source.positions_m[:, :, a, 1] - source.positions_m[:, :, t, 1]
-        heights[..., a] = source.positions_m[:, :, t, 1] + bone_scale[:, None, :, t] * rise
+        added = (bone_scale[:, None, :, t] - 1.0) * rise
+        heights[..., a] += np.where(rise > 0, added, 0.0)
+        heights[..., t] -= np.where(rise < 0, added, 0.0)
     difference = heights - reference[..., 1]
     return np.asarray(difference.reshape(*difference.shape[:2], NUM_POINTS))
 

@@ -46,7 +46,7 @@ def _keys(takes: list[str]) -> list[VariantKey]:
 
 def test_ridge_recovers_a_quadratic_in_scale_from_two_scales() -> None:
     train, test = _quadratic_items([0.95, 1.05]), _quadratic_items([0.75, 1.25])
-    model, log = RidgeScaleModel.train(lambda: iter(train))
+    model, log = RidgeScaleModel.train(lambda: iter(train), ridge_share=1e-9)
     for item in test:
         np.testing.assert_allclose(model.predict(item.request), item.motion_m, atol=1e-4)
     figures = {entry.quantity: entry.value for entry in log}
@@ -67,7 +67,7 @@ def test_ridge_tells_limb_groups_apart() -> None:
         motion = TAKE.positions_m.copy()
         motion[..., 0] += change
         items.append(TrainingItem(variation.variant_id, request, motion))
-    model, _ = RidgeScaleModel.train(lambda: iter(items))
+    model, _ = RidgeScaleModel.train(lambda: iter(items), ridge_share=1e-9)
     (arms,) = group_variations([1.2], ["A"], ["arms"])
     (legs,) = group_variations([1.2], ["A"], ["legs"])
     moved = model.predict(VariantRequest("sway", TAKE, arms.bone_scale)) - TAKE.positions_m

@@ -213,6 +213,8 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
     if item["type"] == "missing":
         return f"{path}: missing, a value is needed"
     message = str(item["msg"]).removeprefix("Value error, ")
+    if message.startswith(f"{section}."):
+        return message
     if message.startswith("Input should"):
         message = message.replace("Input should", "should", 1)
     found = item["input"]

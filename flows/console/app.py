@@ -34,7 +34,7 @@ change, a crash or an interruption: only what is not there yet is computed.
   pasdedeux run                              build the built-in duets into ./store
   pasdedeux run --set chains.num_draws=2000  the same with one parameter changed
   pasdedeux plan                             what a run would compute, and why; starts nothing
-  pasdedeux study new my.toml
+  pasdedeux study new my.toml --from a.bvh --from b.bvh
   pasdedeux run my.toml
 """
 

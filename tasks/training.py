@@ -13,7 +13,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.augmentation import PairTake, read_pair
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, stream
 
-__all__ = ["STAGE", "VERSION", "TrainingParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "VERSION", "TrainingParameters", "plan", "read_items", "run_shard"]
 
 VERSION = 1
 
@@ -90,7 +90,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     split = make_split(split_name, keys, stream(shard.seed, "training", split_name), test_takes=test_takes)
 
     def items() -> Iterator[TrainingItem]:
-        return _items(store, split.train, homes, takes)
+        return read_items(store, split.train, homes, takes)
 
     models: dict[str, list] = {"split": [], "model": [], "array_name": [], "array_shape": [], "values": []}
     log: dict[str, list] = {"split": [], "model": [], "step": [], "quantity": [], "value": []}
@@ -117,13 +117,13 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     )
 
 
-def _items(
+def read_items(
     store: Store,
     keys: Sequence[VariantKey],
     homes: dict[tuple[str, str], ArtifactRef],
     takes: dict[str, PairTake],
 ) -> Iterator[TrainingItem]:
-    """Read variants one at a time, artifact by artifact."""
+    """Read variants one at a time, artifact by artifact; `homes` says where each (take, variant) lies."""
     wanted: dict[ArtifactRef, dict[str, VariantKey]] = {}
     for key in keys:
         wanted.setdefault(homes[key.take_id, key.variant_id], {})[key.variant_id] = key

@@ -73,7 +73,12 @@ def coverage_scores(
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> bytes:
     """Draw coverage in D_C against the number of draws, real frames as levels; PNG bytes."""
     shown: Sequence[Curve] = [
-        Curve(name, curve.num_draws, 100 * curve.cartesian_m, is_baseline=name in ("prior_only", "seeds"))
+        Curve(
+            name,
+            curve.num_draws.astype(np.float64),
+            100 * curve.cartesian_m,
+            is_baseline=name in ("prior_only", "seeds"),
+        )
         for name, curve in curves.items()
     ]
     return curve_figure(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pasdedeux.evaluation.scores import Score
@@ -12,13 +14,14 @@ from tasks.stage import Shard, StageInputs
 __all__ = ["TOPIC", "run", "shards"]
 
 TOPIC = "chains"
+_REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "least": np.min, "greatest": np.max}
 _FIGURES = {
-    "acceptance_rate": ("", np.mean, "mean"),
-    "ess_min": ("", np.min, "least"),
-    "rhat_max": ("", np.max, "greatest"),
-    "travelled_m": ("m", np.mean, "mean"),
-    "log_density_first": ("", np.mean, "mean"),
-    "log_density_mean": ("", np.mean, "mean"),
+    "acceptance_rate": ("", "mean"),
+    "ess_min": ("", "least"),
+    "rhat_max": ("", "greatest"),
+    "travelled_m": ("m", "mean"),
+    "log_density_first": ("", "mean"),
+    "log_density_mean": ("", "mean"),
 }
 
 
@@ -34,13 +37,13 @@ def run(shard: Shard, store: Store) -> TopicResult:
     for ref in shard.inputs:
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
-        for name, (unit, reduce, kind) in _FIGURES.items():
+        for name, (unit, kind) in _FIGURES.items():
             scores.append(
                 Score(
                     topic=TOPIC,
                     metric=f"{name.removesuffix('_m')}_{kind}",
                     method=density,
-                    value=float(reduce(table[name])),
+                    value=float(_REDUCE[kind](table[name])),
                     unit=unit,
                     is_baseline=density == "prior_only",
                     item=f"seed {seed}",

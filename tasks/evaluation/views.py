@@ -44,9 +44,8 @@ def run(shard: Shard, store: Store) -> TopicResult:
     annotated = shard.inputs[num_views : num_views + num_annotations]
     takes = read_takes(store, shard.inputs[num_views + num_annotations :], "pair17_m")
     cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
-    held_out = {
-        ref_take for ref in annotated if store.manifest(ref).facts["is_held_out"] for ref_take in _takes(store, ref)
-    }
+    annotation_facts = [store.manifest(ref).facts for ref in annotated]
+    held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
     scores = []
     for split in ("annotated", "held_out"):
         rows = [
@@ -71,10 +70,6 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions={"views.png": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
         notes=skipped,
     )
-
-
-def _takes(store: Store, ref: object) -> Sequence[str]:
-    return list(store.manifest(ref).facts["takes"])  # type: ignore[arg-type]
 
 
 def _annotations(table: TableData) -> list[tuple[int, int]]:

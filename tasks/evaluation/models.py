@@ -1,0 +1,97 @@
+"""Topic `models`: predictions of the trained models on the variants kept for testing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.evaluation.model_metrics import ModelErrors, key_joint_pairs, model_errors
+from pasdedeux.evaluation.models import model_figure, model_scores
+from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
+from storage_schema import ArtifactRef, Store
+from tasks.augmentation import read_pair
+from tasks.evaluation.topic import TopicResult, make_shard
+from tasks.stage import Shard, StageInputs
+from tasks.training import read_items
+
+__all__ = ["TOPIC", "run", "shards"]
+
+TOPIC = "models"
+
+
+def shards(inputs: StageInputs) -> list[Shard]:
+    """One shard per split."""
+    found = []
+    for models in inputs.of("models"):
+        tested = set(models.facts["test"])
+        takes = [manifest for manifest in inputs.of("poses") if manifest.facts["take_id"] in tested]
+        variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in tested]
+        found.append(
+            make_shard(
+                topic=TOPIC,
+                name=models.facts["split"],
+                inputs=[models, *takes, *variants],
+                parameters={"num_takes": len(takes)},
+                seed=inputs.seed,
+            )
+        )
+    return found
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Score every model of a split on its test variants."""
+    models_ref, *others = shard.inputs
+    facts = store.manifest(models_ref).facts
+    num_takes = shard.parameters["num_takes"]
+    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in others[:num_takes]}
+    keys, homes, scales = _test_variants(store, others[num_takes:], facts["test"])
+    models = _read_models(store, models_ref)
+    pairs = {take_id: key_joint_pairs(take.source.positions_m) for take_id, take in takes.items()}
+    errors: dict[str, list[ModelErrors]] = {name: [] for name in models}
+    at: list[float] = []
+    owners: list[str] = []
+    for item in read_items(store, keys, homes, takes):
+        take_id = item.request.take_id
+        owners.append(take_id)
+        at.append(scales[take_id, item.variant_id])
+        for name, model in models.items():
+            errors[name].append(model_errors(model.predict(item.request), item.motion_m, pairs[take_id]))
+    split = f"{facts['split']} test"
+    scores = model_scores(errors, baselines=BASELINES, split=split, item="all")
+    for take_id in sorted(set(owners)):
+        mine = {
+            name: [e for e, owner in zip(found, owners, strict=True) if owner == take_id]
+            for name, found in errors.items()
+        }
+        scores += model_scores(mine, baselines=BASELINES, split=split, item=take_id)
+    name = f"models-{facts['split']}.png"
+    shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
+    return TopicResult(
+        scores=scores,
+        pictures={name: model_figure(at, errors, baselines=BASELINES, split=facts["split"])},
+        captions={name: f"Error of each model on the {len(at)} test variants of split {facts['split']}.{shared}"},
+    )
+
+
+def _test_variants(
+    store: Store, refs: list[ArtifactRef], wanted: dict[str, list[str]]
+) -> tuple[list[VariantKey], dict[tuple[str, str], ArtifactRef], dict[tuple[str, str], float]]:
+    """Give the test variants, where each lies, and the scale of person A (NaN where not uniform)."""
+    keys, homes, scales = [], {}, {}
+    for ref in refs:
+        take_id = store.manifest(ref).facts["take_id"]
+        table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "scale_a"])
+        for row, variant_id in enumerate(table["variant_id"]):
+            if variant_id in wanted[take_id]:
+                keys.append(VariantKey(take_id, str(variant_id), table["bone_scale"][row]))
+                homes[take_id, str(variant_id)] = ref
+                scales[take_id, str(variant_id)] = float(table["scale_a"][row])
+    return keys, homes, scales
+
+
+def _read_models(store: Store, ref: ArtifactRef) -> dict[str, VariantModel]:
+    table = store.read(ref, "models")
+    arrays: dict[str, dict[str, np.ndarray]] = {}
+    for row, model in enumerate(table["model"]):
+        values = np.asarray(table["values"][row], dtype=np.float64).reshape(table["array_shape"][row])
+        arrays.setdefault(str(model), {})[str(table["array_name"][row])] = values
+    return {name: load_model(name, found) for name, found in arrays.items()}

@@ -8,16 +8,17 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import Skeleton
+
+if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["PERSON_COLOURS", "TRUTH_COLOUR", "Panel", "Pose", "figure_png", "pair_panel", "skeleton_sheet"]
 
@@ -66,6 +67,8 @@ def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0,
         title: Title of the sheet.
     """
     columns, rows = max(len(panels), 1), len(yaws_rad)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(1.75 * columns + 0.2, 2.25 * rows + (0.35 if title else 0.1)), dpi=110)
     axes = figure.subplots(rows, columns, squeeze=False)
     reach = _reach(panels)
@@ -85,6 +88,8 @@ def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0,
 
 def figure_png(figure: Figure) -> bytes:
     """Render a figure to PNG bytes that depend on the picture alone."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -104,6 +109,8 @@ def _reach(panels: Sequence[Panel]) -> float:
 
 
 def _draw_panel(axis: Axes, panel: Panel, yaw_rad: float, reach: float) -> None:
+    from matplotlib.collections import LineCollection
+
     points = np.concatenate([pose.positions_m for pose in panel.poses])
     finite = points[np.isfinite(points).all(axis=-1)]
     middle = 0.5 * (finite.min(axis=0) + finite.max(axis=0)) if len(finite) else np.zeros(3)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from pasdedeux.evaluation.drawing import figure_png
 
@@ -36,6 +35,8 @@ def curve_figure(
     levels: Mapping[str, float] | None = None,
 ) -> bytes:
     """Draw curves over a common x, with named horizontal levels; give PNG bytes."""
+    from matplotlib.figure import Figure  # here: planning does not draw
+
     figure = Figure(figsize=(6.0, 3.4), dpi=110)
     axis = figure.subplots()
     for curve in curves:
@@ -58,6 +59,8 @@ def curve_figure(
 
 def box_figure(groups: Mapping[str, Array], *, title: str, y_label: str) -> bytes:
     """Draw one box (median, quartiles, 5th and 95th percentile) per group of values; give PNG bytes."""
+    from matplotlib.figure import Figure  # here: planning does not draw
+
     figure = Figure(figsize=(max(4.0, 0.6 * len(groups) + 2.0), 3.2), dpi=110)
     axis = figure.subplots()
     names = [name for name, values in groups.items() if np.isfinite(values).any()]
@@ -80,6 +83,8 @@ def box_figure(groups: Mapping[str, Array], *, title: str, y_label: str) -> byte
 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array, *, title: str) -> bytes:
     """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give PNG bytes."""
+    from matplotlib.figure import Figure  # here: planning does not draw
+
     figure = Figure(figsize=(5.6, 3.2), dpi=110)
     axis = figure.subplots()
     axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, linewidths=0, color="#1f5fa8")

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotvec_from_unitquat, slerp
@@ -38,6 +37,8 @@ def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 
     length = min(num_frames, len(unitquat) - (len(unitquat) + 1) % 2)
     if length < order + 2:
         return np.array(unitquat)
+    from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
+
     return normalise(savgol_filter(continuous_signs(unitquat), length, order, axis=0, mode="interp"))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.cameras import DEPTH_RULES, TorsoBasis, ViewOptions, default_torso_basis, estimate_views
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
 __all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "read_torso_basis", "run_shard"]
@@ -26,9 +26,9 @@ class ViewsParameters(Parameters):
         4.0, gt=0, description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth"
     )
     calibrate_sizes: bool = Field(
-        True, description="Take the median ratio of apparent sizes for that of the bodies: neither is always nearer"
+        True, description="Learn the ratio of body sizes from apparent sizes over many cameras; one camera says little"
     )
-    size_deviation: float = Field(0.05, gt=0, le=1, description="Relative error of the ratio of apparent sizes")
+    size_deviation: float = Field(0.035, gt=0, le=1, description="Relative error of the ratio of apparent sizes")
     depth_deviation_m: float = Field(0.6, gt=0, description="Standard deviation of the relative depth of two roots")
     contact_distance_m: float = Field(0.35, gt=0, description="Distance of the roots of two people in close contact")
     least_root_distance_m: float = Field(0.2, gt=0, description="Roots closer than this share one place")
@@ -54,8 +54,12 @@ class ViewsParameters(Parameters):
 
 
 def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
-    """Plan a shard per artifact of annotations, also of single people: their shard says that it skipped them."""
-    basis = tuple(manifest.ref for manifest in inputs.of("torso_basis"))
+    """Plan a shard per artifact of annotations, also of single people: their shard says that it skipped them.
+
+    Annotations of a take that the torso basis was learned from are lifted with the default basis instead, so that no
+    view rests on the 3D of its own take.
+    """
+    bases = inputs.of("torso_basis")
     return [
         Shard(
             stage="views",
@@ -63,11 +67,15 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
             partition=manifest.partition,
             name=manifest.name,
             parameters=parameters.model_dump(mode="json"),
-            inputs=(manifest.ref, *basis),
+            inputs=(manifest.ref, *(basis.ref for basis in bases if not _shares_takes(manifest, basis))),
             seed=inputs.seed,
         )
         for manifest in inputs.of("annotations")
     ]
+
+
+def _shares_takes(one: Manifest, other: Manifest) -> bool:
+    return not set(one.facts.get("takes", [])).isdisjoint(other.facts.get("takes", []))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -76,7 +84,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     pairs = _read_pairs(store, shard.inputs[0])
     options = ViewsParameters.model_validate(shard.parameters, strict=False).options()
     estimates = estimate_views(
-        pairs.px, read_torso_basis(store, shard.inputs[1:]), confidence=pairs.confidence, options=options
+        pairs.px,
+        read_torso_basis(store, shard.inputs[1:]),
+        confidence=pairs.confidence,
+        camera_index=np.unique(pairs.sequence_id.astype(str), return_inverse=True)[1],
+        options=options,
     )
     psi, phi = estimates.angles()
     columns = {
@@ -102,6 +114,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "kind": "views",
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
         "learned_takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs[1:])),
+        "torso_basis": "prior takes" if len(shard.inputs) > 1 else "body proportions",
         "sequence_ids": annotations.facts.get("sequence_ids", []),
         "purpose": annotations.facts.get("purpose"),
         "is_held_out": bool(annotations.facts.get("is_held_out", False)),

@@ -46,11 +46,11 @@ DEPTH_RULES = ("zero", "contact_near", "contact_far", "size", "near", "far")
 _ZERO, _CONTACT_NEAR, _CONTACT_FAR, _SIZE, _NEAR, _FAR = range(6)
 _FLIPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 
-SIZE_PRIOR_COUNT = 12.0
-"""Annotations after which the ratio of two body sizes is as well known from apparent sizes as beforehand.
+BODY_DEVIATION = 0.06
+"""Standard deviation of the logarithm of the ratio of two adults' statures before anything is seen."""
 
-Statures differ by about 0.06 (standard deviation of the logarithm of a ratio), apparent sizes of dancers at 4 m by 0.2.
-"""
+LEAST_CALIBRATION_DEVIATION = 0.02
+"""Error of a size ratio that stays however often two people pass round each other."""
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,11 @@ class ViewOptions:
 
     Args:
         distance_m: Distance of the camera, known or assumed, metres; None when it must not be used (no `size` rule).
-        calibrate_sizes: Estimate the ratio of the two bodies' sizes as the median ratio of their apparent sizes: right
-            where neither is always nearer.
-        size_deviation: Standard deviation of the logarithm of the sizes' ratio beyond the noise of the fit.
+        calibrate_sizes: Estimate the ratio of the two bodies' sizes from that of their apparent sizes over all
+            annotations, as far as neither person stays the nearer: many cameras say much, one camera says little
+            unless the two pass round each other in front of it.
+        size_deviation: Standard deviation of the logarithm of the apparent sizes' ratio beyond the noise of the fit
+            and what is not known of the bodies.
         depth_deviation_m: Standard deviation of the relative depth of two roots before anything is seen, metres.
         contact_distance_m: Distance of the roots of two people in close contact, metres.
         least_root_distance_m: Roots closer than this cannot be: the bodies would share one place, metres.
@@ -73,7 +75,7 @@ class ViewOptions:
 
     distance_m: float | None = 4.0
     calibrate_sizes: bool = True
-    size_deviation: float = 0.05
+    size_deviation: float = 0.035
     depth_deviation_m: float = 0.6
     contact_distance_m: float = 0.35
     least_root_distance_m: float = 0.2
@@ -159,6 +161,7 @@ def estimate_views(
     basis: TorsoBasis,
     *,
     confidence: Array | None = None,
+    camera_index: Indices | None = None,
     options: ViewOptions | None = None,
 ) -> ViewEstimates:
     """Estimate the views of annotated pairs.
@@ -167,9 +170,11 @@ def estimate_views(
         pair17_px: Pairs (n, person=2, joint=17, 2), pixels, x right, y down; NaN where a joint is missing.
         basis: Torso basis learned from other takes.
         confidence: Weights of the joints, (n, person=2, joint=17); all 1 when not given.
+        camera_index: Which camera took each annotation, (n,), any whole numbers; each its own when not given.
         options: How hypotheses are made and weighed.
 
-    An annotation in which either torso has too few joints gets no hypothesis and trust 0.
+    Person A must be the same person in all of them if sizes are calibrated.  An annotation in which either torso has
+    too few joints gets no hypothesis and trust 0.
     """
     options = options or ViewOptions()
     px = np.asarray(pair17_px, dtype=np.float64)
@@ -182,11 +187,12 @@ def estimate_views(
     is_lifted = np.asarray(lifted.is_lifted.reshape(count, 2).all(axis=1))
     rows = np.flatnonzero(is_lifted)
     pairs = _Lifted.of(lifted, rows)
-    log_ratio = _size_ratio(pairs) if options.calibrate_sizes else 0.0
     if len(rows) == 0:
         return _empty(count)
+    cameras = np.arange(count) if camera_index is None else np.asarray(camera_index)
+    sizes = _size_ratio(pairs, cameras[rows], options)
 
-    blocks = [_hypotheses(pairs, flip, log_ratio, options) for flip in range(len(_FLIPS))]
+    blocks = [_hypotheses(pairs, flip, sizes, options) for flip in range(len(_FLIPS))]
     num_rules = len(DEPTH_RULES)
     rule = np.tile(np.arange(num_rules), len(_FLIPS))
     flip = np.repeat(np.arange(len(_FLIPS)), num_rules)
@@ -215,7 +221,7 @@ def estimate_views(
         metres_per_pixel=scale[each, column],
         trust=np.minimum(trust, 1.0),
         is_lifted=is_lifted,
-        size_ratio=float(np.exp(log_ratio)),
+        size_ratio=float(np.exp(sizes.log_ratio)),
     )
 
 
@@ -288,23 +294,50 @@ class _Block:
     metres_per_pixel: Array
 
 
-def _size_ratio(pairs: _Lifted) -> float:
-    """Logarithm of the size of person A over person B: median of the apparent one, drawn to 0 while there are few."""
-    count = len(pairs.metres_per_pixel)
-    if count == 0:
-        return 0.0
+@dataclass(frozen=True)
+class _Sizes:
+    """Logarithm of the size of person A over person B, and its variance."""
+
+    log_ratio: float
+    variance: float
+
+
+def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Sizes:
+    """Estimate the ratio of body sizes: weighted median over cameras of the apparent one, drawn to 1 by the prior.
+
+    A camera in front of which person B stays on one side of A may have B always nearer, and says as much as a single
+    frame; the more evenly the two change sides, the more their depths balance.
+    """
+    if not options.calibrate_sizes:
+        return _Sizes(log_ratio=0.0, variance=BODY_DEVIATION**2)
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
     apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
-    return float(np.median(apparent) * count / (count + SIZE_PRIOR_COUNT))
+    across = (pairs.root_px[:, 1, :, 0] - pairs.root_px[:, 0, :, 0]).mean(axis=-1)
+    one_frame = options.depth_deviation_m / (options.distance_m or ViewOptions.distance_m or 1.0)
+    ratio, precision = [], []
+    for camera in np.unique(cameras):
+        mine = cameras == camera
+        one_sided = abs(across[mine].sum()) / max(float(np.abs(across[mine]).sum()), 1e-12)
+        ratio.append(float(np.median(apparent[mine])))
+        precision.append(1.0 / ((one_frame * one_sided) ** 2 + LEAST_CALIBRATION_DEVIATION**2))
+    order = np.argsort(ratio)
+    cumulative = np.cumsum(np.array(precision)[order])
+    # The middle of the lower and the upper weighted median, so that swapping the people inverts the ratio exactly.
+    lower = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 - 1e-9))
+    upper = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 + 1e-9))
+    median = 0.5 * (ratio[order[lower]] + ratio[order[upper]])
+    # However many cameras there are, the least error stays.
+    total = min(float(cumulative[-1]), 1.0 / LEAST_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
+    return _Sizes(log_ratio=median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), variance=1.0 / total)
 
 
-def _hypotheses(pairs: _Lifted, flip: int, log_ratio: float, options: ViewOptions) -> _Block:
+def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) -> _Block:
     twins = _FLIPS[flip]
     backbones = np.stack([pairs.backbones[:, person, twins[person]] for person in range(2)], axis=1)
     scale = np.stack([pairs.metres_per_pixel[:, person, twins[person]] for person in range(2)], axis=1)
     deviation = np.stack([pairs.log_scale_deviation[:, person, twins[person]] for person in range(2)], axis=1)
     # True sizes: half of the ratio to each, so that the mean size stays that of the basis.
-    scale = scale * np.exp(np.array([0.5, -0.5]) * log_ratio)
+    scale = scale * np.exp(np.array([0.5, -0.5]) * sizes.log_ratio)
     root_px = np.stack([pairs.root_px[:, person, twins[person]] for person in range(2)], axis=1)
     across = (root_px[:, 1] - root_px[:, 0]) * np.array([1.0, -1.0]) * scale.mean(axis=1)[:, None]
     gap = np.linalg.norm(across, axis=1)
@@ -318,7 +351,7 @@ def _hypotheses(pairs: _Lifted, flip: int, log_ratio: float, options: ViewOption
     if options.distance_m is not None:
         # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
         apparent = 2.0 * options.distance_m * (scale[:, 0] - scale[:, 1]) / scale.sum(axis=1)
-        noise = options.distance_m**2 * (options.size_deviation**2 + (deviation**2).sum(axis=1))
+        noise = options.distance_m**2 * (options.size_deviation**2 + sizes.variance + (deviation**2).sum(axis=1))
         # The mean stays the apparent depth: drawing it towards 0, as a normal prior would, turns every view the same
         # way and cost 3 degrees in the median on captured dancers.
         mean, variance = apparent, variance * noise / (variance + noise)

@@ -174,6 +174,17 @@ def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path:
     np.testing.assert_allclose(weight, 1.0)
 
 
+def test_a_take_is_not_lifted_with_a_basis_that_was_learned_from_it(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    annotations, _ = put_annotations(store, "salon")
+    own = [store.manifest(ref) for ref in run(priors, store, {"poses": [put_take(store, "waltz", is_prior=True)]})]
+    (ref,) = run(views, store, {"annotations": [annotations], "torso_basis": own})
+    manifest = store.manifest(ref)
+    assert manifest.facts["learned_takes"] == []
+    assert manifest.facts["torso_basis"] == "body proportions"
+    assert [one.key for one in manifest.inputs] == [annotations.ref.key]
+
+
 def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> None:
     store = Store(tmp_path)
     annotations, _ = put_annotations(store, "solo", persons=1)

@@ -113,6 +113,18 @@ def test_a_smaller_partner_is_not_taken_for_a_farther_one() -> None:
     assert np.median(heights[:, 1] / heights[:, 0]) == pytest.approx(0.85, rel=0.05)
 
 
+def test_one_camera_alone_does_not_make_the_nearer_person_the_larger() -> None:
+    pose = standing()
+    pairs = np.stack([np.stack([pose, pose + np.array([0.3, 0, -0.5 + 0.01 * step])]) for step in range(60)])
+    view = frame_take(pairs, pairs[:, :, 0], distance_m=4.0, yaw_rad=0.0, pitch_rad=0.1)
+    px = view.camera.project(pairs).px
+    truth = true_direction(pairs, view.camera)
+    one = estimate_views(px, BASIS, camera_index=np.zeros(60, dtype=np.int64))
+    assert one.size_ratio == pytest.approx(1.0, abs=0.02)
+    assert np.rad2deg(np.median(view_accuracy(one, truth).best_rad)) < 12
+    assert abs(estimate_views(px, BASIS).size_ratio - 1.0) > 0.04
+
+
 def test_annotations_without_a_torso_have_no_view_and_no_trust() -> None:
     px, _ = filmed(dancers(5, 6), 7)
     px[2, 1] = np.nan

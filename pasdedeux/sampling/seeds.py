@@ -19,11 +19,11 @@ __all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
 Array = npt.NDArray[np.float64]
 
 CLOSE_SHARE = 0.25
-"""Share of the frames, those with the smallest gap, that count as close interaction."""
+"""Share of a take's frames, those with the smallest gap, that count as close interaction."""
 SOUND_SHARE = 0.5
 """Share of the close frames, those with the least violation of the prior, that may become seeds."""
-LEAST_POOL = 64
-"""Frames that stay in the choice however few are close and sound."""
+LEAST_POOL = 16
+"""Frames of a take that stay in the choice however few are close and sound."""
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,20 @@ def choose_seeds(
 
     Asking for more seeds keeps the first ones.
 
-    Of the frames with positive prior those with the smallest gap are kept, of these the ones that violate the prior
-    least; the first seed is the soundest, each next one the frame farthest in D_C from all chosen, taking turns over
-    the takes.
+    Of each take's frames with positive prior those with the smallest gap are kept, of these the ones that violate the
+    prior least; the first seed is the soundest of all, each next one the frame farthest in D_C from all chosen, taking
+    turns over the takes.
 
     Raises:
         InputError: There are fewer frames to choose from than seeds asked for.
     """
     possible = np.flatnonzero(quality.is_possible & np.isfinite(quality.violation_m2))
-    close = _least(possible, quality.gap_m, max(int(CLOSE_SHARE * len(possible)), 2 * LEAST_POOL))
-    pool = _least(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), LEAST_POOL))
+    pools = []
+    for take in np.unique(take_index[possible]):
+        own = possible[take_index[possible] == take]
+        close = _least(own, quality.gap_m, max(int(CLOSE_SHARE * len(own)), 2 * LEAST_POOL))
+        pools.append(_least(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), LEAST_POOL)))
+    pool = np.concatenate(pools) if pools else possible
     if len(pool) < num_seeds:
         raise InputError(
             f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames will do: close to each "

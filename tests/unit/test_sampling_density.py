@@ -20,9 +20,11 @@ from pasdedeux.sampling import (
     PhysicalPrior,
     ViewBank,
     build_bank,
+    choose_seeds,
     gather_pairs,
     gauge_fix,
     plain_log_likelihood,
+    seed_quality,
 )
 from pasdedeux.sampling.kernels import pair_axes
 from pasdedeux.sampling.parameters import (
@@ -328,3 +330,16 @@ def test_fewer_annotations_than_candidates_are_all_used() -> None:
     assert list(bank.counts) == [3, 3, 3, 3]
     match = InteractionLikelihood(pairs, bank).match(random_pairs(rng, 1)[0])
     assert np.isfinite(match.log_likelihood)
+
+
+def test_seeds_take_turns_over_the_takes_and_lie_apart() -> None:
+    pairs = random_pairs(np.random.default_rng(18), 90, spread_rad=0.1)
+    take_index = np.repeat([0, 1, 2], 30)
+    quality = seed_quality(pairs, LIMITS)
+    chosen = choose_seeds(pairs, take_index, quality, 6)
+    assert sorted(take_index[chosen]) == [0, 0, 1, 1, 2, 2]
+    assert len(set(chosen)) == 6
+    assert quality.is_possible[chosen].all()
+    np.testing.assert_array_equal(choose_seeds(pairs, take_index, quality, 3), chosen[:3])
+    with pytest.raises(InputError, match="200 seeds were asked for"):
+        choose_seeds(pairs, take_index, quality, 200)

@@ -83,8 +83,8 @@ def fetch_cmu(
 ) -> Iterator[Fetched]:
     """Bring skeleton and takes of each subject into a folder, file by file.
 
-    A file that is there and can be read is left alone.  A download that was cut off goes on from its `.part` file; a file
-    gets its name only when it is whole and has been parsed.
+    A file that is there and can be read is left alone.  A download that was cut off goes on from its `.part` file; it
+    gets the name of the file only when it is whole and has been parsed.
 
     Args:
         subjects: Numbers of subjects, such as "60".

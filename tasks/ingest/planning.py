@@ -99,7 +99,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
         for name, tables in parameters.mappings.items()
         if name in {person.layout for person in people}
     }
-    credit = credit_of(people[0].layout, take.files[0].parent.name or take.id, take.licence, take.credit)
+    credit = credit_of(people[0].layout, take.licence, take.credit)
     return Shard(
         stage="ingest",
         version=VERSION,

@@ -52,6 +52,7 @@ DUET_CREDIT = SourceCredit(
     name="pasdedeux built-in duets", licence="Apache-2.0", credit="Closed-form choreography of the pasdedeux package"
 )
 NOT_STATED = "not stated"
+OWN_FILES = "files given in the study"
 LEAST_UNIT_SURENESS = 0.3
 
 
@@ -174,13 +175,13 @@ def read_person(kind: str, data: bytes, skeleton: bytes | None) -> SourceMotion:
     return read_positions_npz(data).to_source_motion()
 
 
-def credit_of(layout: str, name: str, licence: str | None, credit: str | None) -> SourceCredit:
+def credit_of(layout: str, licence: str | None, credit: str | None) -> SourceCredit:
     """Give licence and credit of a take: what the study says, else what is known of the source."""
     is_cmu = layout.startswith("cmu_")
     if is_cmu and licence is None and credit is None:
         return CMU_CREDIT
     return SourceCredit(
-        name=CMU_CREDIT.name if is_cmu else name,
+        name=CMU_CREDIT.name if is_cmu else OWN_FILES,
         licence=licence or (CMU_CREDIT.licence if is_cmu else NOT_STATED),
         credit=credit or (CMU_CREDIT.credit if is_cmu else NOT_STATED),
     )

@@ -1,0 +1,262 @@
+"""A study to start from: written for given files, with what their content tells and how sure that is, as comments."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats import (
+    MotionGuess,
+    SourceMotion,
+    guess_format,
+    guess_motion,
+    read_amc,
+    read_asf,
+    read_bvh,
+    read_coco,
+    read_openpose_frame,
+    read_positions_npz,
+)
+
+__all__ = ["new_study", "write_new_study"]
+
+MOTION_KINDS = frozenset({"bvh", "amc", "positions_npz"})
+ANNOTATION_KINDS = frozenset({"openpose", "coco", "annotation_csv", "annotation_npz"})
+SURE, LIKELY, BELIEVED = 0.9, 0.5, 0.3
+USUAL_HEIGHT_M = 1.7
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A given file or folder: what it is, and for a motion what can be told of it."""
+
+    path: Path
+    kind: str
+    num_frames: int = 0
+    guess: MotionGuess | None = None
+    note: str = ""
+
+
+def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
+    """Write a commented study to a new file and give its text.
+
+    Raises:
+        InputError: The file is there already, a source cannot be read, or nothing can be written there.
+    """
+    if path.exists():
+        raise InputError(f"{path} is there already; choose another name or remove it")
+    text = new_study(_identifier(path.stem), files, base=path.parent)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+    return text
+
+
+def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> str:
+    """Give the text of a study over these files; over the built-in duets without any.
+
+    Motion files are taken as pairs when there are two, or when take and length match (60_01 with 61_01); ASF files serve the AMC files beside them; folders are looked through.
+
+    Args:
+        name: Name of the study.
+        files: Motion files, files of 2D poses, or folders of either.
+        base: Folder that the study will lie in; paths inside it are written relative to it.
+
+    Raises:
+        InputError: A file does not exist or is none of the known formats.
+    """
+    sources = [source for path in _spread(files) for source in _look_at(path)]
+    motions = [source for source in sources if source.kind in MOTION_KINDS]
+    annotations = [source for source in sources if source.kind in ANNOTATION_KINDS]
+    lines = [
+        "# A study: what comes in, and what is made of it.  Everything not said here has its default;",
+        "# `pasdedeux plan` shows what a run would do, `pasdedeux run` does it.",
+        "# Lines that start with # are notes, and settings to be switched on by removing it.",
+        "",
+        "[study]",
+        f"name = {_quoted(name)}",
+        f"title = {_quoted(name)}",
+        "seed = 1",
+        "",
+        "[ingest]",
+        "rate_hz = 30            # frame rate of all poses of the study",
+    ]
+    takes = _pair_up(motions)
+    if takes:
+        lines.append(f"# held_out = [{_quoted(next(iter(takes)))}]   # takes kept for evaluation, never learned from")
+    if not sources:
+        lines += [
+            "# Without sources a study gets the built-in duets: waltz, hug, judo, push_hands.",
+            "# [[ingest.takes]]",
+            '# id = "dance"',
+            '# files = ["a.bvh", "b.bvh"]',
+        ]
+    for take_id, people in takes.items():
+        lines += ["", *_take(take_id, people, base)]
+    for source in annotations:
+        lines += ["", *_annotations(source, base)]
+    lines += [
+        "",
+        "[ingest.virtual_video]  # virtual cameras that see the takes",
+        "num_videos = 1          # cameras that see each whole take",
+        "num_random_views = 100  # annotated pairs from random views, of each take that is not held out",
+        "distance_m = 4.0",
+        "noise_px = 1.0          # for a person 600 px tall",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _spread(files: Sequence[Path]) -> list[Path]:
+    """Give the files, folders of motion files replaced by what lies in them; a folder of JSON stays one source."""
+    found: list[Path] = []
+    for path in files:
+        if not path.exists():
+            raise InputError(f"file {path} does not exist")
+        if path.is_dir() and not any(item.suffix.lower() == ".json" for item in path.iterdir()):
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in {".bvh", ".amc", ".npz", ".csv"})
+            if not inside:
+                raise InputError(f"folder {path} holds no motion or keypoint files")
+            found += inside
+        else:
+            found.append(path)
+    return list(dict.fromkeys(found))
+
+
+def _look_at(path: Path) -> list[_Source]:
+    """Tell what a file is and what its content says."""
+    try:
+        if path.is_dir():
+            names = sorted(item for item in path.iterdir() if item.suffix.lower() == ".json")
+            read_openpose_frame(names[0].read_bytes())
+            return [_Source(path=path, kind="openpose", num_frames=len(names), note=f"{len(names)} frames of OpenPose")]
+        data = path.read_bytes()
+        kind = guess_format(data)
+        if kind == "asf":
+            return []
+        if kind == "openpose":
+            raise InputError("a single OpenPose file is one frame; give the folder")
+        if kind == "rotation_rows":
+            raise InputError("rows of rotations need their BVH template; see `skeleton` under [[ingest.takes]]")
+        if kind not in MOTION_KINDS:
+            note = {"coco": "COCO keypoints"}.get(kind, "table of keypoints")
+            if kind == "coco":
+                note = f"{note}, {read_coco(data, sequence_id=_identifier(path.stem)).num_rows} people"
+            return [_Source(path=path, kind=kind, note=note)]
+        motion = _read_motion(kind, path, data)
+        return [_Source(path=path, kind=kind, num_frames=motion.num_frames, guess=guess_motion(motion))]
+    except InputError as error:
+        raise type(error)(f"{path.name}: {error}") from None
+    except OSError as error:
+        raise InputError(f"file {path} cannot be read: {error.strerror}") from None
+
+
+def _read_motion(kind: str, path: Path, data: bytes) -> SourceMotion:
+    if kind == "bvh":
+        return read_bvh(data)
+    if kind == "positions_npz":
+        return read_positions_npz(data).to_source_motion()
+    skeleton = path.with_name(path.stem.rpartition("_")[0] + ".asf")
+    if not skeleton.is_file():
+        raise InputError(f"its skeleton {skeleton.name} is not beside it")
+    return read_amc(data, read_asf(skeleton.read_bytes()))
+
+
+def _pair_up(motions: Sequence[_Source]) -> dict[str, list[_Source]]:
+    """Give takes of one or two files: two files in all, or equally long ones of one take."""
+    if len(motions) == 2:
+        return {_identifier(motions[0].path.stem): list(motions)}
+    takes: dict[str, list[_Source]] = {}
+    open_takes: dict[tuple[Path, str], str] = {}
+    for source in motions:
+        subject, _, take = source.path.stem.rpartition("_")
+        key = (source.path.parent, take)
+        partner = takes[open_takes[key]] if key in open_takes else []
+        if subject and len(partner) == 1 and partner[0].num_frames == source.num_frames:
+            partner.append(source)
+            continue
+        take_id = _identifier(source.path.stem)
+        while take_id in takes:
+            take_id += "_2"
+        takes[take_id] = [source]
+        if subject:
+            open_takes[key] = take_id
+    return takes
+
+
+def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[str]:
+    files = ", ".join(_quoted(_shown(source.path, base)) for source in people)
+    lines = ["[[ingest.takes]]", f"id = {_quoted(take_id)}", f"files = [{files}]"]
+    first = people[0].guess
+    assert first is not None
+    lengths = [source.num_frames for source in people]
+    if len(set(lengths)) > 1:
+        lines.append(f'on_unequal = "trim"      # the files have {" and ".join(map(str, lengths))} frames')
+    if first.layout is None:
+        lines.append("# layout: its joints fit no known layout; write one under [ingest.mappings]")
+    else:
+        lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
+    lines.append(f"up_axis = {_quoted(first.up_axis)}         # bodies stand along it: {_words(first.up_sureness)}")
+    if first.rate_hz is None:
+        lines.append("# rate_hz = 120       # the files state none; CMU: 120 Hz, subjects 60 and 61: 60 Hz")
+    else:
+        seconds = people[0].num_frames / first.rate_hz
+        lines.append(
+            f"rate_hz = {first.rate_hz:g}         # stated by the file; then it lasts {seconds:.1f} s - "
+            "files lie about this: compare with the video or a clock"
+        )
+    for source in people:
+        guess = source.guess
+        assert guess is not None
+        is_believed = guess.unit_sureness >= BELIEVED
+        unit = (
+            guess.metres_per_unit if is_believed else guess.metres_per_unit * USUAL_HEIGHT_M / (guess.height_m or 1.0)
+        )
+        why = f"{guess.unit_reason}, stature {guess.height_m:.2f} m: {_words(guess.unit_sureness)}"
+        if not is_believed:
+            why = f"{guess.unit_reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
+        lines += [
+            "[[ingest.takes.persons]]",
+            f"{'' if is_believed else '# '}metres_per_unit = {unit:.10g}   # {source.path.name}: {why}",
+        ]
+    return lines
+
+
+def _annotations(source: _Source, base: Path | None) -> list[str]:
+    return [
+        "[[ingest.annotations]]",
+        f"id = {_quoted(_identifier(source.path.stem))}",
+        f"path = {_quoted(_shown(source.path, base))}   # {source.note}",
+        f"format = {_quoted(source.kind)}",
+        "# rate_hz = 30",
+        "# image_size_px = [1920, 1080]",
+        '# on_unreadable = "skip"   # go on without damaged OpenPose files, and count them',
+    ]
+
+
+def _words(sureness: float) -> str:
+    if sureness >= SURE:
+        return "sure"
+    return "likely" if sureness >= LIKELY else "A GUESS - CHECK IT"
+
+
+def _shown(path: Path, base: Path | None) -> str:
+    """Give a path as the study should say it: relative inside its folder, else absolute."""
+    resolved = path.resolve()
+    folder = (base or Path()).resolve()
+    return resolved.relative_to(folder).as_posix() if resolved.is_relative_to(folder) else resolved.as_posix()
+
+
+def _identifier(text: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]", "_", text).lstrip("_-") or "study"
+
+
+def _quoted(text: str) -> str:
+    """Give a TOML basic string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

@@ -1,0 +1,440 @@
+"""Ingest end to end on small real files: tables, facts, leakage flags, sides, and bad input refused while planning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats import write_bvh
+from pasdedeux.formats.placement import place_motion
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import Shard, StageInputs
+from tests.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
+
+
+def planned(**section: Any) -> list[Shard]:
+    return STAGE.plan(StageInputs(manifests={}, seed=5), IngestParameters.model_validate(section))
+
+
+def run(store: Store, shards: list[Shard]) -> dict[tuple[str, str], Manifest]:
+    refs: dict[tuple[str, str], ArtifactRef] = {}
+    for shard in shards:
+        refs[shard.partition, shard.name] = STAGE.run_shard(shard, store)
+    return {key: store.manifest(ref) for key, ref in refs.items()}
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    """Give two BVH files: the figure, and a second person 1 m to its left that faces it."""
+    first, second = tmp_path / "60_01.bvh", tmp_path / "61_01.bvh"
+    motion = figure_motion(num_frames=40, rate_hz=60.0)
+    first.write_text(write_bvh(motion))
+    second.write_text(write_bvh(place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)))
+    return first, second
+
+
+def test_a_pair_becomes_takes_poses_annotations_and_cameras(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        takes=[{"id": "dance", "files": list(pair)}],
+        rate_hz=30.0,
+        virtual_video={"num_random_views": 6, "noise_px": 0.0},
+    )
+    assert [(shard.partition, shard.name) for shard in shards] == [
+        ("dance", "take"), ("dance", "video"), ("dance", "random_views"),
+    ]  # fmt: skip
+    assert all(shard.after == (shards[0].key,) for shard in shards[1:])
+    manifests = run(store, shards)
+    facts = manifests["dance", "take"].facts
+    assert facts["takes"] == ["dance"]
+    assert (facts["num_persons"], facts["num_frames"], facts["rate_hz"]) == (2, 20, 30.0)
+    assert facts["is_prior"]
+    assert not facts["is_held_out"]
+
+    ref = manifests["dance", "take"].ref
+    takes = store.read(ref, "takes")
+    assert list(takes["source_name"]) == ["60_01.bvh", "61_01.bvh"]
+    assert list(takes["layout"]) == ["body22"] * 2
+    np.testing.assert_allclose(takes["metres_per_unit"], 0.01)
+    poses = store.read(ref, "poses")
+    assert poses.num_rows == 40
+    expected, unitquat = figure_motion(num_frames=40, rate_hz=60.0).world()
+    np.testing.assert_allclose(poses["body22_m"][:20], expected[::2], atol=1e-5)
+    assert np.abs(np.abs((poses["body22_world_unitquat"][:20] * unitquat[::2]).sum(-1)) - 1).max() < 1e-5
+    np.testing.assert_allclose(poses["time_s"][:20], np.arange(20) / 30.0)
+
+    video = store.read(manifests["dance", "video"].ref, "annotations")
+    assert video.num_rows == 40
+    assert np.isfinite(video["pair17_px"]).all()
+    views = store.read(manifests["dance", "random_views"].ref, "annotations")
+    assert int(np.sum(views["is_key"])) == 6 * 2
+    assert views.num_rows == 6 * 5 * 2
+    assert manifests["dance", "random_views"].facts["purpose"] == "random_views"
+    assert manifests["dance", "random_views"].facts["num_frames"] == 6
+
+
+def test_virtual_video_shows_the_pose_through_its_stored_camera_unmirrored(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        takes=[{"id": "dance", "files": list(pair)}],
+        virtual_video={"num_random_views": 3, "noise_px": 0.0, "distance_m": 5.0},
+    )
+    manifests = run(store, shards)
+    poses = store.read(manifests["dance", "take"].ref, "poses")
+    for name in ("video", "random_views"):
+        ref = manifests["dance", name].ref
+        cameras, seen = store.read(ref, "cameras"), store.read(ref, "annotations")
+        by_id = {sequence: row for row, sequence in enumerate(cameras["sequence_id"])}
+        for row in range(0, seen.num_rows, 7):
+            camera = by_id[seen["sequence_id"][row]]
+            pose = np.flatnonzero(
+                (poses["person"] == seen["person_id"][row]) & (poses["frame"] == seen["take_frame"][row])
+            )[0]
+            for skeleton, column in ((PAIR17, "pair17"), (OP14, "op14")):
+                points = np.asarray(poses[f"{column}_m"][pose], dtype=np.float64) - cameras["camera_position_m"][camera]
+                x, y, z = (points @ cameras["camera_from_world_rotmat"][camera].T).T
+                u = cameras["principal_point_px"][camera][0] + cameras["focal_px"][camera] * x / -z
+                v = cameras["principal_point_px"][camera][1] - cameras["focal_px"][camera] * y / -z
+                np.testing.assert_allclose(seen[f"{column}_px"][row], np.stack([u, v], -1), atol=0.05)
+                head, ankle = skeleton.index("head"), skeleton.index("left_ankle")
+                assert seen[f"{column}_px"][row][head, 1] < seen[f"{column}_px"][row][ankle, 1]
+
+
+def test_the_two_skeletons_share_the_noise_of_their_common_joints(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        takes=[{"id": "d", "files": list(pair)}],
+        virtual_video={"num_random_views": 0, "noise_px": 5.0, "occlusion": 0.2},
+    )
+    seen = store.read(run(store, shards)["d", "video"].ref, "annotations")
+    for name in ("left_wrist", "right_knee"):
+        np.testing.assert_array_equal(seen["pair17_px"][:, PAIR17.index(name)], seen["op14_px"][:, OP14.index(name)])
+    is_missing = np.isnan(seen["pair17_px"]).any(axis=-1)
+    np.testing.assert_array_equal(is_missing, seen["pair17_confidence"] == 0)
+    assert 0.1 < is_missing.mean() < 0.3
+
+
+def test_results_are_the_same_whoever_computes_them(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video={"num_random_views": 4})
+    first = run(Store(tmp_path / "a"), shards)
+    again = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video={"num_random_views": 4})
+    assert [shard.key for shard in again] == [shard.key for shard in shards]
+    second = run(Store(tmp_path / "b"), [again[0], again[2], again[1]])
+    assert {k: m.ref.content_digest for k, m in first.items()} == {k: m.ref.content_digest for k, m in second.items()}
+
+
+def test_no_path_is_in_a_key(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    copies = [moved / path.name for path in pair]
+    for path, copy in zip(pair, copies, strict=True):
+        copy.write_bytes(path.read_bytes())
+    keys = [[s.key for s in planned(takes=[{"id": "d", "files": list(files)}])] for files in (pair, copies)]
+    assert keys[0] == keys[1]
+    copies[0].write_bytes(copies[0].read_bytes() + b"\n")
+    assert planned(takes=[{"id": "d", "files": copies}])[0].key != keys[0][0]
+
+
+def test_scales_ranges_order_and_placement_are_overridden_per_take_and_person(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        takes=[
+            {
+                "id": "d",
+                "files": list(pair),
+                "rate_hz": 30.0,
+                "frames": [10, 30],
+                "swap_persons": True,
+                "floor": "keep",
+                "persons": [{"metres_per_unit": 0.02}, {"metres_per_unit": 0.01, "translation_m": [0, 3, 0]}],
+            }
+        ],
+        virtual_video={"num_videos": 0, "num_random_views": 0},
+    )
+    manifest = run(store, shards)["d", "take"]
+    takes, poses = store.read(manifest.ref, "takes"), store.read(manifest.ref, "poses")
+    assert list(takes["source_name"]) == ["61_01.bvh", "60_01.bvh"]
+    np.testing.assert_allclose(takes["metres_per_unit"], [0.01, 0.02])
+    assert manifest.facts["num_frames"] == 20
+    first = place_motion(figure_motion(40, 60.0), translation_m=(1.0, 3.0, 0.0), yaw_rad=np.pi).world()[0][10:30]
+    second = 2.0 * figure_motion(40, 60.0).world()[0][10:30]
+    np.testing.assert_allclose(poses["body22_m"][:20], first, atol=1e-5)
+    np.testing.assert_allclose(poses["body22_m"][20:], second, atol=1e-5)
+
+
+def test_a_take_in_the_air_is_put_on_the_floor_and_one_on_the_floor_is_left(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    store = Store(tmp_path / "store")
+    quiet = {"num_videos": 0, "num_random_views": 0}
+    high = [{"translation_m": [0.0, 5.0, 0.0]}] * 2
+    feet = BODY22.indices(["left_toe", "right_toe", "left_ankle", "right_ankle"])
+    lowest = {}
+    for name, persons in (("low", []), ("high", high)):
+        shards = planned(takes=[{"id": name, "files": list(pair), "persons": persons}], virtual_video=quiet)
+        poses = store.read(run(store, shards)[name, "take"].ref, "poses")
+        lowest[name] = poses["body22_m"][:, feet, 1].min()
+    assert lowest["low"] == pytest.approx(figure_motion(40, 60.0).world()[0][:, feet, 1].min(), abs=1e-5)
+    assert abs(lowest["high"]) < 0.02
+
+
+def test_z_up_files_come_out_standing(tmp_path: Path) -> None:
+    motion = figure_motion(20)
+    lines = write_bvh(motion).split("\n")
+    # The same motion with its axes renamed x -> y -> z -> x is right-handed and z-up.
+    start = lines.index("MOTION") + 3
+    for index, line in enumerate(lines):
+        words = line.split()
+        if words[:1] == ["OFFSET"]:
+            lines[index] = f"OFFSET {words[3]} {words[1]} {words[2]}"
+        elif words[:1] == ["CHANNELS"]:
+            renamed = {"Xp": "Yp", "Yp": "Zp", "Zp": "Xp", "Xr": "Yr", "Yr": "Zr", "Zr": "Xr"}
+            lines[index] = " ".join([*words[:2], *(renamed[word[:2]] + word[2:] for word in words[2:])])
+    assert start < len(lines)
+    path = tmp_path / "z.bvh"
+    path.write_text("\n".join(lines))
+    store = Store(tmp_path / "store")
+    shards = planned(takes=[{"id": "z", "files": [path]}], virtual_video={"num_videos": 0})
+    manifest = run(store, shards)["z", "take"]
+    assert list(store.read(manifest.ref, "takes")["up_axis"]) == ["z"]
+    found = store.read(manifest.ref, "poses")["body22_m"]
+    expected = motion.world()[0]
+    head, ankle, left, right = BODY22.indices(["head", "left_ankle", "left_hip", "right_hip"])
+    assert (found[:, head, 1] > found[:, ankle, 1] + 1).all()
+    # Not mirrored: all distances and one signed volume agree.
+    volume = [np.linalg.det(p[0][[head, left, ankle]] - p[0][right]) for p in (found, expected)]
+    assert volume[0] == pytest.approx(volume[1], rel=1e-3)
+
+
+def test_held_out_takes_have_no_random_views_and_are_no_prior(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    shards = planned(
+        takes=[{"id": "a", "files": list(pair)}, {"id": "b", "files": list(pair)}], held_out=["b"],
+    )  # fmt: skip
+    names = [(shard.partition, shard.name) for shard in shards]
+    assert ("a", "random_views") in names
+    assert ("b", "random_views") not in names
+    manifests = run(Store(tmp_path / "store"), [shard for shard in shards if shard.partition == "b"])
+    assert manifests["b", "take"].facts["is_held_out"]
+    assert not manifests["b", "take"].facts["is_prior"]
+    assert manifests["b", "video"].facts["is_held_out"]
+    assert manifests["b", "video"].facts["takes"] == ["b"]
+
+
+def test_a_study_that_names_nothing_gets_the_built_in_duets_and_others_do_not(pair: tuple[Path, Path]) -> None:
+    parameters = IngestParameters()
+    assert [duet.name for duet in parameters.resolved_duets()] == ["waltz", "hug", "judo", "push_hands"]
+    assert IngestParameters.model_validate({"takes": [{"id": "d", "files": list(pair)}]}).resolved_duets() == ()
+
+
+def test_a_duet_becomes_a_take(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        duets=[{"name": "waltz", "duration_s": 1.0, "variation": 2}], virtual_video={"num_random_views": 2}
+    )
+    manifests = run(store, shards)
+    manifest = manifests["waltz_2", "take"]
+    assert manifest.facts["num_frames"] == 30
+    assert list(store.read(manifest.ref, "takes")["source_format"]) == ["duet"] * 2
+    assert manifests["waltz_2", "random_views"].sources == manifest.sources
+    assert manifest.sources[0].licence == "Apache-2.0"
+
+
+def test_families_of_files_are_paired_by_name(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    section = {"folder": tmp_path, "subjects": ["60", "61"], "takes": ["01"], "rate_hz": 60.0}
+    shards = planned(pairs={"salsa": section})
+    assert shards[0].parameters["take_id"] == "60_01"
+    assert [person["source_name"] for person in shards[0].parameters["persons"]] == ["60_01.bvh", "61_01.bvh"]
+    with pytest.raises(InputError, match=r"file 60_02.bvh or 60_02.amc does not exist in"):
+        planned(pairs={"salsa": section | {"takes": ["02"]}})
+
+
+def test_amc_files_find_their_skeleton_and_rate(tmp_path: Path) -> None:
+    (tmp_path / "60_01.amc").write_text(AMC)
+    with pytest.raises(InputError, match=r"take t: 60_01.amc: its skeleton 60.asf is not beside it"):
+        planned(takes=[{"id": "t", "files": [tmp_path / "60_01.amc"]}])
+    (tmp_path / "60.asf").write_text(ASF)
+    with pytest.raises(InputError, match="its joints fit none of the known layouts"):
+        planned(takes=[{"id": "t", "files": [tmp_path / "60_01.amc"]}])
+
+
+def test_positions_without_rotations_are_flagged(tmp_path: Path) -> None:
+    path = tmp_path / "p.npz"
+    path.write_bytes(positions_npz())
+    store = Store(tmp_path / "store")
+    manifest = run(store, planned(takes=[{"id": "p", "files": [path]}]))["p", "take"]
+    assert list(store.read(manifest.ref, "takes")["is_position_only"]) == [True]
+
+
+def write_openpose(folder: Path, count: int = 6) -> None:
+    folder.mkdir()
+    for frame in range(count):
+        (folder / f"w_{frame:012d}_keypoints.json").write_text(
+            openpose_text("coco18", people=2, seed=frame, missing=(4,))
+        )
+
+
+def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    (tmp_path / "c.json").write_text(coco_text())
+    (tmp_path / "t.csv").write_text(csv_text())
+    store = Store(tmp_path / "store")
+    shards = planned(
+        annotations=[
+            {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "licence": "mine", "credit": "me"},
+            {"id": "coco", "path": tmp_path / "c.json"},
+            {"id": "table", "path": tmp_path / "t.csv"},
+        ]
+    )
+    manifests = run(store, shards)
+    walk = manifests["walk", "annotations"]
+    assert walk.facts["purpose"] == "given"
+    assert walk.facts["takes"] == []
+    assert (walk.facts["num_frames"], walk.facts["num_persons"]) == (6, 2)
+    assert walk.sources[0].licence == "mine"
+    rows = store.read(walk.ref, "annotations")
+    assert rows.num_rows == 12
+    assert np.isnan(rows["op14_px"][:, OP14.index("right_wrist")]).all()
+    assert (rows["op14_confidence"][:, OP14.index("right_wrist")] == 0).all()
+    np.testing.assert_allclose(rows["time_s"][-1], 5 / 25.0)
+    assert manifests["table", "annotations"].facts["rate_hz"] == 25.0
+    coco = store.read(manifests["coco", "annotations"].ref, "annotations")
+    assert set(coco["layout"]) == {"coco17"}
+
+
+def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    bad = tmp_path / "walk" / "w_000000000003_keypoints.json"
+    bad.write_text(bad.read_text()[:40])
+    section = {"id": "walk", "path": tmp_path / "walk"}
+    with pytest.raises(FormatError, match=r"annotations walk: w_000000000003_keypoints.json: .*on_unreadable"):
+        planned(annotations=[section])
+    shards = planned(annotations=[section | {"on_unreadable": "skip"}])
+    manifest = run(Store(tmp_path / "store"), shards)["walk", "annotations"]
+    assert manifest.facts["num_skipped_frames"] == 1
+    assert manifest.facts["skipped_files"] == [bad.name]
+    assert manifest.facts["num_frames"] == 5
+
+
+def test_a_wrong_layout_is_refused_while_planning(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    with pytest.raises(InputError, match="annotations walk: .*'body25' is asked for, but the files have 18"):
+        planned(annotations=[{"id": "walk", "path": tmp_path / "walk", "layout": "body25"}])
+
+
+def spoil(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("Frames: 40", "Frames: 41", "take d: 61_01.bvh: line .* the file ends after 40 of 41 frames"),
+        ("JOINT head", "JOINT skull", "take d: 61_01.bvh: its joints fit none of the known layouts"),
+        (
+            "OFFSET 27.000000 0.000000 0.000000",
+            "OFFSET 0.0 0.0 0.0",
+            "from 'left_shoulder' to 'left_elbow' of 'pair17'",
+        ),
+        ("Frame Time: 0.016666666666666666", "Frame Time: 0.02", "different frame rates, 60 and 50 Hz; set rate_hz"),
+        ("95.000000", "nan", "take d: 61_01.bvh: line .*Yposition of 'pelvis': 'nan' is not a finite number"),
+    ],
+)
+def test_bad_files_are_refused_while_planning(pair: tuple[Path, Path], old: str, new: str, sentence: str) -> None:
+    spoil(pair[1], old, new)
+    with pytest.raises(InputError, match=sentence):
+        planned(takes=[{"id": "d", "files": list(pair)}])
+
+
+def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    pair[1].write_text(write_bvh(figure_motion(num_frames=30, rate_hz=60.0)))
+    section = {"id": "d", "files": list(pair)}
+    with pytest.raises(InputError, match=r"take d: .*\(60_01.bvh 40 and 61_01.bvh 30 frames\)"):
+        planned(takes=[section])
+    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters["num_frames"] == 30
+    with pytest.raises(InputError, match="frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
+        planned(takes=[section | {"frames": [0, 35]}])
+
+
+def test_a_missing_file_and_an_unclear_unit_are_named(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    with pytest.raises(InputError, match=r"take d: file .*nothing.bvh does not exist"):
+        planned(takes=[{"id": "d", "files": [tmp_path / "nothing.bvh"]}])
+    strange = tmp_path / "strange.bvh"
+    strange.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
+    with pytest.raises(InputError, match="its length unit cannot be told .*set metres_per_unit"):
+        planned(takes=[{"id": "d", "files": [strange]}])
+
+
+@pytest.mark.parametrize(
+    ("section", "sentence"),
+    [
+        ({"held_out": ["waltzz"]}, "'waltzz' is not a take of this study; did you mean 'waltz'"),
+        ({"duets": [{"name": "waltz"}, {"name": "waltz"}]}, "two takes are named 'waltz'"),
+        (
+            {"duets": [{"name": "waltz"}], "held_out": ["waltz"], "prior": ["waltz"]},
+            "is held out and cannot be a prior",
+        ),
+        ({"duetts": []}, "Extra inputs are not permitted"),
+        ({"takes": [{"id": "a/b", "files": ["x"]}]}, "should match pattern"),
+        ({"takes": [{"id": "a", "files": ["x"], "frames": [5, 5]}]}, "one past the last"),
+    ],
+)
+def test_parameters_that_do_not_fit_are_refused(section: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValidationError, match=sentence):
+        IngestParameters.model_validate(section)
+
+
+def test_an_unknown_duet_is_named() -> None:
+    with pytest.raises(InputError, match="duet 'tango' is not known; known duets: waltz"):
+        planned(duets=[{"name": "tango"}])
+
+
+def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    shards = planned(takes=[{"id": "d", "files": list(pair)}])
+    pair[0].write_text(pair[0].read_text() + "\n")
+    with pytest.raises(InputError, match=r"60_01.bvh changed since the run was planned"):
+        STAGE.run_shard(shards[0], Store(tmp_path / "store"))
+
+
+@pytest.mark.slow
+def test_salsa_stands_on_the_floor_face_to_face(tmp_path: Path, data_dir: Path) -> None:
+    store = Store(tmp_path / "store")
+    shards = planned(
+        pairs={
+            "salsa": {
+                "folder": data_dir / "cmu_salsa_bvh",
+                "subjects": ["60", "61"],
+                "takes": ["10"],
+                "rate_hz": 60.0,
+                "persons": [{"metres_per_unit": 1.263}, {"metres_per_unit": 1.191}],
+            }
+        },
+        virtual_video={"num_random_views": 20},
+    )
+    manifests = run(store, shards)
+    assert "mocap.cs.cmu.edu" in manifests["60_10", "video"].sources[0].credit
+    poses = store.read(manifests["60_10", "take"].ref, "poses")
+    body = poses["body22_m"].reshape(2, -1, 22, 3)
+    feet = body[:, :, BODY22.indices(["left_toe", "right_toe"]), 1].min(axis=-1)
+    assert (np.percentile(feet, 5, axis=1) > -0.02).all()
+    assert (np.percentile(feet, 5, axis=1) < 0.06).all()
+    apart = np.linalg.norm(body[0, :, 0] - body[1, :, 0], axis=-1)
+    assert apart.min() > 0.15
+    assert apart.max() < 3.0
+    left, right = (body[:, :, BODY22.index(f"{side}_hip")] for side in ("left", "right"))
+    forward = np.cross(left - right, [0.0, 1.0, 0.0])
+    towards = body[::-1, :, 0] - body[:, :, 0]
+    # Partners look at each other most of the time.
+    assert ((forward * towards).sum(-1) > 0).mean() > 0.6

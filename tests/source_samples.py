@@ -1,0 +1,238 @@
+"""Small files of every format that ingest reads, and an asymmetric figure that betrays mirroring."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+
+from pasdedeux.formats import write_bvh
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import unitquat_from_rotvec
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+
+FIGURE_REST_M = {
+    "pelvis": (0.0, 0.95, 0.0),
+    "spine1": (0.0, 1.05, 0.0),
+    "spine2": (0.0, 1.17, 0.0),
+    "spine3": (0.0, 1.3, 0.0),
+    "neck": (0.0, 1.45, 0.0),
+    "head": (0.0, 1.6, 0.0),
+    "left_hip": (0.09, 0.88, 0.0),
+    "left_knee": (0.09, 0.48, 0.01),
+    "left_ankle": (0.09, 0.08, 0.0),
+    "left_toe": (0.1, 0.03, 0.13),
+    "right_hip": (-0.09, 0.88, 0.0),
+    "right_knee": (-0.09, 0.48, 0.01),
+    "right_ankle": (-0.09, 0.08, 0.0),
+    "right_toe": (-0.1, 0.03, 0.13),
+    "left_collar": (0.06, 1.4, 0.0),
+    "left_shoulder": (0.17, 1.41, 0.0),
+    "left_elbow": (0.44, 1.41, 0.0),
+    "left_wrist": (0.69, 1.41, 0.0),
+    "right_collar": (-0.06, 1.4, 0.0),
+    "right_shoulder": (-0.17, 1.41, 0.0),
+    "right_elbow": (-0.44, 1.41, 0.0),
+    "right_wrist": (-0.69, 1.41, 0.0),
+}
+"""A standing person facing +Z, arms out; its own left is +X."""
+
+
+def figure_motion(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) -> Motion:
+    """Give a person who lifts the left arm and knee, looks to the left, turns and walks: nothing of it is symmetric."""
+    rest = np.array([FIGURE_REST_M[name] for name in BODY22.joint_names])
+    offsets = np.array([rest[j] - rest[p] if p >= 0 else np.zeros(3) for j, p in enumerate(BODY22.parents)])
+    rng = np.random.default_rng(seed)
+    rotvec = rng.normal(0.0, 0.15, (1, BODY22.num_joints, 3)) + np.zeros((num_frames, 1, 1))
+    phase = np.linspace(0.0, 1.0, num_frames)
+    rotvec[:, BODY22.index("left_shoulder"), 2] += 0.9 * phase
+    rotvec[:, BODY22.index("left_hip"), 0] -= 0.7 * phase
+    rotvec[:, BODY22.index("neck"), 1] += 0.6
+    rotvec[:, BODY22.index("pelvis"), 1] += 0.8 * phase
+    root = np.stack([0.3 * phase, 0.95 + 0.0 * phase, 0.5 * phase], axis=-1)
+    return Motion(
+        skeleton=BODY22,
+        rest_offsets_m=offsets,
+        root_translation_m=root,
+        local_unitquat=unitquat_from_rotvec(rotvec),
+        rate_hz=rate_hz,
+    )
+
+
+def bvh_text(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) -> str:
+    """Give the figure as BVH in centimetres."""
+    return write_bvh(figure_motion(num_frames, rate_hz, seed))
+
+
+BVH_SMALL = """HIERARCHY
+ROOT Hips
+{
+\tOFFSET 0.0 0.0 0.0
+\tCHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+\tJOINT Spine
+\t{
+\t\tOFFSET 0.0 10.0 0.0
+\t\tCHANNELS 3 Zrotation Xrotation Yrotation
+\t\tEnd Site
+\t\t{
+\t\t\tOFFSET 0.0 5.0 1.0
+\t\t}
+\t}
+\tJOINT LeftUpLeg
+\t{
+\t\tOFFSET 3.0 0.0 0.0
+\t\tCHANNELS 1 Xrotation
+\t\tEnd Site
+\t\t{
+\t\t\tOFFSET 0.0 -8.0 0.0
+\t\t}
+\t}
+}
+MOTION
+Frames: 3
+Frame Time: 0.008333
+1.0 2.0 3.0 0 0 0 0 0 0 0
+1.5 2.0 3.0 90 0 0 0 0 0 90
+2.0 2.0 3.0 10 20 30 40 50 60 70
+"""
+
+ASF = """# a small skeleton
+:version 1.10
+:name TEST
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:documentation
+   nothing
+:root
+   order TX TY TZ RX RY RZ
+   axis XYZ
+   position 0 0 0
+   orientation 0 0 0
+:bonedata
+  begin
+     id 1
+     name lowerback
+     direction 0 1 0
+     length 2.0
+     axis 0 0 0  XYZ
+    dof rx ry rz
+    limits (-20.0 45.0)
+           (-30.0 30.0)
+           (-30.0 30.0)
+  end
+  begin
+     id 2
+     name lhipjoint
+     direction 1 0 0
+     length 1.5
+     axis 0 0 0 XYZ
+  end
+  begin
+     id 3
+     name lfemur
+     direction 0.34202 -0.939693 0
+     length 7.0
+     axis 0 0 20  XYZ
+    dof rx ry rz
+    limits (-160.0 20.0)
+           (-70.0 70.0)
+           (-60.0 70.0)
+  end
+  begin
+     id 4
+     name ltibia
+     direction 0.34202 -0.939693 0
+     length 7.2
+     axis 0 0 20 XYZ
+    dof rx
+    limits (-10.0 170.0)
+  end
+:hierarchy
+  begin
+    root lowerback lhipjoint
+    lhipjoint lfemur
+    lfemur ltibia
+  end
+"""
+
+AMC = """#!OML:ASF
+:FULLY-SPECIFIED
+:DEGREES
+1
+root 1 2 3 0 0 0
+lowerback 0 0 0
+lfemur 0 0 0
+ltibia 0
+2
+root 1 2 3.5 0 90 0
+lowerback 10 0 0
+lfemur -90 0 0
+ltibia 45
+"""
+
+
+def openpose_text(layout: str = "coco18", *, people: int = 1, seed: int = 0, missing: tuple[int, ...] = ()) -> str:
+    """Give one OpenPose frame of plausible people; `missing` keypoints are (0, 0, 0)."""
+    found = []
+    for person in range(people):
+        px = person_px(layout, seed=seed) + np.array([300.0 * person, 0.0])
+        rows = np.concatenate([px, np.full((len(px), 1), 0.9)], axis=1)
+        rows[list(missing)] = 0.0
+        found.append({"person_id": [-1], "pose_keypoints_2d": rows.round(3).reshape(-1).tolist()})
+    return json.dumps({"version": 1.3, "people": found})
+
+
+_PERSON_PX = {
+    "nose": (100, 60), "neck": (100, 90), "head": (100, 60), "pelvis": (100, 190), "mid_hip": (100, 190),
+    "spine": (100, 157), "chest": (100, 123),
+    "left_eye": (105, 55), "right_eye": (95, 55), "left_ear": (112, 60), "right_ear": (88, 60),
+    "left_shoulder": (122, 92), "left_elbow": (135, 130), "left_wrist": (150, 100),
+    "right_shoulder": (78, 92), "right_elbow": (70, 132), "right_wrist": (66, 170),
+    "left_hip": (112, 190), "left_knee": (120, 245), "left_ankle": (118, 300),
+    "right_hip": (88, 190), "right_knee": (84, 248), "right_ankle": (82, 302),
+    "left_big_toe": (126, 312), "left_small_toe": (132, 310), "left_heel": (116, 308),
+    "right_big_toe": (74, 314), "right_small_toe": (68, 312), "right_heel": (84, 310),
+}  # fmt: skip
+"""Someone who faces the camera: the left side is on the image's right; the left hand is raised."""
+
+
+def person_px(layout: str, seed: int = 0) -> np.ndarray:
+    """Give the keypoints (K, 2) of a person who faces the camera, with a little noise."""
+    names = KEYPOINT_LAYOUTS[layout].keypoint_names
+    exact = np.array([_PERSON_PX[name] for name in names], dtype=np.float64)
+    return exact + np.random.default_rng(seed).normal(0.0, 1.0, exact.shape)
+
+
+def coco_text(num_frames: int = 3, people: int = 2) -> str:
+    """Give COCO annotations; the right wrist of everybody is not labelled."""
+    names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
+    annotations = []
+    for frame in range(num_frames):
+        for person in range(people):
+            rows = np.concatenate([person_px("coco17", seed=frame), np.full((17, 1), 2.0)], axis=1)
+            rows[names.index("right_wrist")] = 0
+            rows[names.index("left_wrist"), 2] = 1
+            annotations.append({"image_id": 10 + frame, "keypoints": rows.round(2).reshape(-1).tolist()})
+    images = [{"id": 10 + frame, "width": 640, "height": 480, "file_name": "x"} for frame in range(num_frames)]
+    return json.dumps({"images": images, "annotations": annotations})
+
+
+def csv_text(num_frames: int = 3) -> str:
+    """Give our table of annotations of one person in pair17."""
+    lines = ["# layout: pair17", "# image_size: 640x480", "# rate_hz: 25", "frame,person,joint,x,y,confidence"]
+    for frame in range(num_frames):
+        for name, (x, y) in zip(KEYPOINT_LAYOUTS["pair17"].keypoint_names, person_px("pair17", frame), strict=True):
+            lines.append(f"{frame},0,{name},{x:.3f},{y:.3f},0.8")
+    return "\n".join(lines) + "\n"
+
+
+def positions_npz() -> bytes:
+    """Give the figure's positions without rotations."""
+    positions, _ = figure_motion().world()
+    out = io.BytesIO()
+    np.savez_compressed(out, positions_m=positions, joint_names=np.array(BODY22.joint_names), rate_hz=np.array(30.0))
+    return out.getvalue()

@@ -1,0 +1,197 @@
+"""BVH: what is read is what the format means, faults name their line, and writing is the inverse of reading."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats import read_bvh, read_bvh_header, write_bvh
+from pasdedeux.formats.bvh import rate_from_frame_time
+from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
+from pasdedeux.kinematics.rotations import angle_between
+from tests.source_samples import BVH_SMALL, bvh_text, figure_motion
+
+ORDERS = ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_euler_angles_agree_with_scipy_intrinsic_rotations(order: str) -> None:
+    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (50, 3))
+    expected = Rotation.from_euler(order, angles).as_quat()
+    assert angle_between(unitquat_from_euler(angles, order), expected).max() < 1e-7
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_euler_angles_are_recovered_as_the_same_rotation_also_at_gimbal_lock(order: str) -> None:
+    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, (200, 3))
+    angles[:100, 1] = np.random.default_rng(2).choice([-np.pi / 2, np.pi / 2], 100)
+    quaternions = unitquat_from_euler(angles, order)
+    again = unitquat_from_euler(euler_from_unitquat(quaternions, order), order)
+    assert angle_between(quaternions, again).max() < 1e-6
+
+
+def test_joints_end_sites_and_channels_are_read_as_the_format_means() -> None:
+    motion = read_bvh(BVH_SMALL)
+    assert motion.skeleton.joint_names == ("Hips", "Spine", "Spine_end", "LeftUpLeg", "LeftUpLeg_end")
+    assert motion.end_sites == {"Spine_end", "LeftUpLeg_end"}
+    assert motion.num_frames == 3
+    assert motion.rate_hz == 120.0
+    positions, _ = motion.to_motion(metres_per_unit=1.0, rate_hz=120.0).world()
+    at_rest = {"Hips": (1, 2, 3), "Spine": (1, 12, 3), "Spine_end": (1, 17, 4), "LeftUpLeg_end": (4, -6, 3)}
+    for name, place in at_rest.items():
+        np.testing.assert_allclose(positions[0, motion.skeleton.index(name)], place, atol=1e-12)
+    # Frame 1: Z by 90 degrees at the root turns +Y to -X and +X to +Y; the leg then turns about its own X by 90.
+    np.testing.assert_allclose(positions[1, 1], (1.5 - 10, 2, 3), atol=1e-12)
+    np.testing.assert_allclose(positions[1, 3], (1.5, 5, 3), atol=1e-12)
+    np.testing.assert_allclose(positions[1, 4], (1.5, 5, 3 - 8), atol=1e-12)
+
+
+def test_rotation_channels_multiply_in_the_order_listed() -> None:
+    motion = read_bvh(BVH_SMALL)
+    expected = Rotation.from_euler("ZYX", [10, 20, 30], degrees=True).as_quat()
+    assert angle_between(motion.local_unitquat[2, 0], expected) < 1e-7
+    expected = Rotation.from_euler("ZXY", [40, 50, 60], degrees=True).as_quat()
+    assert angle_between(motion.local_unitquat[2, 1], expected) < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("token", "rate"),
+    [
+        ("0.008333", 120.0),
+        (".0083333", 120.0),
+        ("0.0333", 30.0),
+        ("0.0333333", 30.0),
+        ("0.033367", 1 / 0.033367),
+        ("0.04170837", 1 / 0.04170837),
+        ("0.01666", 60.0),
+        ("1.6666e-2", 60.0),
+        ("0.04", 25.0),
+        (repr(1 / 60), 60.0),
+        ("1", 1.0),
+    ],
+)
+def test_a_cut_frame_time_gives_the_rate_that_was_meant(token: str, rate: float) -> None:
+    assert rate_from_frame_time(token) == pytest.approx(rate, rel=1e-12)
+
+
+def test_windows_line_ends_byte_order_marks_and_braces_on_one_line_are_read() -> None:
+    text = BVH_SMALL.replace("JOINT Spine\n\t{", "JOINT Spine {").replace("\n", "\r\n")
+    again = read_bvh(b"\xef\xbb\xbf" + text.encode())
+    np.testing.assert_array_equal(again.local_unitquat, read_bvh(BVH_SMALL).local_unitquat)
+
+
+def test_position_channels_of_a_joint_replace_its_offset() -> None:
+    text = BVH_SMALL.replace("CHANNELS 1 Xrotation", "CHANNELS 4 Xposition Yposition Zposition Xrotation")
+    head, _, rows = text.partition("Frame Time: 0.008333\n")
+    rows = "\n".join(" ".join([*row.split()[:9], "4 0 1", row.split()[9]]) for row in rows.strip().split("\n"))
+    motion = read_bvh(f"{head}Frame Time: 0.008333\n{rows}\n")
+    np.testing.assert_allclose(motion.rest_offsets[motion.skeleton.index("LeftUpLeg")], (4, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("1.5 2.0 3.0 90 0 0 0 0 0 90\n", "1.5 2.0 3.0 90 0 0 0 0 90\n", "line 29: frame 1 has 9 values"),
+        ("1.5 2.0 3.0 90 0 0 0 0 0 90\n", "", "the file ends after 2 of 3 frames"),
+        ("Frames: 3", "Frames: 2", "line 30: more frames than the 2"),
+        ("1.5 2.0 3.0 90", "1.5 nan 3.0 90", "line 29, Yposition of 'Hips': 'nan' is not a finite number"),
+        ("30 40 50 60 70", "30 40 5O 60 70", "line 30, Xrotation of 'Spine': '5O' is not a number"),
+        ("30 40 50 60 70", "30 40 5.0.0 60 70", "line 30, Xrotation of 'Spine': '5.0.0' is not a number"),
+        ("30 40 50 60 70", "30 40 1e200 60 70", "line 30, Xrotation of 'Spine': 1e\\+200 is absurdly large"),
+        ("Frame Time: 0.008333", "Frame Time: 0", "line 27: the frame time is 0 s"),
+        ("CHANNELS 1 Xrotation", "CHANNELS 1 Wrotation", "line 18: channel 'Wrotation' of 'LeftUpLeg' is not known"),
+        (
+            "CHANNELS 1 Xrotation",
+            "CHANNELS 3 Xrotation",
+            "line 18: CHANNELS of 'LeftUpLeg' states 3 channels but lists 1",
+        ),
+        ("JOINT LeftUpLeg", "JOINT Spine", "line 15: a second joint with the name 'Spine'"),
+        ("OFFSET 3.0 0.0 0.0", "OFFSET 3.0 0.0", "line 17: OFFSET of 'LeftUpLeg' needs 3 numbers, found 2"),
+        ("MOTION", "ROOT B", "line 25: a second ROOT 'B'"),
+        ("\t}\n}\nMOTION", "\t}\nMOTION", "line 24: the hierarchy ends but 'Hips' is not closed"),
+        ("HIERARCHY", "GARBAGE", "line 1: a BVH file starts with HIERARCHY"),
+    ],
+)
+def test_a_fault_is_named_with_its_line(old: str, new: str, sentence: str) -> None:
+    assert old in BVH_SMALL
+    with pytest.raises(FormatError, match=sentence):
+        read_bvh(BVH_SMALL.replace(old, new, 1))
+
+
+@pytest.mark.parametrize("data", [b"", b"  \n ", b"\0\0\0", b"PK\x03\x04\0"])
+def test_empty_and_binary_files_are_refused(data: bytes) -> None:
+    with pytest.raises(FormatError):
+        read_bvh(data)
+
+
+def test_a_file_cut_anywhere_is_refused_unless_only_digits_of_the_last_number_are_missing() -> None:
+    whole = BVH_SMALL.rstrip()
+    for length in range(0, len(whole) - 2, 7):
+        with pytest.raises(FormatError):
+            read_bvh(whole[:length])
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_reading_is_the_inverse_of_writing(order: str) -> None:
+    motion = figure_motion(num_frames=20, rate_hz=60.0)
+    again = read_bvh(write_bvh(motion, rotation_order=order))
+    assert again.rate_hz == 60.0
+    place = [again.skeleton.index(name) for name in motion.skeleton.joint_names]
+    positions, unitquat = again.to_motion(metres_per_unit=0.01, rate_hz=60.0).world()
+    expected, expected_unitquat = motion.world()
+    # Half a unit of the sixth decimal, in centimetres and degrees, times the length of the chain.
+    assert np.abs(positions[:, place] - expected).max() < 2e-7
+    assert angle_between(unitquat[:, place], expected_unitquat).max() < 1e-6
+
+
+def test_what_was_written_and_read_is_written_the_same_again() -> None:
+    first = write_bvh(figure_motion())
+    again = read_bvh(first).to_motion(metres_per_unit=0.01, rate_hz=30.0)
+    second = read_bvh(write_bvh(again))
+    assert second.skeleton == read_bvh(first).skeleton
+    np.testing.assert_allclose(second.root_translation, read_bvh(first).root_translation, atol=1e-6)
+
+
+def test_writing_refuses_an_order_that_is_no_permutation() -> None:
+    with pytest.raises(InputError, match="permutation of XYZ"):
+        write_bvh(figure_motion(), rotation_order="XYX")
+
+
+@pytest.mark.parametrize(("axis", "matrix"), [
+    ("y", np.eye(3)),
+    ("z", np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])),
+    ("x", np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])),
+])  # fmt: skip
+def test_the_up_axis_is_turned_to_y_without_mirroring(axis: str, matrix: np.ndarray) -> None:
+    assert math.isclose(np.linalg.det(matrix), 1.0)
+    source = read_bvh(bvh_text())
+    as_is, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+    turned, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0, up_axis=axis).world()
+    np.testing.assert_allclose(turned, as_is @ matrix.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["cmu_salsa_bvh/60_10.bvh", "projection_db_yiannakides/91_13.bvh"])
+def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) -> None:
+    pybvh = pytest.importorskip("pybvh")
+    path = data_dir / name
+    ours = read_bvh(path.read_bytes())
+    theirs = pybvh.read_bvh_file(path, world_up="+y")
+    nodes = [node.name for node in theirs.nodes if not node.is_end_site()]
+    place = [ours.skeleton.index(joint) for joint in nodes]
+    picked = np.linspace(0, ours.num_frames - 1, 20).astype(int)
+    positions, _ = ours.to_motion(metres_per_unit=1.0, rate_hz=ours.rate_hz or 1).world()
+    expected = np.asarray(theirs.node_positions())
+    inner = [i for i, node in enumerate(theirs.nodes) if not node.is_end_site()]
+    np.testing.assert_allclose(positions[picked][:, place], expected[picked][:, inner], atol=1e-6)
+    header = read_bvh_header(path.read_bytes())
+    assert header.num_frames == ours.num_frames
+
+
+def test_reading_needs_no_path() -> None:
+    assert read_bvh(io.BytesIO(BVH_SMALL.encode()).getvalue()).num_frames == 3

@@ -1,0 +1,276 @@
+"""2D formats: values, what is missing, layouts told and wrong ones noticed, round trips."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats import (
+    AnnotatedFrames,
+    check_anatomy,
+    guess_format,
+    join_openpose_frames,
+    openpose_frame_number,
+    read_annotation_csv,
+    read_annotation_npz,
+    read_coco,
+    read_openpose_frame,
+    write_annotation_csv,
+    write_annotation_npz,
+)
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.source_samples import coco_text, csv_text, openpose_text, person_px, positions_npz
+
+
+def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
+    count = len(keypoints)
+    return AnnotatedFrames(
+        layout=layout,
+        sequence_id=("s",) * count,
+        frame=np.arange(count),
+        person_id=np.zeros(count, int),
+        keypoints_px=keypoints,
+        confidence=np.isfinite(keypoints).all(-1) * 0.9,
+    )
+
+
+@pytest.mark.parametrize(("layout", "count"), [("coco18", 18), ("body25", 25)])
+def test_openpose_layouts_are_told_from_the_number_of_values(layout: str, count: int) -> None:
+    frame = read_openpose_frame(openpose_text(layout, people=2))
+    assert frame.layout == layout
+    assert frame.keypoints_px.shape == (2, count, 2)
+    assert frame.person_id.tolist() == [0, 1]
+
+
+def test_not_detected_is_missing_and_never_the_origin() -> None:
+    frame = read_openpose_frame(openpose_text("coco18", missing=(3, 4)))
+    assert np.isnan(frame.keypoints_px[0, [3, 4]]).all()
+    assert (frame.confidence[0, [3, 4]] == 0).all()
+    assert np.isfinite(frame.keypoints_px[0, [0, 1, 2]]).all()
+
+
+def test_an_openpose_frame_without_people_is_a_frame() -> None:
+    frame = read_openpose_frame('{"version": 1.3, "people": []}')
+    assert frame.layout is None
+    with pytest.raises(InputError, match="nobody was detected"):
+        join_openpose_frames([(0, frame)], sequence_id="s")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}', "3 values in 'pose_keypoints_2d'; allowed: 75"),
+        ('{"people": [{"pose_keypoints_2d": "x"}]}', "no list 'pose_keypoints_2d'"),
+        ('{"people": 1}', "no list 'people'"),
+        ('{"people": [', "line 1"),
+        ('{"people": [{"pose_keypoints_2d": [NaN]}]}', "not a finite number"),
+    ],
+)
+def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
+    with pytest.raises(FormatError, match=sentence):
+        read_openpose_frame(text)
+
+
+def test_a_layout_other_than_the_files_is_refused() -> None:
+    frame = read_openpose_frame(openpose_text("coco18"))
+    with pytest.raises(InputError, match="the layout 'body25' is asked for, but the files have 18 keypoints"):
+        join_openpose_frames([(0, frame)], sequence_id="s", layout="body25")
+    other = read_openpose_frame(openpose_text("body25"))
+    with pytest.raises(InputError, match="files of different layouts"):
+        join_openpose_frames([(0, frame), (1, other)], sequence_id="s")
+
+
+def test_shares_of_the_image_are_not_taken_for_pixels() -> None:
+    content = json.loads(openpose_text("coco18"))
+    values = np.array(content["people"][0]["pose_keypoints_2d"]).reshape(-1, 3)
+    values[:, :2] /= 1000.0
+    content["people"][0]["pose_keypoints_2d"] = values.reshape(-1).tolist()
+    with pytest.raises(InputError, match="shares of the image"):
+        join_openpose_frames([(0, read_openpose_frame(json.dumps(content)))], sequence_id="s")
+
+
+def test_frame_numbers_come_from_file_names() -> None:
+    assert openpose_frame_number("walk_000000000012_keypoints.json") == 12
+    assert openpose_frame_number("7.json") == 7
+    assert openpose_frame_number("notes.json") is None
+
+
+@pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
+def test_people_in_the_right_layout_are_accepted(layout: str) -> None:
+    check_anatomy(rows_of(layout, np.stack([person_px(layout, seed) for seed in range(10)])))
+
+
+def test_coco18_padded_to_25_keypoints_is_noticed_and_the_right_order_named() -> None:
+    px = np.full((10, 25, 2), np.nan)
+    px[:, :18] = np.stack([person_px("coco18", seed) for seed in range(10)])
+    with pytest.raises(InputError, match="do not look like people in the layout 'body25'.*order of 'coco18' fits"):
+        check_anatomy(rows_of("body25", px))
+
+
+def test_keypoints_in_a_random_order_are_noticed() -> None:
+    order = np.random.default_rng(3).permutation(17)
+    with pytest.raises(InputError, match="do not look like people"):
+        check_anatomy(rows_of("coco17", np.stack([person_px("coco17", seed)[order] for seed in range(10)])))
+
+
+def test_a_real_walk_is_read_as_coco18(data_dir: Path) -> None:
+    files = sorted((data_dir / "openpose_coco18_walk").glob("*.json"))
+    frames = [(openpose_frame_number(path.name) or 0, read_openpose_frame(path.read_bytes())) for path in files]
+    walk = join_openpose_frames(frames, sequence_id="walk")
+    assert walk.layout == "coco18"
+    assert walk.num_rows == 453
+    assert int((walk.confidence[:, :14] > 0).all(axis=1).sum()) == 310
+    check_anatomy(walk)
+    padded = np.full((walk.num_rows, 25, 2), np.nan)
+    padded[:, :18] = walk.keypoints_px
+    with pytest.raises(InputError, match="order of 'coco18' fits"):
+        check_anatomy(rows_of("body25", padded))
+    with pytest.raises(InputError, match="do not look like people"):
+        check_anatomy(rows_of("coco17", walk.keypoints_px[:, :17]))
+
+
+def test_coco_visibility_becomes_confidence_and_zero_is_missing() -> None:
+    names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
+    found = read_coco(coco_text(num_frames=3, people=2), sequence_id="clip")
+    assert found.num_rows == 6
+    assert found.frame.tolist() == [0, 0, 1, 1, 2, 2]
+    assert found.person_id.tolist() == [0, 1] * 3
+    assert found.image_size_px == (640, 480)
+    assert np.isnan(found.keypoints_px[:, names.index("right_wrist")]).all()
+    assert (found.confidence[:, names.index("left_wrist")] == 0.5).all()
+    assert (found.confidence[:, names.index("nose")] == 1.0).all()
+
+
+def test_coco_tracks_and_videos_are_kept() -> None:
+    content = json.loads(coco_text(num_frames=2, people=2))
+    for index, annotation in enumerate(content["annotations"]):
+        annotation["track_id"] = 7 + index % 2
+    for image in content["images"]:
+        image |= {"video_id": "a/b", "frame_id": 5 + image["id"]}
+    found = read_coco(json.dumps(content), sequence_id="clip")
+    assert set(found.sequence_id) == {"clip.a_b"}
+    assert found.frame.tolist() == [15, 15, 16, 16]
+    assert found.person_id.tolist() == [7, 8, 7, 8]
+
+
+def test_coco_results_carry_confidences() -> None:
+    keypoints = np.concatenate([person_px("coco17"), np.full((17, 1), 0.25)], axis=1).reshape(-1).tolist()
+    found = read_coco(json.dumps([{"image_id": 3, "keypoints": keypoints, "score": 1.0}]), sequence_id="r")
+    assert found.frame.tolist() == [3]
+    assert (found.confidence == 0.25).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('"image_id": 10', '"image_id": 99', "its 'image_id' is not among the images"),
+        ('"id": 11', '"id": 10', "appears twice"),
+        (", 2.0, ", ", 3.0, ", "a visibility is none of 0, 1, 2"),
+        ('"annotations"', '"things"', "no list 'annotations'"),
+    ],
+)
+def test_a_fault_of_a_coco_file_is_named(old: str, new: str, sentence: str) -> None:
+    text = coco_text()
+    assert old in text
+    with pytest.raises(FormatError, match=sentence):
+        read_coco(text.replace(old, new, 1), sequence_id="s")
+
+
+def test_our_csv_says_layout_size_and_rate_or_has_them_told() -> None:
+    found = read_annotation_csv(csv_text())
+    assert (found.layout, found.image_size_px, found.rate_hz, found.num_rows) == ("pair17", (640, 480), 25.0, 3)
+    bare = "\n".join(line for line in csv_text().split("\n") if not line.startswith("#"))
+    assert read_annotation_csv(bare).layout == "pair17"
+    with pytest.raises(FormatError, match="the layout cannot be told"):
+        read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n")
+    assert read_annotation_csv("frame,person,joint,x,y\n0,0,left_knee,1,2\n", layout="coco17").layout == "coco17"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("0,0,pelvis,", "0,0,pelvic,", "joint 'pelvic' is not in the layout 'pair17'"),
+        ("0,0,pelvis,", "0,0,spine,", "line 6: 'spine' twice for person 0 in frame 0"),
+        ("0,0,pelvis,", "x,0,pelvis,", "line 5: frame: 'x' is not a whole number"),
+        ("0,0,pelvis,", "0,0,pelvis,1,", "line 5: 7 values, the header has 6 columns"),
+        ("joint,x,y", "joint,x,z", "line 4: column 'z' is unknown"),
+        ("frame,person", "frame,score", "line 4: column 'score' is unknown"),
+        ("# rate_hz: 25", "# rate_hz: -1", "line 3: the frame rate is -1"),
+        ("# image_size: 640x480", "# image_size: big", "line 2: image width"),
+    ],
+)
+def test_a_fault_of_our_csv_is_named_with_its_line(old: str, new: str, sentence: str) -> None:
+    text = csv_text()
+    assert old in text
+    with pytest.raises(FormatError, match=sentence):
+        read_annotation_csv(text.replace(old, new, 1))
+
+
+def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
+    px = np.stack([person_px("body25", seed) for seed in range(4)])
+    px[1, 3] = np.nan
+    px[2] = np.nan
+    frames = AnnotatedFrames(
+        layout="body25",
+        sequence_id=("b", "b", "a", "a"),
+        frame=np.array([1, 0, 4, 4]),
+        person_id=np.array([0, 0, 1, 0]),
+        keypoints_px=px,
+        confidence=np.isfinite(px).all(-1) * 0.75,
+        image_size_px=(320, 240),
+        rate_hz=29.97,
+    )
+    assert frames.sequence_id == ("a", "a", "b", "b")
+    for again in (read_annotation_csv(write_annotation_csv(frames)), read_annotation_npz(write_annotation_npz(frames))):
+        assert (again.layout, again.image_size_px, again.rate_hz) == ("body25", (320, 240), 29.97)
+        assert again.sequence_id == frames.sequence_id
+        np.testing.assert_array_equal(again.keypoints_px, frames.keypoints_px)
+        np.testing.assert_array_equal(again.confidence, frames.confidence)
+        np.testing.assert_array_equal(again.frame, frames.frame)
+
+
+def test_the_same_person_twice_in_a_frame_is_refused() -> None:
+    with pytest.raises(FormatError, match="person 0 appears twice"):
+        AnnotatedFrames(
+            layout="coco17",
+            sequence_id=("s", "s"),
+            frame=np.zeros(2, int),
+            person_id=np.zeros(2, int),
+            keypoints_px=np.zeros((2, 17, 2)),
+            confidence=np.ones((2, 17)),
+        )
+
+
+def test_the_format_of_a_file_is_told_from_its_content() -> None:
+    from tests.source_samples import AMC, ASF, BVH_SMALL
+
+    expected = {
+        "bvh": BVH_SMALL.encode(),
+        "asf": ASF.encode(),
+        "amc": AMC.encode(),
+        "openpose": openpose_text().encode(),
+        "coco": coco_text().encode(),
+        "annotation_csv": csv_text().encode(),
+        "annotation_npz": write_annotation_npz(read_annotation_csv(csv_text())),
+        "positions_npz": positions_npz(),
+        "rotation_rows": b"1 2 3 4 5 6 7 8 9\n",
+    }
+    for name, data in expected.items():
+        assert guess_format(data) == name
+    with pytest.raises(FormatError, match="none of the known formats"):
+        guess_format(b"hello")
+
+
+@pytest.mark.parametrize("layout", ["coco18", "coco17"])
+def test_reading_never_swaps_left_and_right(layout: str) -> None:
+    names = KEYPOINT_LAYOUTS[layout].keypoint_names
+    if layout == "coco18":
+        px = read_openpose_frame(openpose_text(layout)).keypoints_px[0]
+    else:
+        px = read_coco(coco_text(1, 1), sequence_id="s").keypoints_px[0]
+    assert px[names.index("left_wrist"), 1] < px[names.index("left_elbow"), 1]  # the raised hand is the left one
+    assert px[names.index("left_shoulder"), 0] > px[names.index("right_shoulder"), 0]

@@ -1,0 +1,84 @@
+"""A new study: valid TOML that ingest accepts, with guesses that say how sure they are."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from flows.console.study_new import new_study, write_new_study
+from pasdedeux.errors import InputError
+from pasdedeux.formats import guess_motion, read_bvh, write_bvh
+from tasks.ingest import IngestParameters
+from tests.source_samples import bvh_text, csv_text, figure_motion, openpose_text
+
+
+def ingest_of(text: str) -> IngestParameters:
+    return IngestParameters.model_validate(tomllib.loads(text)["ingest"])
+
+
+def test_without_files_it_is_a_study_of_the_built_in_duets() -> None:
+    parameters = ingest_of(new_study("mine"))
+    assert len(parameters.resolved_duets()) == 4
+
+
+def test_two_files_become_a_pair_with_what_is_known_of_them(tmp_path: Path) -> None:
+    for name in ("a one.bvh", "b.bvh"):
+        (tmp_path / name).write_text(bvh_text(rate_hz=60.0))
+    text = write_new_study(tmp_path / "my study.toml", [tmp_path / "a one.bvh", tmp_path / "b.bvh"])
+    parameters = ingest_of(text)
+    take = parameters.takes[0]
+    assert [path.as_posix() for path in take.files] == ["a one.bvh", "b.bvh"]
+    assert (take.layout, take.up_axis, take.rate_hz) == ("body22", "y", 60.0)
+    assert [person.metres_per_unit for person in take.persons] == [0.01, 0.01]
+    assert "files lie about this" in text
+    assert tomllib.loads(text)["study"]["name"] == "my_study"
+    with pytest.raises(InputError, match="is there already"):
+        write_new_study(tmp_path / "my study.toml")
+
+
+def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
+    path = tmp_path / "odd.bvh"
+    path.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
+    text = new_study("odd", [path])
+    assert "# metres_per_unit = 0.1" in text
+    assert "A GUESS - SET IT" in text
+    assert ingest_of(text).takes[0].persons[0].metres_per_unit is None
+
+
+@pytest.mark.parametrize(("units_per_metre", "unit"), [(1.0, 1.0), (100.0, 0.01), (39.3701, 0.0254), (1000.0, 0.001)])
+def test_known_units_are_told_from_the_size_of_the_body(units_per_metre: float, unit: float) -> None:
+    guess = guess_motion(read_bvh(write_bvh(figure_motion(), units_per_metre=units_per_metre)))
+    assert guess.metres_per_unit == unit
+    assert guess.unit_sureness >= 0.5
+    assert guess.up_axis == "y"
+    assert guess.up_sureness > 0.8
+
+
+def test_folders_of_motion_are_paired_by_take_and_folders_of_json_are_annotations(tmp_path: Path) -> None:
+    for name in ("60_01", "61_01", "60_02", "61_02", "62_03"):
+        (tmp_path / f"{name}.bvh").write_text(bvh_text())
+    walk = tmp_path / "walk"
+    walk.mkdir()
+    (walk / "w_000000000000_keypoints.json").write_text(openpose_text())
+    (tmp_path / "table.csv").write_text(csv_text())
+    parameters = ingest_of(new_study("s", [tmp_path, walk], base=tmp_path))
+    assert [(take.id, len(take.files)) for take in parameters.takes] == [("60_01", 2), ("60_02", 2), ("62_03", 1)]
+    assert {source.format for source in parameters.annotations} == {"openpose", "annotation_csv"}
+
+
+def test_what_is_no_motion_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.bvh").write_text("hello")
+    with pytest.raises(InputError, match=r"x.bvh: this file is none of the known formats"):
+        new_study("s", [tmp_path / "x.bvh"])
+    with pytest.raises(InputError, match="does not exist"):
+        new_study("s", [tmp_path / "y.bvh"])
+
+
+def test_salsa_files_get_the_guess_and_the_doubt_they_deserve(data_dir: Path) -> None:
+    folder = data_dir / "cmu_salsa_bvh"
+    text = new_study("salsa", [folder / "60_10.bvh", folder / "61_10.bvh"])
+    assert 'layout = "cmu_daz"' in text
+    assert "rate_hz = 120         # stated by the file" in text  # it lies: 60 Hz is true
+    assert text.count("A GUESS - SET IT") == 2  # 1.29 m tall in metres: not believed

@@ -82,6 +82,7 @@ class WeightParameters(Parameters):
     contact_torso: float = Field(Weights.contact_torso, ge=0, description="Contacts of two torsos")
     stance: float = Field(Weights.stance, ge=0, description="Horizontal velocity of stance feet")
     floor: float = Field(Weights.floor, ge=0, description="Height of joints near the floor")
+    bending: float = Field(Weights.bending, ge=0, description="Bending of the spine")
     girdle: float = Field(Weights.girdle, ge=0, description="Rigidity of girdle and hips")
     fixed: float = Field(Weights.fixed, ge=0, description="Pull of a person held fixed towards the source")
 
@@ -95,6 +96,7 @@ class LimitParameters(Parameters):
     foot_slide_m: tuple[float, float] = Field((0.001, 0.005), description="Sliding in stance per frame, metres")
     floor_penetration_m: tuple[float, float] = Field((0.02, 0.06), description="Depth under the floor, metres")
     penetration_m: tuple[float, float] = Field((0.01, 0.1), description="Depth in the partner, metres")
+    spine_bend_rad: tuple[float, float] = Field((0.6, 1.2), description="Change of the spine's bends, radians")
     jerk_ratio: tuple[float, float] = Field((1.2, 2.0), description="Jerk over the source's")
 
 
@@ -309,6 +311,7 @@ _QUALITY_COLUMNS = (
     "floor_penetration_m",
     "penetration_m",
     "self_penetration_m",
+    "spine_bend_rad",
     "jerk_ratio",
 )
 

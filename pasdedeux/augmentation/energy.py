@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets
+from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets, bending_rows
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["energy_terms", "laplacian_residual", "total_energy"]
@@ -31,6 +31,8 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
         "stance": (problem.stance[..., None] * np.diff(apart, axis=1)[..., [0, 2]] ** 2).sum(axis=(1, 2, 3)),
         "fixed": ((problem.anchor - weights.reference)[:, None] * apart**2).sum(axis=(1, 2, 3)),
     }
+    bends = np.einsum("mi,vtia->vtma", bending_rows(problem.source), offsets)
+    terms["bending"] = weights.bending * (bends**2).sum(axis=(1, 2, 3))
     contact = np.zeros(len(offsets))
     for variant, pair in enumerate(apart):
         squared = ((pair[:, :half, None] - pair[:, None, half:]) ** 2).sum(axis=-1)

@@ -27,6 +27,8 @@ CONTACT_M = 0.2
 _STANDS = 0.5
 """A foot joint stands where its fading stance weight is above this."""
 _PERCENTILE = 95.0
+_SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
+_SPINES = np.array([_SPINE, [joint + BODY22.num_joints for joint in _SPINE]])
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class QualityLimits:
-    """Limits of the figures, metres except the ratio of jerks."""
+    """Limits of the figures; the ratio of jerks has no unit."""
 
     bone_error_m: Limit = Limit(1e-6, 1e-4)
     contact_drift_extremity_m: Limit = Limit(0.005, 0.02)
@@ -52,6 +54,7 @@ class QualityLimits:
     foot_slide_m: Limit = Limit(0.001, 0.005)
     floor_penetration_m: Limit = Limit(0.02, 0.06)
     penetration_m: Limit = Limit(0.01, 0.1)
+    spine_bend_rad: Limit = Limit(0.6, 1.2)
     jerk_ratio: Limit = Limit(1.2, 2.0)
 
 
@@ -83,6 +86,7 @@ class Quality:
     floor_penetration_m: float
     penetration_m: float
     self_penetration_m: float
+    spine_bend_rad: float
     jerk_ratio: float
 
     def judge(self, limits: QualityLimits) -> tuple[str, str]:
@@ -121,6 +125,7 @@ class Judge:
         self._model = capsule_model(BODY22)
         self._radii = self._model.radii_m(body_height_m(BODY22, source.lengths_m))
         self._penetration = self._penetrate(points)
+        self._bends = _spine_bends(points)
 
     def measure(self, targets: Targets, positions: Array) -> list[Quality]:
         """Measure variants: positions (variant, T, 44, 3), metres, and the targets they were solved for."""
@@ -153,6 +158,7 @@ class Judge:
             floor_penetration_m=float((below - self._below).max()),
             penetration_m=float(np.percentile(np.maximum(extra[:, 2], 0.0), _PERCENTILE)),
             self_penetration_m=float(np.percentile(np.maximum(extra[:, :2].sum(axis=-1), 0.0), _PERCENTILE)),
+            spine_bend_rad=float(np.percentile(np.abs(_spine_bends(points) - self._bends).max(axis=1), _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > 1e-9 else 1.0 + jerk,
         )
@@ -175,6 +181,14 @@ def root_mean_square_jerk(points: Array) -> float:
     if len(points) < 4:
         return 0.0
     return float(np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean()))
+
+
+def _spine_bends(points: Array) -> Array:
+    """Give the angle between neighbouring spine bones (frame, 8), radians, both people."""
+    vectors = np.diff(points[:, _SPINES], axis=2)
+    units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+    cosines = (units[:, :, 1:] * units[:, :, :-1]).sum(axis=-1)
+    return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)).reshape(len(points), -1))
 
 
 def _mean(values: Array | Sequence[float]) -> float | None:

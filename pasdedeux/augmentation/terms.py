@@ -8,6 +8,7 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
       + sum w_C |(x_i - x_j) - (d_i - d_j)|^2   contact pairs keep the source's vector
       + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
+      + w_B sum |(b2 / l2) - (b1 / l1)|^2       spine bends as r's does; b: change of a bone's vector, l: source length
       + sum w_G (|p_i - p_j| - |r_i - r_j|)^2   girdle and hips stay rigid
     subject to exact bone lengths.
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +46,7 @@ __all__ = [
     "Problem",
     "Targets",
     "Weights",
+    "bending_rows",
     "build_problem",
     "build_targets",
     "right_hand_side",
@@ -66,6 +69,8 @@ _GIRDLE_NAMES = (
     ("left_shoulder", "neck"),
     ("right_shoulder", "neck"),
 )
+_SPINE = ("spine1", "spine2", "spine3", "neck", "head")
+_SHORTEST_SPINE_BONE_M = 0.03
 GIRDLE_PAIRS: npt.NDArray[np.int64] = np.array(
     [[joint + offset for joint in BODY22.indices(pair)] for offset in (0, BODY22.num_joints) for pair in _GIRDLE_NAMES]
 )
@@ -86,6 +91,8 @@ class Weights:
         contact_torso: Contact pairs of two torso joints.
         stance: Horizontal velocity of stance feet at 30 Hz, w_F.
         floor: Height of joints near the floor, w_H.
+        bending: Bending of the spine against r's, per square radian, w_B; without it short spine bones fold like a
+            carpenter's rule to make a torso shorter, which costs the other terms next to nothing.
         girdle: Rigidity of girdle and hips, w_G.
         fixed: Pull of a person held fixed towards the source.
 
@@ -102,6 +109,7 @@ class Weights:
     contact_torso: float = 8.0
     stance: float = 50.0
     floor: float = 100.0
+    bending: float = 0.05
     girdle: float = 10.0
     fixed: float = 1e3
 
@@ -228,6 +236,8 @@ def build_problem(
     laplacian = mesh.laplacian
     shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
     shared += _contact_matrix(contact)
+    bends = bending_rows(source)
+    shared += weights.bending * bends.T @ bends
     shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
     matrix = np.stack([shared, shared])
     lag1 = np.zeros((2, max(frames - 1, 0), NUM_POINTS))
@@ -317,6 +327,21 @@ def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array
         heights[..., t] -= np.where(rise < 0, added, 0.0)
     difference = heights - reference[..., 1]
     return np.asarray(difference.reshape(*difference.shape[:2], NUM_POINTS))
+
+
+def bending_rows(source: Source) -> Array:
+    """Give for each pair of neighbouring spine bones the difference of their vectors over lengths, as rows (m, 44)."""
+    rows = []
+    for person in (0, 1):
+        for first, second in pairwise(BODY22.indices(_SPINE)):
+            row = np.zeros(NUM_POINTS)
+            for joint, sign in ((second, 1.0), (first, -1.0)):
+                length = max(source.lengths_m[person, joint], _SHORTEST_SPINE_BONE_M)
+                start = person * BODY22.num_joints
+                row[start + joint] += sign / length
+                row[start + BODY22.parents[joint]] -= sign / length
+            rows.append(row)
+    return np.array(rows)
 
 
 def _grades(weights: Weights) -> Array:

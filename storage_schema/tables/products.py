@@ -82,6 +82,12 @@ VARIANT_QUALITY = Table(
             unit="m",
             is_nullable=True,
         ),
+        float64(
+            "spine_bend_rad",
+            "95th percentile over frames of the greatest change of an angle between spine bones against the source",
+            unit="rad",
+            is_nullable=True,
+        ),
         float64("jerk_ratio", "Root mean square jerk over that of the source"),
         integer("num_iterations", "Iterations of the solver"),
         text("solver", "Solver that gave the result"),

@@ -20,7 +20,7 @@ from pasdedeux.augmentation import (
     uniform_variations,
 )
 from pasdedeux.augmentation.factor import factorise, solve
-from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, right_hand_side
+from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, bending_rows, right_hand_side
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings
 from pasdedeux.kinematics import bone_lengths
@@ -45,6 +45,7 @@ def _residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> np.nd
         np.sqrt(w.laplacian) * (mesh.laplacian @ offsets - mesh.cross_laplacian @ targets.difference[0]),
         np.sqrt(problem.smoothness) * np.diff(offsets, n=2, axis=0),
         np.sqrt(w.reference) * offsets,
+        np.sqrt(w.bending) * (bending_rows(problem.source) @ offsets),
         np.sqrt(problem.floor) * (offsets[..., 1] - targets.height[0]),
         np.sqrt(problem.stance)[..., None] * np.diff(apart, axis=0)[..., [0, 2]],
         np.sqrt(problem.contact)[..., None] * (apart[:, :22, None] - apart[:, None, 22:]),
@@ -152,6 +153,12 @@ def test_bones_are_exact_and_contacts_kept() -> None:
         assert variant.quality.bone_error_m < 1e-6
         assert variant.quality.contact_drift_m < 0.25 * variant.quality.contact_drift_fk_m
         assert variant.energy <= variant.energy_fk
+
+
+def test_a_spine_does_not_fold_to_make_a_torso_shorter() -> None:
+    source = Source(swaying_pair(10, apart_m=0.3), 30.0)
+    for variant in Augmenter(source).solve(uniform_variations([0.75, 1.25], ["A"])):
+        assert variant.quality.spine_bend_rad < 0.5
 
 
 def test_solving_is_equivariant_under_turns_about_the_vertical_and_shifts_over_the_floor() -> None:

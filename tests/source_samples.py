@@ -212,7 +212,7 @@ def coco_text(num_frames: int = 3, people: int = 2) -> str:
     names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
     annotations = []
     for frame in range(num_frames):
-        for person in range(people):
+        for _ in range(people):
             rows = np.concatenate([person_px("coco17", seed=frame), np.full((17, 1), 2.0)], axis=1)
             rows[names.index("right_wrist")] = 0
             rows[names.index("left_wrist"), 2] = 1

@@ -60,7 +60,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
 def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> str:
     """Give the text of a study over these files; over the built-in duets without any.
 
-    Motion files are taken as pairs when there are two, or when take and length match (60_01 with 61_01); ASF files serve the AMC files beside them; folders are looked through.
+    Two motion files are a pair; of more, those whose take and length match are (60_01 with 61_01).  ASF files serve
+    the AMC files beside them; folders are looked through.
 
     Args:
         name: Name of the study.

@@ -50,13 +50,14 @@ def derive_working_poses(motion: Motion, layout: Layout) -> WorkingPoses:
     names = extended.skeleton.joint_names
     positions, world_unitquat = extended.world()
     body22 = layout.joint_map(BODY22.name)
+    rest = body22.positions(extended.rest_positions_m(), names)
     carriers = [names.index(body22.carrier(joint)) for joint in BODY22.joint_names]
     return WorkingPoses(
         pair17_m=layout.joint_map(PAIR17.name).positions(positions, names),
         op14_m=layout.joint_map(OP14.name).positions(positions, names),
         body22_m=body22.positions(positions, names),
         body22_world_unitquat=world_unitquat[:, carriers],
-        body22_rest_m=_rest(extended, layout, BODY22),
+        body22_rest_m=rest - rest[BODY22.root],
     )
 
 
@@ -67,8 +68,9 @@ def check_layout(motion: Motion, layout: Layout) -> None:
         InputError: A joint of the layout is not in the motion, or a bone of a working skeleton has no length at rest.
     """
     extended = _with_points(motion, layout)
+    source_rest = extended.rest_positions_m()
     for skeleton in (PAIR17, OP14, BODY22):
-        rest = _rest(extended, layout, skeleton)
+        rest = layout.joint_map(skeleton.name).positions(source_rest, extended.skeleton.joint_names)
         lengths = bone_lengths(skeleton, rest)
         for parent, child in skeleton.bones:
             if lengths[child] < LEAST_BONE_M:
@@ -138,8 +140,3 @@ def _with_points(motion: Motion, layout: Layout) -> Motion:
         local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
         rate_hz=motion.rate_hz,
     )
-
-
-def _rest(extended: Motion, layout: Layout, skeleton: Skeleton) -> Array:
-    rest = layout.joint_map(skeleton.name).positions(extended.rest_positions_m(), extended.skeleton.joint_names)
-    return rest - rest[skeleton.root]

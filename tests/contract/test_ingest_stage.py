@@ -328,7 +328,7 @@ def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: 
 
 def test_a_wrong_layout_is_refused_while_planning(tmp_path: Path) -> None:
     write_openpose(tmp_path / "walk")
-    with pytest.raises(InputError, match="annotations walk: .*'body25' is asked for, but the files have 18"):
+    with pytest.raises(InputError, match=r"annotations walk: .*'body25' is asked for, but the files have 18"):
         planned(annotations=[{"id": "walk", "path": tmp_path / "walk", "layout": "body25"}])
 
 
@@ -364,7 +364,7 @@ def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tu
     with pytest.raises(InputError, match=r"take d: .*\(60_01.bvh 40 and 61_01.bvh 30 frames\)"):
         planned(takes=[section])
     assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters["num_frames"] == 30
-    with pytest.raises(InputError, match="frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
+    with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
         planned(takes=[section | {"frames": [0, 35]}])
 
 
@@ -373,7 +373,7 @@ def test_a_missing_file_and_an_unclear_unit_are_named(tmp_path: Path, pair: tupl
         planned(takes=[{"id": "d", "files": [tmp_path / "nothing.bvh"]}])
     strange = tmp_path / "strange.bvh"
     strange.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
-    with pytest.raises(InputError, match="its length unit cannot be told .*set metres_per_unit"):
+    with pytest.raises(InputError, match=r"its length unit cannot be told .*set metres_per_unit"):
         planned(takes=[{"id": "d", "files": [strange]}])
 
 

@@ -140,10 +140,10 @@ def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:
 
 
 def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Path) -> None:
-    with pytest.raises(FetchError, match="60_77.amc: the site answers 404"):
+    with pytest.raises(FetchError, match=r"60_77.amc: the site answers 404"):
         list(fetch_cmu(["60"], tmp_path, takes=["77"], base_url=site.url, wait_s=0.0))
     site.files["/subjects/60/60_03.amc"] = b"<html>down for maintenance</html>"
-    with pytest.raises(FetchError, match="60_03.amc did not send a motion file: line 1"):
+    with pytest.raises(FetchError, match=r"60_03.amc did not send a motion file: line 1"):
         list(fetch_cmu(["60"], tmp_path, takes=["03"], base_url=site.url, wait_s=0.0))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CREDITS.txt"]
     site.files["/search.php?subjectnumber=60"] = b"nothing"

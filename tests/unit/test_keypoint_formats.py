@@ -107,7 +107,7 @@ def test_people_in_the_right_layout_are_accepted(layout: str) -> None:
 def test_coco18_padded_to_25_keypoints_is_noticed_and_the_right_order_named() -> None:
     px = np.full((10, 25, 2), np.nan)
     px[:, :18] = np.stack([person_px("coco18", seed) for seed in range(10)])
-    with pytest.raises(InputError, match="do not look like people in the layout 'body25'.*order of 'coco18' fits"):
+    with pytest.raises(InputError, match=r"do not look like people in the layout 'body25'.*order of 'coco18' fits"):
         check_anatomy(rows_of("body25", px))
 
 

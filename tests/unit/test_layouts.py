@@ -92,7 +92,7 @@ def test_a_study_can_change_single_entries() -> None:
     poses = derive_working_poses(figure_motion(), layout)
     middle = poses.body22_m[:, BODY22.indices(["head", "neck"])].mean(axis=1)
     np.testing.assert_allclose(poses.pair17_m[:, PAIR17.index("head")], middle, atol=1e-12)
-    with pytest.raises(InputError, match="sum to 0.7"):
+    with pytest.raises(InputError, match=r"sum to 0\.7"):
         derive_working_poses(figure_motion(), get_layout("body22").with_tables({"pair17": {"head": {"head": 0.7}}}))
 
 

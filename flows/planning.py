@@ -168,7 +168,8 @@ class Plan:
         names = [s.stage.name for s in self.stages if any(m.source_digest != now for m in s.manifests)]
         if not names:
             return ()
-        since = f"since {', '.join(names)} {'was' if len(names) == 1 else 'were'} computed"
+        shown = ", ".join(names) if len(names) <= 3 else f"{names[0]} and {len(names) - 1} more stages"
+        since = f"since {shown} {'was' if len(names) == 1 else 'were'} computed"
         advice = "if results change, raise the stage's VERSION or use --force"
         return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
 

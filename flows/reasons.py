@@ -95,16 +95,20 @@ def _file_changes(old: ShardRecord, shard: Shard) -> list[str]:
 
 
 def _input_changes(old: ShardRecord, shard: Shard, inputs: Mapping[str, tuple[InputRecord, str]]) -> list[str]:
-    """Name the inputs that changed; many of them by stage only."""
+    """Name the inputs that changed; many of them by stage only.
+
+    Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
+    """
     names = {_call(place): label for place, label in inputs.values()}
-    before = {names.get(_call(record), _call(record)): record.content_digest for record in old.inputs}
+    read = [record for record in old.inputs if record.stage != shard.stage]
+    before = {names.get(_call(record), _call(record)): record.content_digest for record in read}
     now: dict[str, str] = {}
     for ref in shard.inputs:
         now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
     words = _differences(before, now)
     if len(words) <= _MOST:
         return words
-    digests = {record.content_digest for record in old.inputs}
+    digests = {record.content_digest for record in read}
     stages = dict.fromkeys(ref.stage for ref in shard.inputs if ref.content_digest not in digests)
     return [f"input {name} changed" for name in stages] or ["inputs are gone"]
 

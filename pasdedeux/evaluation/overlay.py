@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.cameras import PinholeCamera
 from pasdedeux.evaluation.drawing import PERSON_COLOURS
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["overlay_clip"]
+__all__ = ["floor_grid", "overlay_clip"]
 
 _BACKGROUND = (238, 240, 242)
 _FLOOR = (205, 210, 214)
@@ -58,6 +59,28 @@ def overlay_clip(
     is_written, buffer = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 60])
     assert is_written, "OpenCV was built without WebP"
     return bytes(np.asarray(buffer).tobytes())
+
+
+def floor_grid(camera: PinholeCamera, *, reach_m: float = 4.0, step_m: float = 1.0) -> npt.NDArray[np.float64]:
+    """Give the lines of a square grid on the floor under what a camera looks at, in pixels.
+
+    Args:
+        camera: The camera.
+        reach_m: Half the side of the grid.
+        step_m: Distance between its lines.
+
+    Returns:
+        Line segments (n, 2, 2); pieces behind the camera are NaN.
+    """
+    forward = -camera.direction * [1.0, 0.0, 1.0]
+    ahead = np.linalg.norm(camera.position_m * [1.0, 0.0, 1.0])
+    centre = np.round((camera.position_m + forward * ahead) * [1.0, 0.0, 1.0])
+    ticks = np.arange(-reach_m, reach_m + step_m / 2, step_m)
+    starts, stops = np.meshgrid(ticks, ticks[:-1], indexing="ij")
+    along = np.stack([np.stack([starts, stops], -1), np.stack([starts, stops + step_m], -1)], axis=-2).reshape(-1, 2, 2)
+    lines = np.concatenate([along, along[..., ::-1]])
+    world = centre + np.stack([lines[..., 0], np.zeros(lines.shape[:-1]), lines[..., 1]], axis=-1)
+    return camera.project(world).px
 
 
 def _draw_frame(

@@ -1,4 +1,4 @@
-"""Scores as tables for people: one row per figure and item, one column per method."""
+"""Scores as tables for people: methods side by side where there are several, else figures side by side."""
 
 from __future__ import annotations
 
@@ -26,9 +26,12 @@ def format_value(value: float, unit: str) -> str:
 def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
-    Baselines stand in columns of their own, marked as such.
+    Several methods stand in columns of their own beside each other, baselines marked as such; of a single method the
+    figures stand in columns and the items in rows.
     """
     single = [score for score in scores if np.isnan(score.at)]
+    if len({score.method for score in single}) == 1:
+        return _by_item(single, caption)
     methods = sorted({(score.is_baseline, score.method) for score in single})
     keys = sorted({(score.metric, score.split, score.item) for score in single}, key=_all_first)
     cells = {(s.metric, s.split, s.item, s.method): format_value(s.value, s.unit) for s in single}
@@ -40,6 +43,18 @@ def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
             (metric.replace("_", " "), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
             for metric, split, item in keys
         ),
+    )
+
+
+def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
+    """Lay out the figures of one method: a row per item, a column per figure."""
+    metrics = sorted({score.metric for score in scores})
+    rows = sorted({(score.split, score.item) for score in scores})
+    cells = {(score.split, score.item, score.metric): format_value(score.value, score.unit) for score in scores}
+    return TextTable(
+        caption=caption,
+        headings=("part", "item", *(metric.replace("_", " ") for metric in metrics)),
+        rows=tuple((split, item, *(cells.get((split, item, m), "") for m in metrics)) for split, item in rows),
     )
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.evaluation.overlay import overlay_clip
+from pasdedeux.evaluation.overlay import floor_grid, overlay_clip
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard
+from tasks.evaluation.truth import read_cameras
 from tasks.stage import Shard, StageInputs
 
 __all__ = ["TOPIC", "run", "shards"]
@@ -42,12 +43,14 @@ def run(shard: Shard, store: Store) -> TopicResult:
     keypoints, times = _by_frame(data, is_here)
     step = _step(times, shard.parameters["rate_hz"])
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
+    camera = read_cameras(store, shard.inputs).get(sequence_id)
     name = f"clip-{sequence_id.replace('/', '-')}.webp"
     clip = overlay_clip(
         OP14,
         keypoints,
         image_size_px=size,
         rate_hz=min(shard.parameters["rate_hz"], _rate(times)),
+        floor_px=None if camera is None else floor_grid(camera),
         labels=[f"{time:.1f} s" for time in times[::step]],
     )
     return TopicResult(pictures={name: clip}, captions={name: f"Sequence {sequence_id}: the 2D poses that were given."})

@@ -11,7 +11,7 @@ from pasdedeux.plausibility.capsules import (
 )
 from pasdedeux.plausibility.capsules_kernel import clip_penetration, pair_penetration
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits, NearestValid, joint_angles
-from pasdedeux.plausibility.joint_limits_kernel import count_invalid_angles, measure_angles, move_to_nearest_valid
+from pasdedeux.plausibility.joint_limits_kernel import measure_angles, move_to_nearest_valid
 from pasdedeux.plausibility.ranges import ANGLES, AngleRange
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "body_height_m",
     "capsule_model",
     "clip_penetration",
-    "count_invalid_angles",
     "joint_angles",
     "measure_angles",
     "move_to_nearest_valid",

@@ -16,7 +16,7 @@ from pasdedeux.plausibility.joint_limits import NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["count_invalid_angles", "measure_angles", "move_to_nearest_valid"]
+__all__ = ["measure_angles", "move_to_nearest_valid"]
 
 Array = npt.NDArray[np.float64]
 Vector = Any  # (x, y, z); numba infers the tuple type
@@ -48,27 +48,31 @@ _TWO_PI = 2.0 * math.pi
 assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip")) == [5, 8, 11, 14]
 
 
-@njit(cache=True, nogil=True)
+_inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""For functions that only compiled code calls: without the entries from Python they compile in a third of the time."""
+
+
+@_inner
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _mix(s: float, a: Vector, t: float, b: Vector) -> Vector:
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _scale(s: float, a: Vector) -> Vector:
     return (s * a[0], s * a[1], s * a[2])
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _unit(a: Vector) -> Vector:
     length = math.sqrt(_dot(a, a))
     if length > 1e-12:
@@ -76,7 +80,7 @@ def _unit(a: Vector) -> Vector:
     return (0.0, 0.0, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _bone(points: Array, start: int, end: int) -> Vector:
     return _unit(
         (
@@ -87,7 +91,7 @@ def _bone(points: Array, start: int, end: int) -> Vector:
     )
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _carry(start: Vector, end: Vector, vector: Vector) -> Vector:
     total = (start[0] + end[0], start[1] + end[1], start[2] + end[2])
     factor = _dot(total, vector) / max(1.0 + _dot(start, end), _TINY)
@@ -99,17 +103,17 @@ def _carry(start: Vector, end: Vector, vector: Vector) -> Vector:
     )
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _arcsin(value: float) -> float:
     return math.asin(min(1.0, max(-1.0, value)))
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % _TWO_PI - math.pi
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
     across = (
         points[left, 0] - points[right, 0],
@@ -119,22 +123,20 @@ def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
     return _unit(_mix(1.0, across, -_dot(across, up), up))
 
 
-@njit(cache=True, nogil=True)
-def _change(
-    index: int, value: float, slack: float, lower: Array, upper: Array, angles: Array, slacks: Array, move: bool
-) -> float:
-    angles[index] = value
-    slacks[index] = slack
+@_inner
+def _change(index: int, value: float, slack: float, limits: Array, work: Array, move: bool) -> float:
+    work[0, index] = value
+    work[1, index] = slack
     if not move:
         return 0.0
-    low, high = lower[index] - slack, upper[index] + slack
+    low, high = limits[0, index] - slack, limits[1, index] + slack
     if (low - _TINY <= value <= high + _TINY) or high - low >= _TWO_PI:
         return 0.0
     above, below = _wrap(value - high), _wrap(value - low)
     return -above if abs(above) < abs(below) else -below
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine: float, sine: float) -> None:
     """Turn joints `first` to `last` (inclusive) about a unit axis through joint `pivot`."""
     px, py, pz = points[pivot, 0], points[pivot, 1], points[pivot, 2]
@@ -147,7 +149,7 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
         points[joint, 2] = pz + cosine * v[2] + sine * c[2] + along * axis[2]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
     cross = _cross(before, after)
     sine = math.sqrt(_dot(cross, cross))
@@ -164,7 +166,7 @@ def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, a
     _turn(points, first, last, pivot, axis, math.cos(angle), math.sin(angle))
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _girdle(
     points: Array,
     centre: int,
@@ -173,17 +175,15 @@ def _girdle(
     right: int,
     index: int,
     spread_index: int,
-    lower: Array,
-    upper: Array,
-    angles: Array,
-    slacks: Array,
+    limits: Array,
+    work: Array,
     move: bool,
 ) -> None:
     for side in range(2):
         joint = left if side == 0 else right
         direction = _bone(points, centre, joint)
         elevation = _arcsin(_dot(direction, up))
-        change = _change(index + side, elevation, 0.0, lower, upper, angles, slacks, move)
+        change = _change(index + side, elevation, 0.0, limits, work, move)
         if change != 0.0:
             level = _unit(_mix(1.0, direction, -_dot(direction, up), up))
             target = elevation + change
@@ -192,14 +192,14 @@ def _girdle(
     one = _mix(1.0, one, -_dot(one, up), up)
     two = _mix(1.0, two, -_dot(two, up), up)
     spread = math.atan2(_dot(_cross(one, two), up), _dot(one, two)) % _TWO_PI
-    change = _change(spread_index, spread, 0.0, lower, upper, angles, slacks, move)
+    change = _change(spread_index, spread, 0.0, limits, work, move)
     if change != 0.0:
         cosine, sine = math.cos(0.5 * change), math.sin(0.5 * change)
         _turn(points, left, left + 2, centre, up, cosine, -sine)
         _turn(points, right, right + 2, centre, up, cosine, sine)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _swing(
     points: Array,
     joint: int,
@@ -210,20 +210,18 @@ def _swing(
     left: Vector,
     front: Vector,
     index: int,
-    lower: Array,
-    upper: Array,
-    angles: Array,
-    slacks: Array,
+    limits: Array,
+    work: Array,
     move: bool,
 ) -> bool:
     """Flexion at `index`, the lateral angle right after it; tells whether the bone moved."""
     direction = _bone(points, joint, end)
     sideways = _arcsin(_dot(direction, left))
-    change_sideways = _change(index + 1, sideways, 0.0, lower, upper, angles, slacks, move)
+    change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
     sideways += change_sideways
     flexion = math.atan2(_dot(direction, front), _dot(direction, up))
     slack = _SLACK * (1.0 / max(math.cos(sideways), _TINY) - 1.0)
-    change_flexion = _change(index, flexion, slack, lower, upper, angles, slacks, move)
+    change_flexion = _change(index, flexion, slack, limits, work, move)
     if change_sideways == 0.0 and change_flexion == 0.0:
         return False
     flexion += change_flexion
@@ -233,28 +231,26 @@ def _swing(
     return True
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _arm(
     points: Array,
     shoulder: int,
     back: Vector,
     across: Vector,
     index: int,
-    lower: Array,
-    upper: Array,
-    angles: Array,
-    slacks: Array,
+    limits: Array,
+    work: Array,
     move: bool,
 ) -> None:
     direction = _bone(points, shoulder, shoulder + 1)
     b, m = _dot(direction, back), _dot(direction, across)
-    change_b = _change(index, _arcsin(b), 0.0, lower, upper, angles, slacks, move)
-    change_m = _change(index + 1, _arcsin(m), 0.0, lower, upper, angles, slacks, move)
+    change_b = _change(index, _arcsin(b), 0.0, limits, work, move)
+    change_m = _change(index + 1, _arcsin(m), 0.0, limits, work, move)
     if not move:
         return
     up = _cross(back, across)
     rest = _dot(direction, up)
-    most_b, most_m = math.sin(upper[index]), math.sin(upper[index + 1])
+    most_b, most_m = math.sin(limits[1, index]), math.sin(limits[1, index + 1])
     side_of = -1.0 if rest < 0 else 1.0
     is_moved = change_b != 0.0 or change_m != 0.0
     if change_b != 0.0:
@@ -271,7 +267,7 @@ def _arm(
         _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _hinge(
     points: Array,
     joint: int,
@@ -280,10 +276,8 @@ def _hinge(
     outward: Vector,
     rotation_index: int,
     flexion_index: int,
-    lower: Array,
-    upper: Array,
-    angles: Array,
-    slacks: Array,
+    limits: Array,
+    work: Array,
     move: bool,
 ) -> None:
     above, below = _bone(points, joint, joint + 1), _bone(points, joint + 1, joint + 2)
@@ -291,12 +285,12 @@ def _hinge(
     across = _mix(1.0, below, -along, above)
     sine = math.sqrt(_dot(across, across))
     flexion = math.atan2(sine, along)
-    change_flexion = _change(flexion_index, flexion, 0.0, lower, upper, angles, slacks, move)
+    change_flexion = _change(flexion_index, flexion, 0.0, limits, work, move)
     certainty = sine if along > 0 else 1.0
     carried_bend, carried_out = _carry(rest, above, bend), _carry(rest, above, outward)
     rotation = math.atan2(_dot(across, carried_out), _dot(across, carried_bend)) if sine > _TINY else 0.0
     slack = _SLACK / max(certainty, _TINY)
-    change = _change(rotation_index, rotation, slack, lower, upper, angles, slacks, move)
+    change = _change(rotation_index, rotation, slack, limits, work, move)
     if change_flexion != 0.0:
         bent = flexion + change_flexion
         after = _mix(math.cos(bent), above, math.sin(bent), _unit(across))
@@ -306,81 +300,73 @@ def _hinge(
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))
 
 
-@njit(cache=True, nogil=True)
-def _walk(points: Array, lower: Array, upper: Array, angles: Array, slacks: Array, move: bool) -> None:
+@_inner
+def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
     y = _bone(points, PELVIS, SPINE)
-    _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, lower, upper, angles, slacks, move)
+    _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, limits, work, move)
     x = _frame_x(points, LEFT_HIP, RIGHT_HIP, y)
     z = _cross(x, y)
-    _swing(points, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE, lower, upper, angles, slacks, move)
+    _swing(points, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE, limits, work, move)
     up = _bone(points, SPINE, CHEST)
     _girdle(
         points, CHEST, up, LEFT_SHOULDER, RIGHT_SHOULDER, _SHOULDER_ELEVATION, _SHOULDER_SPREAD,
-        lower, upper, angles, slacks, move,
+        limits, work, move,
     )  # fmt: skip
     shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     carried = _carry(y, up, x)
     torsion = math.atan2(_dot(_cross(carried, shoulders_x), up), _dot(carried, shoulders_x))
-    change = _change(_TORSION, torsion, 0.0, lower, upper, angles, slacks, move)
+    change = _change(_TORSION, torsion, 0.0, limits, work, move)
     if change != 0.0:
         _turn(points, NECK, RIGHT_WRIST, CHEST, up, math.cos(change), math.sin(change))
         shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     front = _cross(shoulders_x, up)
-    _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, lower, upper, angles, slacks, move)
+    _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, limits, work, move)
     up_neck = _bone(points, CHEST, NECK)
     neck_x = _unit(_mix(1.0, shoulders_x, -_dot(shoulders_x, up_neck), up_neck))
     neck_z = _cross(neck_x, up_neck)
-    _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, lower, upper, angles, slacks, move)
+    _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, limits, work, move)
     for side in range(2):
         sign = 1.0 if side == 0 else -1.0
         outward = _scale(sign, shoulders_x)
         shoulder = LEFT_SHOULDER if side == 0 else RIGHT_SHOULDER
         arm = _ARM + 3 * side
-        _arm(points, shoulder, _scale(-1.0, front), _scale(-1.0, outward), arm, lower, upper, angles, slacks, move)
-        _hinge(points, shoulder, outward, front, up, arm + 2, _ELBOW + side, lower, upper, angles, slacks, move)
+        _arm(points, shoulder, _scale(-1.0, front), _scale(-1.0, outward), arm, limits, work, move)
+        _hinge(points, shoulder, outward, front, up, arm + 2, _ELBOW + side, limits, work, move)
         outward = _scale(sign, x)
         down = _scale(-1.0, y)
         hip = LEFT_HIP if side == 0 else RIGHT_HIP
         leg = _HIP + 3 * side
-        _swing(points, hip, hip + 1, hip + 1, hip + 2, down, outward, z, leg, lower, upper, angles, slacks, move)
+        _swing(points, hip, hip + 1, hip + 1, hip + 2, down, outward, z, leg, limits, work, move)
         _hinge(
             points, hip, down, _scale(-1.0, z), _scale(-1.0, outward), leg + 2, _KNEE + side,
-            lower, upper, angles, slacks, move,
+            limits, work, move,
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
-def _count(lower: Array, upper: Array, angles: Array, slacks: Array) -> int:
+@_inner
+def _count(limits: Array, work: Array) -> int:
     count = 0
     for index in range(_NUM_ANGLES):
-        low, high = lower[index] - slacks[index], upper[index] + slacks[index]
-        is_inside = low - _TINY <= angles[index] <= high + _TINY
+        low, high = limits[0, index] - work[1, index], limits[1, index] + work[1, index]
+        is_inside = low - _TINY <= work[0, index] <= high + _TINY
         if not is_inside and high - low < _TWO_PI:
             count += 1
     return count
 
 
-@njit(cache=True, nogil=True)
-def measure_angles(pose: Array, angles: Array, slacks: Array) -> None:
-    """Write the angles and their slack, (29,) each, radians, of one pose (17, 3); the pose is not changed."""
-    _walk(pose, angles, angles, angles, slacks, False)
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_angles(pose: Array, work: Array) -> None:
+    """Write the angles and their slack into `work` (2, 29), radians, of one pose (17, 3); the pose is not changed."""
+    _walk(pose, work, work, False)
 
 
-@njit(cache=True, nogil=True)
-def count_invalid_angles(pose: Array, lower: Array, upper: Array, work: Array) -> int:
-    """Count the angles of one pose (17, 3) that are out of range; `work` (2, 29) is overwritten."""
-    _walk(pose, lower, upper, work[0], work[1], False)
-    return _count(lower, upper, work[0], work[1])
-
-
-@njit(cache=True, nogil=True)
-def move_to_nearest_valid(pose: Array, lower: Array, upper: Array, work: Array, valid: Array) -> tuple[int, float]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `JointLimits.nearest_valid` does.
 
     Args:
         pose: Positions (17, 3), float64, metres; not changed.
-        lower: Least valid angles, (29,), radians: `JointLimits.lower_rad`.
-        upper: Greatest valid angles, (29,): `JointLimits.upper_rad`.
+        limits: Least and greatest valid angles, (2, 29), radians: `JointLimits.lower_rad` and `upper_rad`.
         work: Scratch (2, 29), overwritten.
         valid: The valid pose is written here, (17, 3).
 
@@ -388,11 +374,15 @@ def move_to_nearest_valid(pose: Array, lower: Array, upper: Array, work: Array, 
         Number of invalid angles of `pose`, and the sum over the joints of the squared distance moved (square metres).
         A valid pose returns (0, 0.0) after the angles alone.
     """
-    num_invalid = count_invalid_angles(pose, lower, upper, work)
-    valid[:] = pose
+    # Not `valid[:] = pose`: its error message alone takes seconds to compile.
+    for joint in range(17):
+        for axis in range(3):
+            valid[joint, axis] = pose[joint, axis]
+    _walk(valid, limits, work, False)
+    num_invalid = _count(limits, work)
     if num_invalid == 0:
         return 0, 0.0
-    _walk(valid, lower, upper, work[0], work[1], True)
+    _walk(valid, limits, work, True)
     total = 0.0
     for joint in range(17):
         for axis in range(3):

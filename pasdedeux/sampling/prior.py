@@ -77,8 +77,7 @@ class PhysicalPrior:
         self.alpha = alpha
         self.most_invalid = most_invalid
         self.length_tolerance = length_tolerance
-        self._lower = np.ascontiguousarray(limits.lower_rad)
-        self._upper = np.ascontiguousarray(limits.upper_rad)
+        self._limits = np.stack([limits.lower_rad, limits.upper_rad])
         model: CapsuleModel = capsule_model(PAIR17)
         self._model = model
         self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
@@ -95,7 +94,7 @@ class PhysicalPrior:
         is_turned_over = bool((bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2)
         num_invalid, squared = 0, 0.0
         for person in range(2):
-            count, distance = move_to_nearest_valid(pair_m[person], self._lower, self._upper, self._work, self._valid)
+            count, distance = move_to_nearest_valid(pair_m[person], self._limits, self._work, self._valid)
             num_invalid += count
             squared += distance
         depth = pair_penetration(

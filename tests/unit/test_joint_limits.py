@@ -153,22 +153,24 @@ def test_the_compiled_form_agrees_with_the_plain_one() -> None:
     poses = wild(2, 400)
     nearest = LIMITS.nearest_valid(poses)
     plain = joint_angles(poses)
-    angles, slacks, work, valid = np.zeros(29), np.zeros(29), np.zeros((2, 29)), np.zeros((17, 3))
+    ranges = np.stack([LIMITS.lower_rad, LIMITS.upper_rad])
+    work, valid = np.zeros((2, 29)), np.zeros((17, 3))
     for row, pose in enumerate(poses):
-        measure_angles(pose, angles, slacks)
+        measure_angles(pose, work)
         # atan2 may fall on either side of the half turn
-        np.testing.assert_allclose(np.exp(1j * angles), np.exp(1j * plain[row]), atol=1e-9)
-        count, squared = move_to_nearest_valid(pose, LIMITS.lower_rad, LIMITS.upper_rad, work, valid)
+        np.testing.assert_allclose(np.exp(1j * work[0]), np.exp(1j * plain[row]), atol=1e-9)
+        count, squared = move_to_nearest_valid(pose, ranges, work, valid)
         assert count == nearest.num_invalid[row]
         np.testing.assert_allclose(valid, nearest.positions[row], atol=1e-9)
         assert squared == pytest.approx(nearest.squared_distance_m2[row], abs=1e-12)
 
 
 def test_both_forms_survive_collapsed_poses() -> None:
+    ranges = np.stack([LIMITS.lower_rad, LIMITS.upper_rad])
     work, valid = np.zeros((2, 29)), np.zeros((17, 3))
     for pose in (np.zeros((17, 3)), np.ones((17, 3)), standing() * [0, 1, 0]):
         assert np.isfinite(LIMITS.nearest_valid(pose).positions).all()
-        assert np.isfinite(move_to_nearest_valid(pose, LIMITS.lower_rad, LIMITS.upper_rad, work, valid)[1])
+        assert np.isfinite(move_to_nearest_valid(pose, ranges, work, valid)[1])
 
 
 @pytest.mark.data

@@ -50,13 +50,14 @@ class CommonOptions(Parameters):
         default=None,
         gt=0,
         le=10_000,
-        description="True frame rate; by default what the file states, and for AMC files named like CMU's 120 Hz "
-        "(60 Hz for subjects 60 and 61)",
+        description="True frame rate; by default what the file states, and what is known of CMU's files: 120 Hz for "
+        "AMC, 60 Hz for subjects 60 and 61, whose BVH headers say 120",
     )
     metres_per_unit: float | None = Field(
         default=None,
         gt=0,
-        description="Length of the files' unit; by default what the file states, or the unit that makes adults",
+        description="Length of the files' unit; by default what the file states, what is known of CMU's salsa BVH, "
+        "or the unit that makes adults",
     )
     up_axis: Literal["auto", "x", "y", "z"] = Field(
         default="auto", description="Axis that points up; by default the one along which the bodies stand"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from pasdedeux.formats import (
 from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout
 from storage_schema import SourceCredit
+from tasks.ingest.known_sources import CMU_CREDIT, known_source
 from tasks.ingest.parameters import CommonOptions, PersonOptions
 from tasks.stage import SourceFile
 
@@ -37,17 +37,6 @@ __all__ = ["PersonSource", "credit_of", "find_person", "layout_named", "load_fil
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
 
-CMU_RATES_HZ = {"60": 60.0, "61": 60.0}
-"""Subjects of the CMU database whose takes are not at 120 Hz."""
-CMU_RATE_HZ = 120.0
-_CMU_NAME = re.compile(r"^(\d{1,3})_\d{1,3}\.amc$", re.IGNORECASE)
-
-CMU_CREDIT = SourceCredit(
-    name="CMU Graphics Lab Motion Capture Database",
-    licence="Free for all uses; the data itself may not be resold",
-    credit="The data used in this project was obtained from mocap.cs.cmu.edu. "
-    "The database was created with funding from NSF EIA-0196217.",
-)
 DUET_CREDIT = SourceCredit(
     name="pasdedeux built-in duets", licence="Apache-2.0", credit="Closed-form choreography of the pasdedeux package"
 )
@@ -140,12 +129,13 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
             raise InputError(f"this is a file of the kind '{kind}', not a motion of one person")
         skeleton = _skeleton_file(path, kind, person)
         head = _head(kind, loaded, skeleton)
-        rate = person.rate_hz or take.rate_hz or head.source.rate_hz or _cmu_rate(path.name)
-        if rate is None:
-            raise InputError("the file states no frame rate; set rate_hz for this take (CMU: 120, subjects 60, 61: 60)")
         layout_name = person.layout or take.layout
         layout = layout_named(layout_name, head.source.skeleton.joint_names, mappings)
-        scale = person.metres_per_unit or take.metres_per_unit or _scale(head.source)
+        known = known_source(path.name, layout.name)
+        rate = person.rate_hz or take.rate_hz or known.rate_hz or head.source.rate_hz
+        if rate is None:
+            raise InputError("the file states no frame rate; set rate_hz for this take")
+        scale = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit or _scale(head.source)
         check_layout(head.source.to_motion(metres_per_unit=scale, rate_hz=rate), layout)
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
@@ -259,11 +249,6 @@ def _scale(rest: SourceMotion) -> float:
     if sureness < LEAST_UNIT_SURENESS:
         raise InputError(f"its length unit cannot be told ({reason}); set metres_per_unit for this take")
     return scale
-
-
-def _cmu_rate(name: str) -> float | None:
-    found = _CMU_NAME.match(name)
-    return CMU_RATES_HZ.get(found.group(1), CMU_RATE_HZ) if found else None
 
 
 def _needed(skeleton: bytes | None) -> bytes:

@@ -1,0 +1,141 @@
+"""Scores of views, coverage, variants, reconstructions and models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import look_at_camera
+from pasdedeux.evaluation.coverage import as_good_as_real_frames, coverage_scores, curve_points, real_frame_levels
+from pasdedeux.evaluation.model_metrics import ModelErrors
+from pasdedeux.evaluation.models import model_figure, model_scores
+from pasdedeux.evaluation.overlay import floor_grid
+from pasdedeux.evaluation.reconstruction import Reconstructed, reconstruction_scores
+from pasdedeux.evaluation.score_tables import format_value, score_table
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.variants import QUALITY_COLUMNS, VariantQualities, quality_scores, verdict_scores
+from pasdedeux.evaluation.views import view_scores
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.sampling.coverage import CoverageCurve
+from pasdedeux.sampling.synthetic import random_pairs
+
+
+def _by_method(scores: list[Score], metric: str) -> dict[str, float]:
+    return {score.method: score.value for score in scores if score.metric == metric and np.isnan(score.at)}
+
+
+def test_view_scores_take_the_heaviest_hypothesis_and_name_the_best_one() -> None:
+    rng = np.random.default_rng(0)
+    truth = normalise(rng.normal(size=(50, 3)))
+    wrong = -truth
+    estimated = np.stack([wrong, truth], axis=1)
+    weight = np.tile([0.7, 0.3], (50, 1))
+    scores = view_scores(estimated, weight, truth, split="annotated")
+    medians = _by_method(scores, "view_error_median")
+    assert medians["heaviest_hypothesis"] == pytest.approx(180.0)
+    assert medians["best_hypothesis"] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_a_missing_hypothesis_is_never_the_best_one() -> None:
+    truth = np.tile([0.0, 0.0, 1.0], (4, 1))
+    estimated = np.full((4, 2, 3), np.nan)
+    estimated[:, 0] = [0.0, 1.0, 0.0]
+    scores = view_scores(estimated, np.tile([1.0, 0.0], (4, 1)), truth, split="annotated")
+    assert _by_method(scores, "view_error_median")["best_hypothesis"] == pytest.approx(90.0)
+
+
+def _pairs(count: int, seed: int) -> np.ndarray:
+    return random_pairs(np.random.default_rng(seed), count)
+
+
+def test_real_frames_cover_better_the_more_there_are() -> None:
+    levels = real_frame_levels(_pairs(12, 0), _pairs(40, 1), np.random.default_rng(2))
+    assert levels.num_draws.tolist() == [1, 3, 10, 30]
+    assert (np.diff(levels.cartesian_m) <= 0).all()
+
+
+def test_a_set_of_real_frames_is_as_good_as_itself() -> None:
+    levels = CoverageCurve(np.array([1, 10, 100]), np.array([3.0, 2.0, 1.0]), np.array([0.3, 0.2, 0.1]))
+    assert as_good_as_real_frames(0.2, levels) == pytest.approx(10.0)
+    assert as_good_as_real_frames(0.15, levels) == pytest.approx(np.sqrt(1000.0))
+    assert as_good_as_real_frames(0.31, levels) == 0.0
+    assert as_good_as_real_frames(0.01, levels) == pytest.approx(100.0)
+
+
+def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
+    curve = CoverageCurve(np.array([1, 5]), np.array([0.5, 0.4]), np.array([0.2, 0.1]))
+    scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, split="held_out", num_truth=7)
+    assert _by_method(scores, "coverage_D_C") == {"ic": 0.1, "prior_only": 0.1, "real_frames": 0.1}
+    assert sum(not np.isnan(s.at) for s in scores) == 2 * 2 * 3
+    assert {s.method for s in scores if s.is_baseline} == {"prior_only", "real_frames"}
+    assert curve_points(1, 5) == [1]
+    assert curve_points(1000, 4) == [1, 10, 100, 1000]
+
+
+def test_quality_scores_show_contact_drift_beside_plain_forward_kinematics() -> None:
+    values = {name: np.array([0.01, np.nan, 0.03]) for name in QUALITY_COLUMNS}
+    qualities = VariantQualities(
+        "waltz", np.array([0.8, 1.1, 1.2]), values, np.array([0.1, 0.2, 0.3]), ["pass"] * 2 + ["fail"]
+    )
+    scores = quality_scores(qualities)
+    assert _by_method(scores, "contact_drift_mean") == pytest.approx({"interaction_mesh": 0.02, "naive_fk": 0.2})
+    assert _by_method(scores, "jerk_ratio_worst") == {"interaction_mesh": 0.03}
+    assert {s.metric: s.value for s in verdict_scores(qualities)} == {
+        "variants_pass": 2.0,
+        "variants_warn": 0.0,
+        "variants_fail": 1.0,
+    }
+
+
+def test_a_perfect_reconstruction_scores_zero_and_standing_still_does_not() -> None:
+    rng = np.random.default_rng(3)
+    truth = rng.normal(size=(20, 14, 3))
+    scores = reconstruction_scores(
+        Reconstructed("s person 0", truth, {"viterbi": truth + [1.0, 2.0, 3.0]}), split="held_out"
+    )
+    errors = _by_method(scores, "error_root_kept")
+    assert errors["viterbi"] == pytest.approx(0.0, abs=1e-12)
+    assert errors["standing_still"] > 0.5
+
+
+def test_model_scores_leave_out_a_distance_that_no_take_has() -> None:
+    errors = {"copy": [ModelErrors(1.0, 2.0, float("nan")), ModelErrors(3.0, 4.0, float("nan"))]}
+    scores = model_scores(errors, baselines=("copy",), split="cross_scale test", item="all")
+    assert {s.metric: s.value for s in scores} == {"E_r": 2.0, "E_b": 3.0}
+    assert model_figure([0.75, 1.25], errors, baselines=("copy",), split="cross_scale")
+
+
+def test_tables_put_methods_side_by_side_and_baselines_last() -> None:
+    scores = [
+        Score("models", "E_r", "copy", 2.0, "cm", is_baseline=True),
+        Score("models", "E_r", "ridge", 1.0, "cm"),
+        Score("models", "E_r", "ridge", 0.5, "cm", at=3.0),
+    ]
+    table = score_table(scores, caption="c")
+    assert table.headings == ("figure", "part", "item", "ridge", "copy (baseline)")
+    assert table.rows == (("E r", "all", "all", "1 cm", "2 cm"),)
+
+
+def test_a_table_of_one_method_has_a_row_for_each_item() -> None:
+    scores = [
+        Score("takes", m, "capture", v, "m", item=i) for i in ("hug", "waltz") for m, v in (("a", 0.1), ("b", 0.2))
+    ]
+    table = score_table(scores, caption="c")
+    assert table.headings == ("part", "item", "a", "b")
+    assert table.rows == (("all", "hug", "10 cm", "20 cm"), ("all", "waltz", "10 cm", "20 cm"))
+
+
+def test_lengths_are_shown_in_centimetres_and_what_is_not_a_number_as_a_dash() -> None:
+    assert format_value(0.0123, "m") == "1.23 cm"
+    assert format_value(float("nan"), "m") == "-"
+    assert format_value(12345.6, "frames") == "12,346 frames"
+
+
+def test_the_floor_grid_lies_under_what_the_camera_looks_at() -> None:
+    camera = look_at_camera(np.array([2.0, 1.0, -1.0]), distance_m=4.0, yaw_rad=0.7, pitch_rad=0.2, focal_px=1000.0)
+    grid = floor_grid(camera)
+    below = grid[np.isfinite(grid).all(axis=(1, 2))]
+    assert len(below) > 20
+    inside = camera.is_inside(below).any(axis=1)
+    assert inside.mean() > 0.2
+    assert (below[inside][..., 1].max(axis=-1) > 540).mean() > 0.9

@@ -121,7 +121,7 @@ class AugmentationParameters(Parameters):
     contact_m: tuple[float, float] = Field((0.2, 0.3), description="Contact distance: full weight up to, none from")
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time; 0 as published")
     solver: Literal["bulk", "descent"] = Field("bulk", description="bulk (with descent as fallback) or descent alone")
-    max_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver")
+    max_iterations: int = Field(32, ge=1, description="Iterations of the bulk solver")
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
 
     @model_validator(mode="after")

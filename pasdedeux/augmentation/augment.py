@@ -113,8 +113,7 @@ class Augmenter:
             return []
         problem, settings = self.problem, self.settings
         targets = build_targets(problem, np.stack([variation.bone_scale for variation in variations]))
-        at_rest = np.zeros(targets.reference.shape)
-        energy_fk = total_energy(problem, targets, at_rest)
+        energy_fk = total_energy(problem, targets, np.zeros(targets.reference.shape))
         positions = np.array(targets.reference)
         energy = np.array(energy_fk)
         solvers = ["descent"] * len(variations)

@@ -33,11 +33,9 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
     }
     bends = np.einsum("mi,vtia->vtma", bending_rows(problem.source), offsets)
     terms["bending"] = weights.bending * (bends**2).sum(axis=(1, 2, 3))
-    contact = np.zeros(len(offsets))
-    for variant, pair in enumerate(apart):
-        squared = ((pair[:, :half, None] - pair[:, None, half:]) ** 2).sum(axis=-1)
-        contact[variant] = (problem.contact * squared).sum()
-    terms["contact"] = contact
+    frame, first, second = np.nonzero(problem.contact)
+    gaps = apart[:, frame, first] - apart[:, frame, second + half]
+    terms["contact"] = (problem.contact[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
     points = (targets.reference + offsets)[:, :, GIRDLE_PAIRS]
     distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)
     terms["girdle"] = weights.girdle * ((distance - targets.girdle_m) ** 2).sum(axis=(1, 2))

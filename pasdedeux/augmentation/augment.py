@@ -49,7 +49,7 @@ class AugmentationSettings:
     contacts: ContactSettings = field(default_factory=ContactSettings)
     limits: QualityLimits = field(default_factory=QualityLimits)
     bulk: BulkSettings = field(default_factory=lambda: BulkSettings(is_single_precision=True))
-    descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=1e-3))
+    descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=5e-3))
     fallback_residual_m: float = 5e-4
     is_bulk: bool = True
     mesh_smoothing_s: float = 0.25

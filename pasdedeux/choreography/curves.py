@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import make_interp_spline
 
 __all__ = ["blend", "bump", "curve_through", "mix", "moves", "saturate", "soft_minimum", "window"]
 
@@ -37,10 +36,28 @@ def mix(first: Array, second: Array, weight: Array) -> Array:
     return np.asarray(first + w * (second - first))
 
 
-def curve_through(time_s: Array, key_times_s: Sequence[float] | Array, keys: Array) -> Array:
-    """Pass through keys (key, ...) as a quintic spline that is evaluated at `time_s` (frame,); for steady travel."""
-    spline = make_interp_spline(np.asarray(key_times_s, dtype=np.float64), np.asarray(keys, dtype=np.float64), k=5)
-    return np.asarray(spline(time_s))
+def curve_through(time_s: Array, start_s: float, step_s: float, keys: Array) -> Array:
+    """Pass through equally spaced keys (key, ...) with two continuous derivatives; for steady travel.
+
+    Quintic Hermite pieces whose slopes and bends at a key come from the four keys around it (five-point differences),
+    so a value depends on six keys only.  The first two and the last two keys only shape the curve: `time_s` (frame,)
+    must lie between the third and the last but two.
+    """
+    slope = (8.0 * (keys[3:-1] - keys[1:-3]) - (keys[4:] - keys[:-4])) / 12.0
+    bend = (16.0 * (keys[3:-1] + keys[1:-3]) - (keys[4:] + keys[:-4]) - 30.0 * keys[2:-2]) / 12.0
+    place = (time_s - start_s) / step_s - 2.0
+    first = np.clip(np.floor(place).astype(int), 0, len(keys) - 6)
+    x = (place - first).reshape(place.shape + (1,) * (keys.ndim - 1))
+    p0, p1 = keys[2:-2][first], keys[2:-2][first + 1]
+    v0, v1, a0, a1 = slope[first], slope[first + 1], bend[first], bend[first + 1]
+    return np.asarray(
+        p0
+        + v0 * x
+        + 0.5 * a0 * x**2
+        + (10.0 * (p1 - p0) - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1) * x**3
+        + (-15.0 * (p1 - p0) + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1) * x**4
+        + (6.0 * (p1 - p0) - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)) * x**5
+    )
 
 
 def moves(time_s: Array, start: Array | float, steps: Sequence[tuple[float, float, Array | float]]) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.curves import blend, mix, moves, window
+from pasdedeux.choreography.curves import mix, moves, window
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Setting, check_style, finish
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 _ARRIVE_S, _HOLD_S, _LEAVE_S = 2.5, 3.3, 3.0
 """When both have arrived; when the arms are closed; how long before the end the arms begin to open."""
 _LEAST_HOLD_S = 1.0
-_ALIKE_LIFT = 0.95
+_ALIKE_LIFT = 1.05
 """How much higher the elbows of the one on top point when both are equally tall."""
 _TRACK = 0.062
 """Distance of each foot from the middle of the body, fraction of height."""
@@ -65,14 +65,14 @@ def make_hug(
         variation: Another take of the same dance.
         sway: How far the pelvises go to either side, fraction of mean height; 0 to 0.03.
         sway_s: Time of one sway to and fro; 1.6 to 5.
-        approach: Distance of the two at the beginning, fraction of mean height; 0.7 to 1.1.
+        approach: Distance of the two at the beginning, fraction of mean height; 0.7 to 1.
 
     Raises:
         InputError: A number is outside its range.
     """
     setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
     parameters = check_style(
-        "hug", {"sway": (sway, 0.0, 0.03), "sway_s": (sway_s, 1.6, 5.0), "approach": (approach, 0.7, 1.1)}
+        "hug", {"sway": (sway, 0.0, 0.03), "sway_s": (sway_s, 1.6, 5.0), "approach": (approach, 0.7, 1.0)}
     )
     vary = setting.vary(4)
     time_s = setting.time_s
@@ -80,8 +80,8 @@ def make_hug(
     mean_m = float(np.mean(heights_m))
     plan = _Plan(
         start_m=approach * (1.0 + 0.08 * float(vary[0])) * mean_m,
-        embrace_m=0.185 * mean_m,
-        aside_m=0.075 * mean_m,
+        embrace_m=0.194 * mean_m,
+        aside_m=0.070 * mean_m,
         hold_s=_HOLD_S,
         open_s=max(duration_s - _LEAVE_S, _HOLD_S + _LEAST_HOLD_S),
         sway_m=sway * (1.0 - 0.2 * abs(float(vary[1]))) * mean_m,
@@ -101,7 +101,7 @@ def _walk(person: int, bodies: tuple[Body, Body], plan: _Plan, time_s: Array) ->
     far, near = 0.5 * plan.start_m, 0.5 * plan.embrace_m
     left = 0.5 * plan.aside_m
     leave = plan.open_s + 0.9
-    ahead = moves(time_s, -far, [(0.15, _ARRIVE_S + 0.1, -near), (leave, leave + 1.9, -(near + 0.55 * (far - near)))])
+    ahead = moves(time_s, -far, [(0.15, _ARRIVE_S + 0.1, -near), (leave, leave + 1.9, -(near + 0.5 * (far - near)))])
     closed = window(time_s, 1.6, plan.hold_s, plan.open_s - 0.2, plan.open_s + 1.0)
     sway = plan.sway_m * np.sin(2.0 * np.pi * (time_s - plan.hold_s) / plan.sway_s + plan.phase_rad)
     sway = sway * window(time_s, plan.hold_s - 0.6, plan.hold_s + 0.8, plan.open_s - 1.2, plan.open_s + 0.2)
@@ -123,7 +123,7 @@ def _walk(person: int, bodies: tuple[Body, Body], plan: _Plan, time_s: Array) ->
         spine_rotvec=np.stack(
             [walking * 0.4 + 0.6 * lean * closed, -0.02 * closed, 1.1 * sign * sway / height], axis=-1
         ),
-        head_rotvec=np.stack([-0.05 - (0.9 * lean + 0.1) * closed + nod, 0.30 * closed, -0.22 * closed], axis=-1),
+        head_rotvec=np.stack([-0.05 - (0.9 * lean + 0.1) * closed + nod, 0.30 * closed, -0.20 * closed], axis=-1),
     )
     feet = tuple(_foot(side, body, plan, yaw, left, time_s) for side in SIDES)
     return Figure(body=body, trunk=trunk, feet=(feet[0], feet[1]))
@@ -133,22 +133,22 @@ def _foot(side: str, body: Body, plan: _Plan, yaw: float, left_m: float, time_s:
     """Walk up in three steps (right, left, right), stand through the embrace, and step back (left, right)."""
     sign = 1.0 if side == "left" else -1.0
     far, near = -0.5 * plan.start_m, -0.5 * plan.embrace_m
-    back = near + 0.55 * (far - near)
+    back = near + 0.5 * (far - near)
     leave = plan.open_s + 1.0
     if side == "left":
-        stops = [(-1.0, 0.85, far), (1.45, leave, near), (leave + 0.65, 1e3, back)]
+        stops = [(-1.0, 0.84, far), (1.42, leave, near), (leave + 0.60, 1e3, back)]
     else:
         stops = [
-            (-1.0, 0.3, far),
-            (0.9, 1.45, far + 0.6 * (near - far)),
-            (2.1, leave + 0.6, near),
-            (leave + 1.3, 1e3, back),
+            (-1.0, 0.22, far),
+            (0.78, 1.5, far + 0.6 * (near - far)),
+            (2.1, leave + 0.66, near),
+            (leave + 1.26, 1e3, back),
         ]
     plants = []
     for land_s, lift_s, ahead in stops:
         at = facing(yaw, left_m + sign * _TRACK * body.height_m, 0.0, ahead - 0.02 * body.height_m)
         plants.append(Plant(float(at[0]), float(at[2]), yaw + sign * 0.14, land_s, lift_s))
-    return walk_foot(time_s, body, plants, heel=1.4)
+    return walk_foot(time_s, body, plants, heel=1.15)
 
 
 def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list[Contact]:

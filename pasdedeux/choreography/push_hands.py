@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.curves import blend
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Setting, check_style, finish
 from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
@@ -37,8 +36,8 @@ def make_push_hands(
 ) -> Duet:
     """Make push-hands: right foot in front, the feet never move, right wrists circle, left hands at the right elbows.
 
-    The circle lies level at first and stands upright in the second half.  Contacts, all the time: right wrist on right
-    wrist, A's left wrist at B's right elbow, B's left wrist at A's right elbow.
+    The circle lies level at first, stands upright two circles later, and so on.  Contacts, all the time: right wrist on
+    right wrist, A's left wrist at B's right elbow, B's left wrist at A's right elbow.
 
     Args:
         duration_s: Length.
@@ -47,8 +46,8 @@ def make_push_hands(
         variation: Another take of the same dance.
         circle_s: Time of one circle; 1.8 to 6.
         width: Half width of the circle, fraction of mean height; 0 to 0.06.
-        depth: Half depth of the circle, likewise; 0 to 0.07.
-        shift: How far the pelvis goes forward and back from the middle, likewise; 0 to 0.06.
+        depth: Half depth of the circle, likewise; 0.03 to 0.07.
+        shift: How far the pelvis goes forward and back from the middle, likewise; 0.03 to 0.06.
         apart: Distance of the two stances, likewise; 0.37 to 0.40.
 
     Raises:
@@ -60,8 +59,8 @@ def make_push_hands(
         {
             "circle_s": (circle_s, 1.8, 6.0),
             "width": (width, 0.0, 0.06),
-            "depth": (depth, 0.0, 0.07),
-            "shift": (shift, 0.0, 0.06),
+            "depth": (depth, 0.03, 0.07),
+            "shift": (shift, 0.03, 0.06),
             "apart": (apart, 0.37, 0.40),
         },
     )
@@ -76,8 +75,8 @@ def make_push_hands(
         _stand(0, bodies[0], apart * mean_m, push, phase, time_s),
         _stand(1, bodies[1], apart * mean_m, push, phase, time_s),
     )
-    # The point of touch, nearer to the shorter arm; level circle first, upright circle later.
-    upright = blend(time_s, 0.42 * duration_s, 0.62 * duration_s) * (0.85 + 0.15 * float(vary[3]))
+    # The point of touch, nearer to the shorter arm; level circle and upright circle in turn.
+    upright = (0.5 - 0.5 * np.cos(0.26 * phase)) * (0.85 + 0.15 * float(vary[3]))
     size = mean_m * (1.0 - 0.1 * abs(float(vary[4])))
     share = heights_m[0] / sum(heights_m) - 0.5
     chest_m = 0.5 * (bodies[0].standing_m("spine3") + bodies[1].standing_m("spine3"))

@@ -39,10 +39,10 @@ def make_waltz(
     heights_m: tuple[float, float] = (1.82, 1.65),
     variation: int = 0,
     tempo_bpm: float = 88.0,
-    turn_per_bar_rad: float = -1.65,
+    turn_per_bar_rad: float = -1.6,
     stride: float = 0.36,
-    apart: float = 0.290,
-    aside: float = 0.064,
+    apart: float = 0.304,
+    aside: float = 0.066,
     rise: float = 0.008,
 ) -> Duet:
     """Make a waltz: A leads, B follows, in closed hold.
@@ -56,12 +56,12 @@ def make_waltz(
         rate_hz: Frames per second.
         heights_m: Heights of leader and follower.
         variation: Another take of the same dance.
-        tempo_bpm: Beats per minute, a step each; 60 to 110.
-        turn_per_bar_rad: Turn of the pair in a bar, to the right, -2.2 to -1.2; the rest of the half turn is the
+        tempo_bpm: Beats per minute, a step each; 60 to 100.
+        turn_per_bar_rad: Turn of the pair in a bar, to the right, -1.65 to -1.2; the rest of the half turn is the
             bend of the line of dance, so the pair travels on a circle.
-        stride: Way of the pair in a bar, fraction of their mean height; 0.2 to 0.4.
-        apart: Distance of the two pelvises along the way they face, fraction of their mean height; 0.28 to 0.30.
-        aside: How far B stands to the right of A's middle, likewise; 0.05 to 0.07.
+        stride: Way of the pair in a bar, fraction of their mean height; 0.25 to 0.4.
+        apart: Distance of the two pelvises along the way they face, fraction of their mean height; 0.30 to 0.31.
+        aside: How far B stands to the right of A's middle, likewise; 0.064 to 0.07.
         rise: Rise and fall of the pelvis in a bar, fraction of body height; 0 to 0.012.
 
     Raises:
@@ -69,11 +69,11 @@ def make_waltz(
     """
     setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
     style = {
-        "tempo_bpm": (tempo_bpm, 60.0, 110.0),
-        "turn_per_bar_rad": (turn_per_bar_rad, -2.2, -1.2),
-        "stride": (stride, 0.2, 0.4),
-        "apart": (apart, 0.28, 0.30),
-        "aside": (aside, 0.05, 0.07),
+        "tempo_bpm": (tempo_bpm, 60.0, 100.0),
+        "turn_per_bar_rad": (turn_per_bar_rad, -1.65, -1.2),
+        "stride": (stride, 0.25, 0.4),
+        "apart": (apart, 0.30, 0.31),
+        "aside": (aside, 0.064, 0.07),
         "rise": (rise, 0.0, 0.012),
     }
     parameters = check_style("waltz", style)
@@ -158,9 +158,9 @@ def _dancer(
     # The pelvis leans over the standing foot, and the weight is there some time after the foot has landed.
     sway = 0.018 * body.height_m * np.where(is_left, 1.0, -1.0)
     over = where + facing(yaw, sway, 0.0, 0.0)[:, [0, 2]]
-    keys_s = np.asarray((beats + _MID_STANCE) * beat_s, dtype=np.float64)
-    x, z = np.moveaxis(curve_through(time_s, keys_s, over), -1, 0)
-    facing_yaw = curve_through(time_s, keys_s, yaw)
+    first_s = float(beats[0] + _MID_STANCE) * beat_s
+    x, z = np.moveaxis(curve_through(time_s, first_s, beat_s, over), -1, 0)
+    facing_yaw = curve_through(time_s, first_s, beat_s, yaw)
     bar = time_s / (3.0 * beat_s)
     phase = 2.0 * np.pi * (bar - 0.62)
     swing = np.sin(2.0 * np.pi * bar / 2.0)
@@ -219,7 +219,11 @@ def _hold(figures: tuple[Figure, Figure], path: _PairPath, span_s: tuple[float, 
     follower.reach_hand("right", point + 0.5 * clasp * across, 0.5 * left + down + 0.3 * across, palm=-across)
     # The leader's right wrist on the follower's back, under her left arm.
     back_bone, back_share = _back_height(leader.body, follower.body)
-    rest_m = follower.body.radius_m(back_bone) + leader.body.radius_m("left_wrist") + _GAP_M
+    rest_m = (
+        max(follower.body.radius_m(back_bone), follower.body.radius_m("spine3"))
+        + leader.body.radius_m("left_wrist")
+        + _GAP_M
+    )
     angle = _round_the_back(leader.body, follower.body, path, back_bone, back_share, rest_m)
     back = (rest_m * float(np.sin(angle)), 0.0, rest_m * float(np.cos(angle)))
     target = follower.on_bone(back_bone, back_share, back)

@@ -1,0 +1,84 @@
+"""What is measured on a duet: contacts, slide, smoothness, penetration, joint angles; used by several tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pasdedeux.choreography import Duet
+from pasdedeux.plausibility import JointLimits, capsule_model, segment_distance
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.layouts import get_layout
+
+__all__ = ["Measured", "measure"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Worst values of a duet, SI units."""
+
+    contact_error_m: float
+    slide_m: float
+    between_m: float
+    within_m: float
+    acceleration: float
+    jerk: float
+    lowest_m: float
+    num_invalid_angles: int
+
+
+def measure(duet: Duet) -> Measured:
+    """Measure everything over all frames."""
+    positions = duet.positions_m()
+    contact = max((_contact_error(duet, positions, c) for c in duet.contacts), default=0.0)
+    velocity = np.diff(positions, axis=0) * duet.rate_hz
+    acceleration = np.diff(velocity, axis=0) * duet.rate_hz
+    jerk = np.diff(acceleration, axis=0) * duet.rate_hz
+    pair17 = get_layout("body22").joint_map("pair17").positions(positions, BODY22.joint_names)
+    within, between = _penetration(duet, positions)
+    return Measured(
+        contact_error_m=contact,
+        slide_m=_slide(duet, positions),
+        between_m=between,
+        within_m=within,
+        acceleration=float(np.linalg.norm(acceleration, axis=-1).max(initial=0.0)),
+        jerk=float(np.linalg.norm(jerk, axis=-1).max(initial=0.0)),
+        lowest_m=float(positions[..., 1].min()),
+        num_invalid_angles=int(JointLimits.published().num_invalid(pair17).max()),
+    )
+
+
+def _contact_error(duet: Duet, positions, contact) -> float:
+    distances = contact.distances_m(positions)[duet.frames(contact)]
+    return float(np.abs(distances - contact.distance_m).max(initial=0.0))
+
+
+def _slide(duet: Duet, positions) -> float:
+    worst = 0.0
+    for stance in duet.stances:
+        frames = duet.frames(stance)
+        for joint in ("ankle", "toe"):
+            points = positions[frames, stance.person, BODY22.index(f"{stance.foot}_{joint}")]
+            worst = max(worst, float(np.abs(points - points[:1]).max(initial=0.0)))
+    return worst
+
+
+def _penetration(duet: Duet, positions) -> tuple[float, float]:
+    """Deepest penetration: within a person over the pairs that the capsule model checks, between people over all.
+
+    The tops of the thighs lie beside the belly (spine1 to spine2) in every pose, so these two are neighbours as well.
+    """
+    model = capsule_model(BODY22)
+    radii = [body.radii_m for body in duet.bodies]
+    names = np.array(BODY22.joint_names)
+    is_neighbour = (names[model.within[:, 0]] == "spine2") & np.char.endswith(names[model.within[:, 1]], "_knee")
+    pairs = model.within[~is_neighbour]
+    within = max(_depth(positions[:, p], positions[:, p], radii[p], radii[p], pairs, model) for p in (0, 1))
+    return within, _depth(positions[:, 0], positions[:, 1], radii[0], radii[1], model.between, model)
+
+
+def _depth(first, second, radii_a, radii_b, pairs, model) -> float:
+    one, other = pairs[:, 0], pairs[:, 1]
+    ends = (first[:, model.parents[one]], first[:, one], second[:, model.parents[other]], second[:, other])
+    return max(0.0, float((radii_a[one] + radii_b[other] - segment_distance(*ends)).max()))

@@ -1,0 +1,214 @@
+"""Facts about the built-in duets as they ship."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.choreography import DUETS, Duet, make_duet
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths, forward_kinematics, local_rotations
+from pasdedeux.kinematics.rotations import rotate, rotvec_from_unitquat
+from pasdedeux.skeletons import BODY22
+from tests.choreography_laws import measure
+
+NAMES = tuple(DUETS)
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def duet(request) -> Duet:
+    return make_duet(request.param)
+
+
+def test_four_duets_ship():
+    assert set(DUETS) == {"waltz", "hug", "judo", "push_hands"}
+
+
+def test_a_duet_lasts_ten_seconds_at_sixty_frames_with_two_body_sizes(duet):
+    assert [motion.num_frames for motion in duet.motions] == [600, 600]
+    assert duet.rate_hz == 60.0
+    lengths = [bone_lengths(BODY22, motion.world()[0][:1]).sum() for motion in duet.motions]
+    assert lengths[0] / lengths[1] == pytest.approx(1.82 / 1.65)
+
+
+def test_bone_lengths_never_change(duet):
+    for motion, body in zip(duet.motions, duet.bodies, strict=True):
+        lengths = bone_lengths(BODY22, motion.world()[0])
+        expected = np.linalg.norm(body.rest_offsets_m, axis=-1)
+        expected[BODY22.root] = 0.0
+        np.testing.assert_allclose(lengths, np.broadcast_to(expected, lengths.shape), atol=1e-9)
+
+
+def test_rotations_are_unit_and_continuous(duet):
+    for motion in duet.motions:
+        np.testing.assert_allclose(np.linalg.norm(motion.local_unitquat, axis=-1), 1.0, atol=1e-12)
+        # 0.35 rad a frame is 20 rad/s; the quickest joint of a dancer turns at about half of that.
+        steps = np.linalg.norm(np.diff(motion.local_unitquat, axis=0), axis=-1)
+        assert steps.max() < 0.35 / 2
+
+
+def test_rotations_recovered_from_positions_give_the_same_positions(duet):
+    for motion in duet.motions:
+        positions, world = motion.world()
+        rest = motion.rest_positions_m()
+        local = local_rotations(BODY22, rest, positions, world)
+        again, _ = forward_kinematics(BODY22, motion.rest_offsets_m, motion.root_translation_m, local)
+        np.testing.assert_allclose(again, positions, atol=1e-9)
+
+
+def test_known_contacts_hold_to_a_tenth_of_a_millimetre(duet):
+    assert len(duet.contacts) >= 3
+    assert measure(duet).contact_error_m < 1e-4
+
+
+def test_standing_feet_do_not_slide(duet):
+    measured = measure(duet)
+    assert {(stance.person, stance.foot) for stance in duet.stances} == {
+        (person, foot) for person in (0, 1) for foot in ("left", "right")
+    }
+    assert measured.slide_m < 1e-6
+    assert measured.lowest_m > 0.015
+
+
+def test_somebody_stands_on_a_foot_at_every_moment(duet):
+    for person in (0, 1):
+        is_standing = np.zeros(duet.num_frames, dtype=bool)
+        for stance in duet.stances:
+            if stance.person == person:
+                is_standing[duet.frames(stance)] = True
+        assert is_standing.all()
+
+
+def test_bodies_do_not_pass_through_each_other(duet):
+    measured = measure(duet)
+    assert measured.between_m < 0.005
+    assert measured.within_m < 0.005
+
+
+def test_motion_is_smooth(duet):
+    measured = measure(duet)
+    assert measured.acceleration < 40.0  # m/s2; a quick foot in a walk reaches about 30
+    assert measured.jerk < 2500.0
+
+
+def test_all_joint_angles_are_in_the_published_ranges(duet):
+    assert measure(duet).num_invalid_angles == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_half_the_rate_gives_every_second_frame(name):
+    full, half = make_duet(name), make_duet(name, rate_hz=30.0)
+    np.testing.assert_allclose(half.positions_m(), full.positions_m()[::2], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["waltz", "judo", "push_hands"])
+def test_a_shorter_duet_is_the_beginning_of_a_longer_one(name):
+    short, long = make_duet(name, duration_s=2.0), make_duet(name, duration_s=12.0)
+    np.testing.assert_allclose(short.positions_m(), long.positions_m()[: short.num_frames], atol=1e-9)
+
+
+def test_the_same_call_gives_the_same_bytes(duet):
+    again = make_duet(duet.name)
+    for one, other in zip(duet.motions, again.motions, strict=True):
+        assert one.local_unitquat.tobytes() == other.local_unitquat.tobytes()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_variation_is_another_take_of_the_same_dance(name):
+    plain, other = make_duet(name), make_duet(name, variation=3)
+    assert np.abs(plain.positions_m() - other.positions_m()).max() > 0.02
+    assert [c.name for c in plain.contacts] == [c.name for c in other.contacts]
+
+
+def _facing(duet: Duet, person: int) -> np.ndarray:
+    _, world = duet.motions[person].world()
+    return rotate(world[:, 0], np.broadcast_to([0.0, 0.0, 1.0], (duet.num_frames, 3)))
+
+
+def test_people_face_each_other(duet):
+    positions = duet.positions_m()
+    towards = positions[:, 1, 0] - positions[:, 0, 0]
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    a = np.sum(_facing(duet, 0) * towards, axis=-1)
+    b = -np.sum(_facing(duet, 1) * towards, axis=-1)
+    assert b.min() > 0.8
+    assert np.median(a) > 0.8
+    if duet.name == "judo":
+        assert a.min() < 0.5  # turned in
+    else:
+        assert a.min() > 0.8
+
+
+def test_left_is_left(duet):
+    """A mirrored skeleton would have its left side at the right of the way it faces."""
+    for person, motion in enumerate(duet.motions):
+        positions, _ = motion.world()
+        left = np.cross([0.0, 1.0, 0.0], _facing(duet, person))
+        for part in ("hip", "shoulder"):
+            across = positions[:, BODY22.index(f"left_{part}")] - positions[:, BODY22.index(f"right_{part}")]
+            assert (np.sum(across * left, axis=-1) > 0).all()
+        toes = positions[:, BODY22.index("left_toe")] - positions[:, BODY22.index("left_ankle")]
+        assert np.mean(np.sum(toes * _facing(duet, person), axis=-1)) > 0
+
+
+def test_knees_and_elbows_are_hinges_that_bend_one_way(duet):
+    for motion in duet.motions:
+        for joint, axis, signs in (("knee", 0, (1.0, 1.0)), ("elbow", 1, (-1.0, 1.0))):
+            for side, sign in zip(("left", "right"), signs, strict=True):
+                rotvec = rotvec_from_unitquat(motion.local_unitquat[:, BODY22.index(f"{side}_{joint}")])
+                angle = sign * rotvec[:, axis]
+                assert angle.min() > np.radians(3.0)
+                assert angle.max() < np.radians(150.0)  # Soucie et al. 2011: 152 degrees for both
+                assert np.abs(np.delete(rotvec, axis, axis=1)).max() < 1e-6
+
+
+def test_the_waltz_has_its_hold_and_travels():
+    duet = make_duet("waltz")
+    names = {contact.name for contact in duet.contacts}
+    assert names == {"clasped hands", "hand on back", "hand on upper arm"}
+    assert all(contact.start_s == 0.0 and contact.stop_s == 10.0 for contact in duet.contacts)
+    centre = duet.positions_m()[:, :, 0].mean(axis=1)
+    assert np.linalg.norm(np.diff(centre, axis=0), axis=-1).sum() > 2.0
+    facing = _facing(duet, 0)
+    turned = np.unwrap(np.arctan2(facing[:, 0], facing[:, 2]))
+    assert turned[-1] - turned[0] < -2.0 * np.pi  # natural turns go to the right
+
+
+def test_in_the_hug_the_trunks_are_close_and_do_not_overlap():
+    duet = make_duet("hug")
+    positions = duet.positions_m()
+    chest = BODY22.index("spine3")
+    held = duet.frames(duet.contacts[0])
+    apart = np.linalg.norm(positions[held, 0, chest] - positions[held, 1, chest], axis=-1)
+    assert apart.max() < 0.35
+    assert measure(duet).between_m < 0.005
+    assert np.linalg.norm(positions[0, 0, 0] - positions[0, 1, 0]) > 1.2
+
+
+def test_push_hands_feet_never_leave_the_floor():
+    duet = make_duet("push_hands")
+    assert len(duet.stances) == 4
+    assert all(stance.stop_s - stance.start_s == 10.0 for stance in duet.stances)
+
+
+def test_unknown_names_are_answered_with_the_nearest_known_one():
+    with pytest.raises(InputError, match="did you mean 'waltz'"):
+        make_duet("walz")
+    with pytest.raises(InputError, match="did you mean 'stride'"):
+        make_duet("waltz", strid=0.3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"heights_m": (1.0, 1.7)}, "body height of 1 m"),
+        ({"heights_m": (1.7, float("nan"))}, "body height of nan"),
+        ({"duration_s": 0.0}, "duration_s is 0"),
+        ({"rate_hz": float("nan")}, "rate_hz is nan"),
+        ({"variation": -1}, "variation is -1"),
+        ({"tempo_bpm": 500.0}, "tempo_bpm is 500"),
+    ],
+)
+def test_values_out_of_range_are_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        make_duet("waltz", **changes)

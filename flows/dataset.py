@@ -9,7 +9,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from tasks.shards import (
     ClusterSettings,
     ShardError,
     connect,
+    peak_memory_bytes,
     run_on_cluster,
     run_serially,
     worker_environment,
@@ -80,7 +81,8 @@ def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
         ShardError: A shard failed; what was committed before stays.
     """
     with _prefect_server(run) as await_server, _workers(run, settings) as workers, await_server():
-        return _graph_flow(run, plan, workers)
+        outcome = _graph_flow(run, plan, workers)
+        return replace(outcome, peak_memory_bytes=peak_memory_bytes(workers.client))
 
 
 @flow(name="pasdedeux-dataset", retries=0, persist_result=False)

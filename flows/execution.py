@@ -79,11 +79,12 @@ class StageOutcome:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did, stage by stage, and where its report is (None when the study makes none)."""
+    """What a run did, stage by stage, where its report is (None when the study makes none), and the memory it took."""
 
     run_id: str
     stages: tuple[StageOutcome, ...]
     report: Path | None
+    peak_memory_bytes: int | None = None
 
     @property
     def num_computed(self) -> int:
@@ -96,6 +97,7 @@ class Outcome:
             "run_id": self.run_id,
             "num_computed": self.num_computed,
             "report": None if self.report is None else str(self.report),
+            "peak_memory_bytes": self.peak_memory_bytes,
             "stages": [stage.to_json() for stage in self.stages],
         }
 

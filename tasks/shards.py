@@ -6,6 +6,7 @@ import ctypes
 import logging
 import os
 import queue
+import resource
 import signal
 import sys
 import tempfile
@@ -32,6 +33,7 @@ __all__ = [
     "ShardError",
     "Stopped",
     "connect",
+    "peak_memory_bytes",
     "run",
     "run_on_cluster",
     "run_serially",
@@ -250,6 +252,12 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
             cluster.close()
 
 
+def peak_memory_bytes(client: Client | None) -> int:
+    """Give the most memory that this process or any worker alive has held, bytes."""
+    peaks = [] if client is None else list(client.run(_peak_memory_bytes).values())
+    return max([_peak_memory_bytes(), *peaks])
+
+
 def worker_environment() -> dict[str, str]:
     """Give the environment of a worker: one thread for every library, and a place for compiled kernels.
 
@@ -316,6 +324,11 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
     blind = sorted(worker for worker, is_seen in sights.items() if not is_seen)
     if blind:
         raise ClusterError(f"worker {blind[0]} does not see the store {store_root}; it must be on a shared file system")
+
+
+def _peak_memory_bytes() -> int:
+    unit = 1 if sys.platform == "darwin" else 1024  # getrusage counts bytes there, kibibytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _sees(store_root: str) -> bool:

@@ -47,19 +47,12 @@ def bench(
     if as_json:
         print_json([{"room": name, **asdict(result), "ratio": result.ratio} for name, result in results])
         return
-    rows = [
-        (
-            f"{name}: {result.name}",
-            f"{_rate(result.fast_per_s)} ({result.fast_name})",
-            f"{_rate(result.plain_per_s)} ({result.plain_name})",
-            f"{result.unit}/s",
-            f"x {result.ratio:.1f}",
-            result.note,
-        )
-        for name, result in results
-    ]
-    for line in format_table(("benchmark", "fast", "plain", "unit", "ratio", "problem"), rows):
+    rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for _, r in results]
+    header, *lines = format_table(("benchmark", "fast", "plain", "", "ratio"), rows)
+    typer.echo(header)
+    for line, (_, result) in zip(lines, results, strict=True):
         typer.echo(line)
+        typer.echo(f"    {result.fast_name} against {result.plain_name}" + (f"; {result.note}" if result.note else ""))
 
 
 def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:

@@ -101,7 +101,8 @@ def run(
     if made.is_fresh:
         typer.echo(f"everything is fresh, nothing to do ({seconds:.1f} s)")
     else:
-        typer.echo(f"done: {outcome.num_computed} shards computed in {seconds:.1f} s")
+        memory = f", at most {outcome.peak_memory_bytes / _GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
+        typer.echo(f"done: {outcome.num_computed} shards computed in {seconds:.1f} s{memory}")
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
 
@@ -120,9 +121,9 @@ def plan(
 ) -> None:
     """Say what a run would compute and why."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    _, _, _, made = _prepare(context, study, settings, store, selection)
+    chosen, _, _, made = _prepare(context, study, settings, store, selection)
     if as_json:
-        print_json(made.to_json())
+        print_json({**made.to_json(), "settings": chosen.resolved()})
         return
     for line in plan_lines(made, is_long=is_long):
         typer.echo(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -40,6 +41,15 @@ def test_imports_run_one_way() -> None:
         check=False,
     )
     assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_only_the_shards_of_the_tasks_speak_to_dask() -> None:
+    speakers = {
+        path.relative_to(ROOT / "tasks").parts[0]
+        for path in (ROOT / "tasks").rglob("*.py")
+        if re.search(r"^\s*(from|import) (dask|distributed)\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert speakers == {"shards"}
 
 
 def test_planning_and_a_run_with_nothing_to_do_import_neither_prefect_nor_dask(tmp_path: Path) -> None:

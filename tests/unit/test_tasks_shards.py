@@ -87,7 +87,7 @@ def test_every_shard_is_told_of_once(client: Client, tmp_path: Path) -> None:
 
 def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="stage grow, t0, shard s0: the 3rd joint is missing") as caught:
-        run_on_cluster(client, fail_with_a_message, shards(), str(tmp_path))
+        run_on_cluster(client, fail_with_a_message, shards(1, 3), str(tmp_path))
     assert caught.value.kind == "ValueError"
     assert "fail_with_a_message" in caught.value.trace
 
@@ -130,7 +130,7 @@ def test_a_given_scheduler_is_used_and_survives(client: Client, tmp_path: Path) 
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.shards._CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("tasks.shards.cluster._CONNECT_TIMEOUT_S", 0.5)
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
         connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),

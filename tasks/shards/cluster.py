@@ -1,0 +1,180 @@
+"""The workers: a local Dask cluster that cannot outlive the run, or somebody's scheduler, checked before use."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import resource
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tasks.shards.errors import ClusterError, in_one_line
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["DEATHS_ALLOWED", "ClusterSettings", "connect", "peak_memory_bytes", "worker_environment"]
+
+DEATHS_ALLOWED = 2  # workers that may die under one shard before it is given up: the third death is its fault
+_ONE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+    "POLARS_MAX_THREADS",
+)
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_CONNECT_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """Where shards run: `scheduler` when given, else `num_workers` local processes of one thread each."""
+
+    num_workers: int = 2
+    memory_bytes: int = 2 * 1024**3
+    scheduler: str | None = None
+
+
+@contextmanager
+def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
+    """Give a client of the named scheduler, or of a local cluster that ends with this block or with this process.
+
+    Raises:
+        ClusterError: The scheduler does not answer, or a worker has not got this code or this store.
+    """
+    import dask
+    from distributed import Client, LocalCluster
+
+    _hush_dask()
+    environment = worker_environment()
+    options: dict[str, Any] = {
+        "distributed.scheduler.allowed-failures": DEATHS_ALLOWED,
+        "distributed.nanny.pre-spawn-environ": environment,
+        "distributed.admin.system-monitor.gil.enabled": False,
+        "distributed.worker.memory.pause": False,
+    }
+    with dask.config.set(options):
+        if settings.scheduler is not None:
+            try:
+                client = Client(settings.scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
+            except (OSError, TimeoutError, ValueError) as error:
+                raise ClusterError(f"no Dask scheduler answers at {settings.scheduler}: {in_one_line(error)}") from None
+            with client:
+                _check_workers(client, settings.scheduler, store_root)
+                yield client
+            return
+        cluster = LocalCluster(
+            n_workers=settings.num_workers,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=settings.memory_bytes,
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+            host="127.0.0.1",
+        )
+        try:
+            with Client(cluster, set_as_default=False) as client:
+                client.register_plugin(_tether(), name="pasdedeux-tether")
+                try:
+                    yield client
+                except BaseException:
+                    _kill_workers(cluster)
+                    raise
+        finally:
+            cluster.close()
+
+
+def peak_memory_bytes(client: Client | None) -> int:
+    """Give the most memory that this process or any worker alive has held, bytes."""
+    peaks = [] if client is None else list(client.run(_peak_memory_bytes).values())
+    return max([_peak_memory_bytes(), *peaks])
+
+
+def worker_environment() -> dict[str, str]:
+    """Give the environment of a worker: one thread for every library, and a place for compiled kernels.
+
+    Compiled kernels lie beside their source where that can be written (numba's own rule), else in the user's cache
+    folder, else in a temporary one; NUMBA_CACHE_DIR wins where it is set.
+    """
+    environment = dict.fromkeys(_ONE_THREAD, "1")
+    if "NUMBA_CACHE_DIR" in os.environ:
+        environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
+    elif not os.access(Path(__file__).parents[2] / "pasdedeux", os.W_OK):
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux" / "numba"
+        try:
+            cache.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            cache = Path(tempfile.gettempdir()) / f"pasdedeux-numba-{os.getuid()}"
+            cache.mkdir(exist_ok=True)
+        environment["NUMBA_CACHE_DIR"] = str(cache)
+    return environment
+
+
+def _tether() -> Any:
+    """Give the Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
+    from distributed import WorkerPlugin
+
+    class Tether(WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            _die_with_parent()
+
+    return Tether()
+
+
+def _hush_dask() -> None:
+    """Let Dask's loggers speak of nothing: what a person needs to know comes as an error of ours."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.split(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+def _die_with_parent() -> None:
+    """Ask Linux to kill this process when its parent dies; Dask's own watch does it elsewhere, between two C calls."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+def _kill_workers(cluster: Any) -> None:
+    """End the workers at once: what they compute is lost, what they committed is not."""
+    for nanny in cluster.workers.values():
+        process = getattr(nanny, "process", None)
+        if process is not None and process.pid:
+            nanny.auto_restart = False
+            os.kill(process.pid, signal.SIGKILL)
+
+
+def _check_workers(client: Client, address: str, store_root: str) -> None:
+    """Refuse a cluster without workers, without this code, or that does not see the store."""
+    if not client.scheduler_info(n_workers=-1)["workers"]:
+        raise ClusterError(f"the Dask scheduler at {address} has no workers")
+    try:
+        sights: Mapping[str, bool] = client.run(_sees, store_root)
+    except (ImportError, AttributeError) as error:
+        raise ClusterError(
+            f"the workers at {address} have not got this version of pasdedeux: {in_one_line(error)}"
+        ) from None
+    blind = sorted(worker for worker, is_seen in sights.items() if not is_seen)
+    if blind:
+        raise ClusterError(f"worker {blind[0]} does not see the store {store_root}; it must be on a shared file system")
+
+
+def _peak_memory_bytes() -> int:
+    unit = 1 if sys.platform == "darwin" else 1024  # getrusage counts bytes there, kibibytes elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def _sees(store_root: str) -> bool:
+    return os.access(store_root, os.W_OK)

@@ -1,0 +1,170 @@
+"""Runs shards: one in a worker, many over a Dask cluster, or one after the other here."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+import traceback
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from storage_schema import ArtifactRef, Store
+from tasks.shards.cluster import DEATHS_ALLOWED
+from tasks.shards.errors import ShardError, Stopped, in_one_line
+from tasks.stage import Shard
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["ShardDone", "run", "run_on_cluster", "run_serially"]
+
+RunShard = Callable[[Shard, Store], ArtifactRef]
+
+_LOOK_UP_S = 0.2  # how often a thread that waits for shards looks whether the run was given up
+
+
+@dataclass(frozen=True)
+class ShardDone:
+    """What a finished shard leaves: its artifact and how long it took in the worker."""
+
+    shard: Shard
+    ref: ArtifactRef
+    seconds: float
+
+
+def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef, float]:
+    """Compute one shard in this process: the only function that workers are sent.
+
+    Gives the artifact and the seconds it took. Whatever goes wrong is raised as a ShardError, which survives the way
+    back from the worker even where the original error would not.
+    """
+    started = time.perf_counter()
+    try:
+        ref = run_shard(shard, Store(store_root))
+    except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
+        failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
+    else:
+        return ref, time.perf_counter() - started
+    raise failure  # out here it drags no original error along, which may not be picklable
+
+
+def run_serially(
+    run_shard: RunShard,
+    shards: Sequence[Shard],
+    store_root: str,
+    *,
+    on_done: Callable[[ShardDone], None] | None = None,
+    stop: threading.Event | None = None,
+) -> list[ArtifactRef]:
+    """Run shards one after the other in this process, each after those it depends on; artifacts in the order given."""
+    done: dict[str, ArtifactRef] = {}
+    for shard in _dependency_order(shards):
+        if stop is not None and stop.is_set():
+            raise Stopped("given up")
+        ref, seconds = run(run_shard, shard, store_root)
+        done[shard.key] = ref
+        if on_done is not None:
+            on_done(ShardDone(shard, ref, seconds))
+    return [done[shard.key] for shard in shards]
+
+
+def run_on_cluster(
+    client: Client,
+    run_shard: RunShard,
+    shards: Sequence[Shard],
+    store_root: str,
+    *,
+    max_in_flight: int = 8,
+    on_done: Callable[[ShardDone], None] | None = None,
+    stop: threading.Event | None = None,
+) -> list[ArtifactRef]:
+    """Run shards on the client's workers, at most `max_in_flight` at a time; artifacts in the order given.
+
+    A shard with `after` keys of this list is submitted only when those are committed. A shard whose worker dies is
+    sent again by the scheduler; one that kills several workers is a ShardError that names it.
+
+    Raises:
+        ShardError: A shard failed; no further shard is submitted and those still waiting are cancelled.
+        Stopped: `stop` was set from elsewhere.
+    """
+    here = {shard.key for shard in shards}
+    waiting = list(_dependency_order(shards))
+    done: dict[str, ArtifactRef] = {}
+    flying: dict[Any, Shard] = {}
+    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def submit_ready() -> None:
+        for shard in list(waiting):
+            if len(flying) >= max_in_flight:
+                return
+            if any(key in here and key not in done for key in shard.after):
+                continue
+            waiting.remove(shard)
+            name = f"{shard.stage}-{shard.key[:16]}-{uuid.uuid4().hex[:8]}"
+            future = client.submit(run, run_shard, shard, store_root, key=name, pure=False)
+            flying[future] = shard
+            future.add_done_callback(arrived.put)
+
+    try:
+        submit_ready()
+        while flying:
+            if stop is not None and stop.is_set():
+                raise Stopped("given up")
+            try:
+                future = arrived.get(timeout=_LOOK_UP_S)
+            except queue.Empty:
+                continue
+            shard = flying.pop(future)
+            ref, seconds = _result(future, shard)
+            future.release()
+            done[shard.key] = ref
+            if on_done is not None:
+                on_done(ShardDone(shard, ref, seconds))
+            submit_ready()
+    finally:
+        if flying:
+            client.cancel(list(flying), force=True)
+    return [done[shard.key] for shard in shards]
+
+
+def _result(future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
+    """Give a finished future's result, or a ShardError; only `.result()` tells of a dead worker."""
+    from distributed import CancelledError, KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker:
+        reason = (
+            f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "
+            "than a worker may have"
+        )
+        raise ShardError(_where(shard), "KilledWorker", reason) from None
+    except CancelledError:
+        raise Stopped("given up") from None
+
+
+def _dependency_order(shards: Sequence[Shard]) -> list[Shard]:
+    """Order shards so that each follows those of the list that it reads; otherwise as given.
+
+    A key contains the keys it comes after, so there are no cycles.
+    """
+    here = {shard.key: shard for shard in shards}
+    order: dict[str, Shard] = {}
+    stack = [(shard, False) for shard in reversed(shards)]
+    while stack:
+        shard, is_ready = stack.pop()
+        if shard.key in order:
+            continue
+        if is_ready:
+            order[shard.key] = shard
+            continue
+        stack.append((shard, True))
+        stack.extend((here[key], False) for key in shard.after if key in here and key not in order)
+    return list(order.values())
+
+
+def _where(shard: Shard) -> str:
+    return f"stage {shard.stage}, {shard.partition}, shard {shard.name}"

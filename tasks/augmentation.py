@@ -6,7 +6,6 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -34,7 +33,7 @@ from pasdedeux.augmentation import (
 )
 from storage_schema import ArtifactRef, Store
 from storage_schema.artifact_writer import ArtifactWriter
-from tasks.stage import Parameters, Shard, Stage, StageInputs, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, artifact_fields, stream
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
@@ -191,18 +190,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "closest_m": take.source.closest_m,
     }
     verdicts = {"pass": 0, "warn": 0, "fail": 0}
-    with store.writer(
-        stage=shard.stage,
-        key=shard.key,
-        partition=shard.partition,
-        name=shard.name,
-        version=shard.version,
-        parameters=shard.parameters,
-        seed=shard.seed,
-        inputs=shard.inputs,
-        files=[(Path(file.path).name, file.sha256) for file in shard.files],
-        facts=facts,
-    ) as writer:
+    with store.writer(**artifact_fields(shard, store), facts=facts) as writer:
         for start in range(0, len(names), _SOLVED_TOGETHER):
             batch = [known[name] for name in names[start : start + _SOLVED_TOGETHER]]
             for variant in augmenter.solve(batch):

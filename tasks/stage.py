@@ -14,7 +14,17 @@ from pydantic import BaseModel, ConfigDict
 
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 
-__all__ = ["Parameters", "Shard", "SourceFile", "Stage", "StageInputs", "commit", "merge_takes", "stream"]
+__all__ = [
+    "Parameters",
+    "Shard",
+    "SourceFile",
+    "Stage",
+    "StageInputs",
+    "artifact_fields",
+    "commit",
+    "merge_takes",
+    "stream",
+]
 
 
 class Parameters(BaseModel):
@@ -112,6 +122,21 @@ def merge_takes(*manifests: Manifest) -> list[str]:
     return sorted({take for manifest in manifests for take in manifest.facts.get("takes", [])})
 
 
+def artifact_fields(shard: Shard, store: Store) -> dict[str, Any]:
+    """Give what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
+    return {
+        "stage": shard.stage,
+        "key": shard.key,
+        "partition": shard.partition,
+        "name": shard.name,
+        "version": shard.version,
+        "parameters": shard.parameters,
+        "seed": shard.seed,
+        "inputs": (*shard.inputs, *_committed(shard, store)),
+        "files": [(Path(file.path).name, file.sha256) for file in shard.files],
+    }
+
+
 def commit(
     shard: Shard,
     store: Store,
@@ -126,15 +151,7 @@ def commit(
     The manifest names the shard's inputs and the artifacts of the shards it follows.
     """
     return store.commit(
-        stage=shard.stage,
-        key=shard.key,
-        partition=shard.partition,
-        name=shard.name,
-        version=shard.version,
-        parameters=shard.parameters,
-        seed=shard.seed,
-        inputs=(*shard.inputs, *_committed(shard, store)),
-        files=[(Path(file.path).name, file.sha256) for file in shard.files],
+        **artifact_fields(shard, store),
         tables=tables,
         attachments=attachments or {},
         facts=facts,

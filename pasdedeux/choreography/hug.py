@@ -160,6 +160,9 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
         bone, share, angle = _resting_place(figure.body, other.body, is_over)
         rest_m = other.body.radius_m(bone) + figure.body.radius_m("left_wrist") + _GAP_M
         height = figure.body.height_m
+        # Arms of equal people go over the shoulders; a taller one's may stay lower.
+        alike = float(np.clip(1.0 - (height / other.body.height_m - 1.0) / 0.10, 0.0, 1.0))
+        up = 0.02 + 0.07 * alike if is_over else -0.11
         for side in SIDES:
             sign = 1.0 if side == "left" else -1.0
             shoulder = figure.on_bone(f"{side}_shoulder", 1.0)
@@ -169,8 +172,9 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
             resting = other.on_bone(
                 bone, share, (-sign * rest_m * float(np.sin(angle)), 0.0, rest_m * float(np.cos(angle)))
             )
-            up = 0.09 if is_over else -0.11
-            wide = shoulder + figure.chest_vector(sign * 0.16 * height, up * height, 0.20 * height)
+            wide = shoulder + figure.chest_vector(
+                sign * 0.15 * height, up * height, (0.19 if is_over else 0.20) * height
+            )
             sink_s = plan.open_s + (1.5 if is_over else 0.8)
             opened = window(time_s, 0.7 if is_over else 1.1, 2.0 if is_over else 2.4, sink_s, sink_s + 1.2)
             closed = window(time_s, 2.0, plan.hold_s, plan.open_s, plan.open_s + 1.1)
@@ -178,8 +182,6 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
                 sign * 0.10 * height, (0.06 if is_over else -0.03) * height, 0.02 * height
             )
             target = mix(mix(hang, wide, opened), resting, closed) + round_about
-            # Elbows of equal people go over the shoulders; a taller one's may hang lower.
-            alike = float(np.clip(1.0 - (height / other.body.height_m - 1.0) / 0.10, 0.0, 1.0))
             pole_high = figure.chest_vector(sign * 1.0, 0.3 + _ALIKE_LIFT * alike if is_over else -0.3, -0.1)
             pole = mix(figure.chest_vector(sign * 0.35, -0.3, -1.0), pole_high, np.maximum(opened, closed))
             figure.reach_hand(side, target, pole, palm=other.joint("spine3") - target)

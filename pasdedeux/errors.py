@@ -14,4 +14,4 @@ class InputError(PasdedeuxError):
 
 
 class FormatError(InputError):
-    """A file's content cannot be read as what it claims to be: says which line or frame, what is wrong, what is allowed."""
+    """A file's content is not what it claims to be: says which line or frame, what is wrong, what is allowed."""

@@ -91,7 +91,7 @@ def test_a_perfect_reconstruction_scores_zero_and_standing_still_does_not() -> N
     rng = np.random.default_rng(3)
     truth = rng.normal(size=(20, 14, 3))
     scores = reconstruction_scores(
-        Reconstructed("s person 0", truth, {"viterbi": truth + [1.0, 2.0, 3.0]}), split="held_out"
+        Reconstructed("s person 0", truth, {"viterbi": truth + np.array([1.0, 2.0, 3.0])}), split="held_out"
     )
     errors = _by_method(scores, "error_root_kept")
     assert errors["viterbi"] == pytest.approx(0.0, abs=1e-12)

@@ -42,7 +42,7 @@ class ReconstructionParameters(Parameters):
         "held_out", description="Virtual video of held-out takes and given sequences, given ones only, or every video"
     )
     methods: tuple[Method, ...] = Field(
-        (Method.NEAREST, Method.VITERBI),
+        (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
         description="Methods, each gives a motion; the last one is written as BVH",
     )
@@ -57,6 +57,7 @@ class ReconstructionParameters(Parameters):
     pose_weight: float = Field(
         0.5, ge=0, description="Cost of a pose change per metre, against the misfit in the image"
     )
+    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
 
 
@@ -156,6 +157,7 @@ def _reconstruct(
         min_joints=parameters.min_joints,
         temporal=TemporalWeights(pose=parameters.pose_weight),
         smoothing_s=parameters.smoothing_s,
+        has_own_proportions=parameters.has_own_proportions,
     )
     poses, starts, take_ids, frames = _read_database(store, database_refs)
     if len(poses) == 0:

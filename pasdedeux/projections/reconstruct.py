@@ -8,12 +8,16 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import savgol_filter
 
 from pasdedeux.errors import InputError
+from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_depths, place_depths
+from pasdedeux.projections.proportions import estimate_proportions, retarget_image
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
 from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
@@ -41,12 +45,35 @@ _FOCAL_OVER_WIDTH = 0.72
 """Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
 
 
+_SMOOTHING_ORDER = 2
+_SMOOTHED_NOISE = 0.6
+"""Noise left by a Savitzky-Golay window of 7 frames and order 2, as part of the noise before."""
+
+_NUM_FIT_ROUNDS = 2
+
+_MODEL_ERROR_M = 0.012
+"""What estimated proportions, scale and lens leave over in the image even where keypoints are exact."""
+
+_DEVIATION_PER_MISFIT = 2.0
+_BONE_DEVIATION_RANGE_M = (0.04, 0.2)
+"""A retrieved bone is trusted to this many times the misfit of the retrieval, within these bounds."""
+
+_NOISE_OF_EQUAL_SHARES_M = 0.03
+"""Noise of the image at which the followed motion and the frame's own candidates count the same."""
+
+_MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
+
+_BRIDGED_MISFIT_M = 0.05
+"""Misfit that bridged frames are given: their bones are interpolated."""
+
+
 class Method(StrEnum):
     """How one candidate a frame is chosen, and what is done with it."""
 
     NEAREST = "nearest"
     WINDOW = "window"
     VITERBI = "viterbi"
+    FIT = "fit"
 
 
 @dataclass(frozen=True)
@@ -116,14 +143,20 @@ class ReconstructionOptions:
         temporal: Costs of the choice over time.
         smoothing_s: Length of the smoothing window; 0 for none.
         scale_window_s: Length of the window that a track's scale is the median of.
+        has_own_proportions: Bone lengths are estimated per track; the reference body's otherwise.
+        depth: How candidates vote on depth (method `fit`).
+        fit: What the fit believes of image and time (method `fit`).
     """
 
     num_candidates: int = 50
-    num_placements: int = 3
+    num_placements: int = 4
     min_joints: int = 4
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
     smoothing_s: float = 0.375
     scale_window_s: float = 1.5
+    has_own_proportions: bool = True
+    depth: DepthSettings = field(default_factory=DepthSettings)
+    fit: ObservedFitSettings = field(default_factory=lambda: ObservedFitSettings(least_noise_m=_MODEL_ERROR_M))
 
     def __post_init__(self) -> None:
         """Refuse counts below one."""
@@ -151,10 +184,11 @@ class Matches:
 
     Args:
         neighbours: Candidates (frame, k).
-        query_m: Query of each frame (frame, 14, 2), metres about the mid-hip; NaN where not seen.
+        query_m: Joints of each frame (frame, 14, 2), metres about the mid-hip, own proportions; NaN where not seen.
         weights: Weights (frame, 14) of the joints; all 0 in frames to be bridged.
         placement: Scale and place searched with; pixels with y up about the principal point, rays straightened.
         towards_camera: Unit direction (frame, 3) from the mid-hip to the camera, camera axes.
+        proportions: Length of each bone (14,) as a multiple of the reference body's.
     """
 
     neighbours: Neighbours
@@ -162,6 +196,7 @@ class Matches:
     weights: Array
     placement: Placement
     towards_camera: Array
+    proportions: Array
 
     @property
     def mean_distance_m(self) -> float:
@@ -218,14 +253,22 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
     first = place_track(centred, weights, searcher.reference, window=window)
     straight, towards = _straighten(centred, first.mid_hip_px, track.lens.focal_px)
     placement = place_track(straight, weights, searcher.reference, window=window)
+    proportions = np.ones(OP14.num_joints)
     for round_number in range(options.num_placements):
-        query = placement.to_metres(straight)
+        own = placement.to_metres(straight)
         is_last = round_number == options.num_placements - 1
-        neighbours = searcher.index.search(query, weights, num_neighbours=options.num_candidates if is_last else 1)
+        neighbours = searcher.index.search(
+            retarget_image(own, proportions), weights, num_neighbours=options.num_candidates if is_last else 1
+        )
         if not is_last:
             matched = _projection_of(searcher.database, neighbours)
+            if options.has_own_proportions:
+                proportions = estimate_proportions(own, weights, matched)
+                # Dividing by the inverse stretches the match to the person, so that scale is judged like by like.
+                matched = retarget_image(matched, 1.0 / proportions)
             placement = refine_placement(straight, weights, matched, window=window, previous=placement)
-    return Matches(neighbours, np.where(weights[..., None] > 0, query, np.nan), weights, placement, towards)
+    query = np.where(weights[..., None] > 0, own, np.nan)
+    return Matches(neighbours, query, weights, placement, towards, proportions)
 
 
 def choose_pitch(
@@ -273,7 +316,8 @@ def reconstruct_track(
         searcher: Database made ready.
         track: The keypoints.
         method: `nearest` takes each frame's best match as it is (the baseline); `window` and `viterbi` choose over time
-            and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths).
+            and are smoothed (Savitzky-Golay on the bones' rotations, which keeps bone lengths); `fit` goes on from
+            `viterbi` to the image itself.
         options: How.
         matches: Result of `match_track` for this track, where it is at hand.
 
@@ -294,14 +338,17 @@ def reconstruct_track(
     rank = np.maximum(ranks, 0)
     row = np.where(is_known, neighbours.row[frames, rank], -1)
     yaw_index = neighbours.yaw_index[frames, rank]
-    poses = database.turned(np.maximum(row, 0), yaw_index)
-    poses = np.einsum("ij,fnj->fni", database.camera.camera_from_upright_rotmat, poses)
-    unitquat = bridge_gaps(bone_rotations(poses), is_known)
-    placement = found.placement
+    unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_index)), is_known)
     if method is not Method.NEAREST:
         unitquat = smooth_savitzky_golay(unitquat, num_frames=_odd_window(options.smoothing_s, track.rate_hz))
+    lengths = REFERENCE_LENGTHS_M * found.proportions
+    relative = place_bone_rotations(unitquat, lengths, np.zeros((len(ranks), 3)))
+    placement = found.placement
+    if method is Method.FIT:
+        relative = _fit(searcher, found, relative, is_known, track, options)
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
-    relative = place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros(root.shape))
+    if method is not Method.NEAREST:
+        root = _smooth_way(root, _odd_window(options.smoothing_s, track.rate_hz))
     turn = swing_between(np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape), towards)
     positions = rotate(turn[:, None], relative) + root[:, None]
     return Reconstruction(
@@ -317,6 +364,69 @@ def reconstruct_track(
     )
 
 
+def _fit(
+    searcher: Searcher,
+    found: Matches,
+    retrieved: Array,
+    is_known: npt.NDArray[np.bool_],
+    track: Track,
+    options: ReconstructionOptions,
+) -> Array:
+    """Give the retrieved poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
+
+    The candidates vote on depth in reference proportions; the fit is in the person's own.  Perspective needs the depth
+    and the depth needs the image without perspective, so a second round starts from the first one's depths.  Bones are
+    pulled to the mean of the candidates of their sign; in a noisy image, where votes change from frame to frame, more
+    to the motion that was followed through the database.
+    """
+    neighbours = found.neighbours
+    reference = place_bone_rotations(bone_rotations(retrieved), REFERENCE_LENGTHS_M, np.zeros((len(retrieved), 3)))
+    distance = found.placement.metres_per_pixel * track.lens.focal_px
+    is_seen = found.weights > 0
+    noise = image_noise(found.query_m, is_seen)
+    # The misfit of the best match holds the image's noise, which says nothing against the match.
+    best = np.sqrt(np.maximum(neighbours.distance_m[:, 0] ** 2 - (_MEAN_OF_RAYLEIGH * noise) ** 2, 0.0))
+    best = np.where(is_known, best, _BRIDGED_MISFIT_M)[:, None]
+    trust = np.clip(_DEVIATION_PER_MISFIT * best, *_BONE_DEVIATION_RANGE_M) * np.ones(OP14.num_joints)
+    window = _odd_window(0.5 * options.smoothing_s, track.rate_hz)
+    positions = retrieved
+    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), neighbours.yaw_index)
+    candidates[~is_known] = reference[~is_known, None]
+    misfit = np.where(is_known[:, None], neighbours.distance_m, 0.0)
+    misfit = misfit - misfit[:, :1]
+    followed = bone_vectors(retrieved)
+    share = noise**2 / (noise**2 + _NOISE_OF_EQUAL_SHARES_M**2)
+    for _ in range(_NUM_FIT_ROUNDS):
+        flat = found.query_m * (1.0 - positions[..., 2:] / distance[:, None, None])
+        observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
+        depths = decode_depths(
+            observed,
+            is_seen,
+            candidates,
+            misfit,
+            REFERENCE_LENGTHS_M,
+            noise_m=max(_SMOOTHED_NOISE * noise, options.fit.least_noise_m),
+            rate_hz=track.rate_hz,
+            settings=options.depth,
+        )
+        start = place_depths(np.where(is_seen[..., None], flat, retrieved[..., :2]), depths.depth_m * found.proportions)
+        start[..., 2] -= mid_hip(start)[:, None, 2]
+        positions = fit_observed(
+            OP14,
+            REFERENCE_LENGTHS_M * found.proportions,
+            start,
+            found.query_m,
+            found.weights,
+            share * followed + (1.0 - share) * depths.vector_m * found.proportions[:, None],
+            trust,
+            rate_hz=track.rate_hz,
+            distance_m=distance,
+            settings=options.fit,
+        ).positions_m
+        positions = positions - mid_hip(positions)[:, None]
+    return positions
+
+
 def floor_offset(reconstructions: Sequence[Reconstruction], camera: OrthographicCamera | None = None) -> Array:
     """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
@@ -329,6 +439,31 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: Orthographic
     floor = min(float(np.min(one[:, ankles, 1])) for one in points)
     start = np.mean([mid_hip(one[0]) for one in points], axis=0)
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
+
+
+def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_index: npt.NDArray[np.int64]) -> Array:
+    """Give database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
+    turned = database.turned(row, yaw_index)
+    return np.asarray(np.einsum("ij,...nj->...ni", database.camera.camera_from_upright_rotmat, turned))
+
+
+def _smooth_way(way: Array, window: int) -> Array:
+    """Smooth points over time (frame, d)."""
+    length = min(window, len(way) - (len(way) + 1) % 2)
+    return np.asarray(savgol_filter(way, length, _SMOOTHING_ORDER, axis=0)) if length > _SMOOTHING_ORDER else way
+
+
+def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> Array:
+    """Smooth each joint's way (frame, 14, 2) over time across its gaps; NaN stays where it was not seen."""
+    frames = np.arange(len(points))
+    smooth = np.full(points.shape, np.nan)
+    for joint in range(points.shape[1]):
+        seen = is_seen[:, joint]
+        if not seen.any():
+            continue
+        way = np.stack([np.interp(frames, frames[seen], axis[seen]) for axis in points[:, joint].T], axis=-1)
+        smooth[seen, joint] = _smooth_way(way, window)[seen]
+    return smooth
 
 
 def _odd_window(seconds: float, rate_hz: float) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import savgol_filter
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
@@ -24,6 +25,7 @@ _PARENT = np.array([parent for parent, _ in OP14.bones])
 _CHILD = np.array([child for _, child in OP14.bones])
 _QUANTILE = 0.75
 _MIN_BONES = 3
+_WAY_ORDER = 2
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, 
     both_hips = (weights[:, left] > 0) & (weights[:, right] > 0)
     place = np.where(both_hips[:, None], 0.5 * (keypoints_px[:, left] + keypoints_px[:, right]), place)
     place[~has_any] = np.nan
-    return Placement(scale, place)
+    return Placement(_soften(scale, window), _smooth_way(place, window))
 
 
 def refine_placement(
@@ -132,8 +134,31 @@ def refine_placement(
         ratio = np.where(is_usable, np.sqrt(spread_m / spread_px), np.nan)
     ratio[~np.isfinite(ratio) | (ratio <= 0)] = np.nan
     scale = running_median(ratio, window) if np.isfinite(ratio).any() else previous.metres_per_pixel
+    scale = _soften(scale, window)
     place = np.where(is_usable[:, None], mean_px - mean_m / scale[:, None], previous.mid_hip_px)
-    return Placement(scale, place)
+    return Placement(scale, _smooth_way(place, window))
+
+
+def _soften(scale: Array, window: int) -> Array:
+    """Round off the steps of a running median (frame,) with a mean over half its window; ends repeat."""
+    length = max(1, min(window // 2, len(scale)) | 1)
+    padded = np.pad(scale, length // 2, mode="edge")
+    return np.convolve(padded, np.full(length, 1.0 / length), mode="valid")
+
+
+def _smooth_way(place: Array, window: int) -> Array:
+    """Smooth the way of a mid-hip (frame, 2) over a fifth of the window; NaN stays NaN.
+
+    Where hips are hidden the place is a guess of its own in every frame, and its jumps would be taken for motion.
+    """
+    is_known = np.asarray(np.isfinite(place).all(axis=-1))
+    frames = np.arange(len(place))
+    length = min(max(5, window // 5) | 1, len(place) - (len(place) + 1) % 2)
+    if not is_known.any() or length < _WAY_ORDER + 2:
+        return place
+    way = np.stack([np.interp(frames, frames[is_known], axis[is_known]) for axis in place.T], axis=-1)
+    smooth = savgol_filter(way, length, _WAY_ORDER, axis=0, mode="interp")
+    return np.where(is_known[:, None], smooth, np.nan)
 
 
 def bounding_box_height(keypoints: Array) -> Array:

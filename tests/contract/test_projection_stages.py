@@ -211,9 +211,9 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     video, truth = put_video(store, "film", ["held"])
     (ref,) = reconstruct(store, [video], built)
     table = open_table(ref, store)
-    assert table.num_rows == 2 * 2 * 40
+    assert table.num_rows == 3 * 2 * 40
     method, person = np.array(table["method"]), np.asarray(table["person_id"])
-    for name in ("nearest", "viterbi"):
+    for name in ("nearest", "viterbi", "fit"):
         for one in (0, 1):
             chosen = (method == name) & (person == one)
             assert np.asarray(table["frame"])[chosen].tolist() == list(range(40))

@@ -1,0 +1,211 @@
+"""A pose fitted to observed 2D over a whole track: exact bone lengths, depth pulled to what retrieval says, smooth.
+
+Camera axes, metres about the mid-hip: x right, y up, z towards the camera.  The terms, each over its own standard
+deviation, so that weights follow what was measured:
+
+- the image: seen joints against the observation, over the noise of the track, less for joints that stay off (robust);
+- the bones: each bone's vector against the retrieved one, which decides where the image is silent or poor;
+- time: second differences of all joints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.terms import DifferenceTerm, Normal, PointTerm, Term
+from pasdedeux.skeletons import Skeleton
+
+__all__ = ["BoneVectorTerm", "ObservedFit", "ObservedFitSettings", "fit_observed", "image_noise"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BoneVectorTerm(Term):
+    """sum w |(p_child - p_parent) - target|^2 per axis: the vector of each bone.
+
+    Args:
+        skeleton: Tree of N joints.
+        targets_m: Vector of the bone that ends in each joint (T, N, 3), metres; the root's is ignored.
+        weights: (T, N, 3) or what broadcasts to it; the root's are ignored.
+    """
+
+    skeleton: Skeleton
+    targets_m: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        """Check the weights and free the root."""
+        weights = np.array(np.broadcast_to(self.weights, self.targets_m.shape), dtype=np.float64)
+        weights[:, self.skeleton.root] = 0.0
+        if not (np.isfinite(weights) & (weights >= 0)).all():
+            raise InputError("weights of a bone vector term must be finite and 0 or more")
+        object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "targets_m", np.where(weights > 0, self.targets_m, 0.0))
+
+    def _residual(self, positions_m: Array) -> Array:
+        parents = np.array(self.skeleton.parents)
+        parents[self.skeleton.root] = self.skeleton.root
+        return np.asarray(positions_m - positions_m[:, parents] - self.targets_m)
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        return float((self.weights * self._residual(positions_m) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        pull = self.weights * self._residual(positions_m)
+        for parent, child in self.skeleton.bones:
+            normal.gradient[:, child] += pull[:, child]
+            normal.gradient[:, parent] -= pull[:, child]
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the curvature."""
+        weights = np.moveaxis(self.weights, -1, 0)
+        for parent, child in self.skeleton.bones:
+            weight = weights[:, :, child]
+            normal.matrix[:, :, child, child] += weight
+            normal.matrix[:, :, parent, parent] += weight
+            normal.matrix[:, :, child, parent] -= weight
+            normal.matrix[:, :, parent, child] -= weight
+
+
+@dataclass(frozen=True)
+class ObservedFitSettings:
+    """What is believed of image, retrieval and time.
+
+    Args:
+        least_noise_m: The image is never believed better than this.
+        acceleration_m_s2: Standard deviation of a joint's acceleration.
+        num_rounds: Fits; between them the image's weights follow the residuals.
+        max_iterations: Steps of each fit.
+    """
+
+    least_noise_m: float = 0.002
+    acceleration_m_s2: float = 8.0
+    num_rounds: int = 2
+    max_iterations: int = 15
+
+    def __post_init__(self) -> None:
+        """Refuse values without meaning."""
+        if not (self.least_noise_m > 0 and self.acceleration_m_s2 > 0 and self.num_rounds > 0):
+            raise InputError(f"observed fit: standard deviations and rounds must be positive: {self}")
+
+
+@dataclass(frozen=True)
+class ObservedFit:
+    """The fitted track.
+
+    Args:
+        positions_m: (T, N, 3), metres; x and y as observed, z about the first guess's.
+        noise_m: Standard deviation of the image that was measured and used (N,), metres.
+        residual_m: Distance of each joint from its observation (T, N); NaN where not seen.
+    """
+
+    positions_m: Array
+    noise_m: Array
+    residual_m: Array
+
+
+def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_], *, window: int = 5) -> float:
+    """Give the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
+
+    The third difference of white noise has 20 times its variance, and little of a motion; the median of its size over
+    all joints (0.6745 of the standard deviation) is not moved by outliers.
+    """
+    if len(observed_m) < 4:
+        return 0.0
+    third = np.diff(observed_m, n=3, axis=0)
+    all_seen = is_seen[3:] & is_seen[2:-1] & is_seen[1:-2] & is_seen[:-3]
+    if int(all_seen.sum()) < window:
+        return 0.0
+    return float(np.median(np.abs(third[all_seen])) / 0.6745 / np.sqrt(20.0))
+
+
+def fit_observed(
+    skeleton: Skeleton,
+    lengths_m: Array,
+    start_m: Array,
+    observed_m: Array,
+    confidence: Array,
+    bone_m: Array,
+    bone_deviation_m: Array,
+    *,
+    rate_hz: float,
+    distance_m: Array | None = None,
+    settings: ObservedFitSettings | None = None,
+) -> ObservedFit:
+    """Fit a track of poses to its image.
+
+    Args:
+        skeleton: Tree of N joints.
+        lengths_m: Bone lengths (N,), metres, kept exactly.
+        start_m: First guess (T, N, 3), camera axes, metres.
+        observed_m: Observed joints (T, N, 2), metres at the depth of z = 0; NaN where not seen.
+        confidence: (T, N), 0 where not seen; a joint of confidence c counts as c of one that is seen clearly.
+        bone_m: Vector of each bone as retrieved (T, N, 3), metres.
+        bone_deviation_m: Standard deviation of that (T, N), metres.
+        rate_hz: Frames per second.
+        distance_m: Distance (T,) of z = 0 from a pinhole; parallel rays when not given.
+        settings: What is believed.
+
+    Raises:
+        InputError: Shapes that do not fit, or a first guess that is not finite.
+    """
+    settings = settings or ObservedFitSettings()
+    frames, joints = start_m.shape[:2]
+    if observed_m.shape != (frames, joints, 2) or confidence.shape != (frames, joints) or joints != skeleton.num_joints:
+        raise InputError(
+            f"observed fit: first guess {start_m.shape}, observation {observed_m.shape} and confidence "
+            f"{confidence.shape} do not belong to {frames} frames of {skeleton.num_joints} joints"
+        )
+    is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)
+    weight = np.where(is_seen, confidence, 0.0)
+    noise = np.full(joints, max(image_noise(observed_m, is_seen), settings.least_noise_m))
+    robust = np.ones((frames, joints))
+    forest = BoneForest((skeleton,), np.asarray(lengths_m, dtype=np.float64))
+    state = forest.state_of(start_m)
+    positions = forest.positions(state)
+    time_deviation = settings.acceleration_m_s2 / rate_hz**2
+    smooth = DifferenceTerm(np.zeros(start_m.shape), np.array(1.0 / time_deviation**2), 2)
+    bones = BoneVectorTerm(skeleton, bone_m, (1.0 / bone_deviation_m**2)[..., None])
+    for round_number in range(settings.num_rounds):
+        targets = np.concatenate([_shrink(observed_m, positions, distance_m), positions[..., 2:]], axis=-1)
+        weights = np.zeros((frames, joints, 3))
+        weights[..., :2] = (weight * robust / noise**2)[..., None]
+        # Depth of the whole body is free for parallel rays: a light hand keeps it where it was.
+        weights[..., 2] = 1e-2
+        result = fit_bones(
+            forest, state, [PointTerm(targets, weights), smooth, bones], FitSettings(settings.max_iterations)
+        )
+        state, positions = result.state, result.positions_m
+        residual = np.linalg.norm(_shrink(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
+        residual = np.where(is_seen, residual, np.nan)
+        if round_number < settings.num_rounds - 1:
+            noise = np.maximum(noise, _joint_noise(residual))
+            robust = 1.0 / (1.0 + (np.nan_to_num(residual) / (3.0 * noise)) ** 2)
+    return ObservedFit(positions, noise, residual)
+
+
+def _shrink(observed_m: Array, positions: Array, distance_m: Array | None) -> Array:
+    """Undo perspective at the present depth: a joint nearer to the camera looks larger than it is."""
+    if distance_m is None:
+        return observed_m
+    depth = positions[..., 2]
+    return np.asarray(observed_m * (1.0 - depth / distance_m[:, None])[..., None])
+
+
+def _joint_noise(residual: Array) -> Array:
+    """Give the standard deviation of each joint's residuals (N,), per axis, from their median; 0 where never seen."""
+    noise = np.zeros(residual.shape[1])
+    for joint, column in enumerate(residual.T):
+        seen = column[np.isfinite(column)]
+        if len(seen):
+            noise[joint] = np.median(seen) / 1.1774  # median of a Rayleigh distribution
+    return noise

@@ -1,0 +1,206 @@
+"""Depth from candidates, a person's own proportions, and the fit to the image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
+from pasdedeux.fitting.observed_pose import BoneVectorTerm, ObservedFitSettings, fit_observed, image_noise
+from pasdedeux.fitting.terms import Normal
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.depth import bone_vectors, decode_depths, place_depths
+from pasdedeux.projections.proportions import estimate_proportions, retarget_image
+from pasdedeux.projections.reconstruct import (
+    Lens,
+    Method,
+    ReconstructionOptions,
+    Searcher,
+    Track,
+    match_track,
+    reconstruct_track,
+)
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.skeletons import OP14
+from tests.walkers import random_poses, walk
+
+
+@pytest.fixture(scope="module")
+def searcher() -> Searcher:
+    motions = [walk(150, seed=seed) for seed in range(6)]
+    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions]).astype(np.float32)
+    return Searcher.of(Database(poses, np.tile(np.arange(150) == 0, 6)))
+
+
+def parallel_track(world: np.ndarray, *, noise_m: float = 0.0, seed: int = 0) -> tuple[Track, np.ndarray]:
+    """Give the track of a walker seen from far away, 300 pixels a metre, and the truth."""
+    points = world[..., :2] + np.random.default_rng(seed).normal(0.0, noise_m, (*world.shape[:2], 2))
+    px = points * np.array([300.0, -300.0]) + 1000.0
+    return Track(px, np.ones(px.shape[:2]), 24.0, Lens(1e7, (1000.0, 1000.0))), world
+
+
+def errors(found: np.ndarray, truth: np.ndarray) -> float:
+    return float(root_centred_error_m(found, truth).mean())
+
+
+def test_the_fit_is_much_nearer_than_retrieval_and_as_smooth_as_the_truth(searcher: Searcher) -> None:
+    track, truth = parallel_track(walk(80, seed=11))
+    matches = match_track(searcher, track)
+    found = {method: reconstruct_track(searcher, track, method, matches=matches) for method in Method}
+    error = {method: errors(one.positions_m, truth) for method, one in found.items()}
+    assert error[Method.FIT] < 0.6 * error[Method.VITERBI]
+    assert error[Method.FIT] < 0.03
+    fitted = found[Method.FIT].positions_m
+    centred = fitted - mid_hip(fitted)[:, None]
+    assert jitter_m(centred) < jitter_m(truth - mid_hip(truth)[:, None]) + 0.002
+    lengths = bone_lengths(OP14, fitted)
+    np.testing.assert_allclose(lengths, np.broadcast_to(lengths[0], lengths.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("noise_m", [0.015, 0.03])
+def test_the_fit_is_no_worse_than_retrieval_when_the_image_is_poor(searcher: Searcher, noise_m: float) -> None:
+    track, truth = parallel_track(walk(80, seed=11), noise_m=noise_m)
+    matches = match_track(searcher, track)
+    fitted = reconstruct_track(searcher, track, Method.FIT, matches=matches)
+    retrieved = reconstruct_track(searcher, track, Method.VITERBI, matches=matches)
+    assert errors(fitted.positions_m, truth) < errors(retrieved.positions_m, truth) + 0.002
+
+
+def test_a_joint_that_lies_now_and_then_does_not_bend_the_fit(searcher: Searcher) -> None:
+    track, truth = parallel_track(walk(80, seed=11))
+    px = track.keypoints_px.copy()
+    px[20:60:8, OP14.index("left_wrist")] += 150.0  # half a metre
+    wrong = Track(px, track.confidence, 24.0, track.lens)
+    fitted = reconstruct_track(searcher, wrong, Method.FIT)
+    clean = reconstruct_track(searcher, track, Method.FIT)
+    assert errors(fitted.positions_m, truth) < errors(clean.positions_m, truth) + 0.01
+
+
+def test_hidden_joints_and_empty_frames_stay_finite_and_near(searcher: Searcher) -> None:
+    track, truth = parallel_track(walk(80, seed=11))
+    hidden = np.random.default_rng(0).uniform(size=(80, 14)) < 0.3
+    hidden[30:36] = True
+    points = np.where(hidden[..., None], np.nan, track.keypoints_px)
+    fitted = reconstruct_track(searcher, Track(points, ~hidden * 1.0, 24.0, track.lens), Method.FIT)
+    assert np.isfinite(fitted.positions_m).all()
+    assert fitted.is_bridged[30:36].all()
+    clean = reconstruct_track(searcher, track, Method.FIT)
+    assert errors(fitted.positions_m, truth) < errors(clean.positions_m, truth) + 0.02
+
+
+@pytest.mark.parametrize("num_frames", [1, 2, 3, 5])
+def test_tracks_of_few_frames_are_fitted(searcher: Searcher, num_frames: int) -> None:
+    track, _ = parallel_track(walk(num_frames, seed=11))
+    fitted = reconstruct_track(searcher, track, Method.FIT)
+    assert np.isfinite(fitted.positions_m).all()
+
+
+def test_signs_of_depth_are_those_of_the_candidates() -> None:
+    truth = retarget_proportions(walk(40, seed=3))
+    truth -= truth[:, [OP14.root]]
+    rng = np.random.default_rng(0)
+    candidates = truth[:, None] + rng.normal(0, 0.03, (40, 10, 14, 3))
+    seen = np.ones((40, 14), dtype=bool)
+    depths = decode_depths(
+        truth[..., :2], seen, candidates, np.zeros((40, 10)), REFERENCE_LENGTHS_M, noise_m=1e-4, rate_hz=24.0
+    )
+    np.testing.assert_allclose(depths.depth_m, bone_vectors(truth)[..., 2], atol=0.03)
+    assert errors(place_depths(truth[..., :2], depths.depth_m), truth) < 0.005
+
+
+def test_bones_that_are_not_seen_take_the_depth_of_the_candidates() -> None:
+    pose = random_poses(np.random.default_rng(1), 1)
+    seen = np.ones((6, 14), dtype=bool)
+    seen[:, OP14.index("left_elbow")] = False
+    images = np.repeat(pose[..., :2], 6, axis=0)
+    images[:, OP14.index("left_elbow")] = np.nan
+    depths = decode_depths(
+        images,
+        seen,
+        np.repeat(pose[:, None], 6, axis=0),
+        np.zeros((6, 1)),
+        REFERENCE_LENGTHS_M,
+        noise_m=1e-3,
+        rate_hz=24.0,
+    )
+    expected = bone_vectors(pose)[0, OP14.index("left_elbow")]
+    np.testing.assert_allclose(depths.vector_m[:, OP14.index("left_elbow")], np.tile(expected, (6, 1)), atol=1e-9)
+    assert np.isfinite(depths.depth_m).all()
+
+
+def test_proportions_are_found_up_to_size_and_images_move_back_and_forth() -> None:
+    rng = np.random.default_rng(0)
+    poses = np.concatenate([random_poses(rng, 200), walk(100)])
+    poses -= mid_hip(poses)[:, None]
+    ratio = np.ones(14)
+    for name, value in (("knee", 1.2), ("ankle", 1.1), ("elbow", 0.85), ("hip", 0.95)):
+        ratio[OP14.indices([f"left_{name}", f"right_{name}"])] = value
+    ratio[OP14.root] = 1.0
+    ratio *= REFERENCE_LENGTHS_M.sum() / (ratio * REFERENCE_LENGTHS_M).sum()
+    own = retarget_proportions(poses, REFERENCE_LENGTHS_M * ratio)
+    own -= mid_hip(own)[:, None]
+    found = estimate_proportions(own[..., :2], np.ones((300, 14)), poses[..., :2])
+    np.testing.assert_allclose(found[1:], ratio[1:], rtol=0.06)
+    np.testing.assert_allclose(retarget_image(own[..., :2], ratio), poses[..., :2], atol=1e-9)
+    nothing = estimate_proportions(own[..., :2], np.zeros((300, 14)), poses[..., :2])
+    np.testing.assert_allclose(nothing, 1.0)
+
+
+def test_retargeting_an_image_skips_joints_that_are_missing() -> None:
+    pose = random_poses(np.random.default_rng(0), 1)[0, :, :2]
+    pose[OP14.index("left_elbow")] = np.nan
+    ratio = np.full(14, 1.1)
+    moved = retarget_image(pose, ratio)
+    assert np.isnan(moved).all(axis=-1).tolist() == np.isnan(pose).all(axis=-1).tolist()
+    wrist, shoulder = OP14.index("left_wrist"), OP14.index("left_shoulder")
+    np.testing.assert_allclose(moved[wrist] - moved[shoulder], (pose[wrist] - pose[shoulder]) / 1.1)
+    assert np.isnan(retarget_image(np.full((14, 2), np.nan), ratio)).all()
+
+
+def test_a_person_of_other_proportions_seen_by_a_pinhole_is_fitted_up_to_size(searcher: Searcher) -> None:
+    ratio = np.ones(14)
+    ratio[OP14.indices(["left_knee", "right_knee", "left_ankle", "right_ankle"])] = 1.15
+    world = retarget_proportions(walk(80, seed=11), REFERENCE_LENGTHS_M * ratio)
+    truth = world @ yaw_rotmat(0.4).T + np.array([0.3, 0.0, -5.0])
+    px = truth[..., :2] / -truth[..., 2:] * np.array([1400.0, -1400.0]) + np.array([960.0, 540.0])
+    track = Track(px, np.ones(px.shape[:2]), 24.0, Lens(1400.0, (960.0, 540.0)))
+    own = reconstruct_track(searcher, track, Method.FIT)
+    reference = reconstruct_track(searcher, track, Method.FIT, ReconstructionOptions(has_own_proportions=False))
+    assert errors(own.positions_m, truth) < 0.9 * errors(reference.positions_m, truth)
+
+
+def test_noise_is_measured_through_motion_and_outliers() -> None:
+    world = walk(200)[..., :2]
+    rng = np.random.default_rng(0)
+    noisy = world + rng.normal(0, 0.01, world.shape)
+    noisy[::20, 3] += 0.5
+    seen = np.ones(world.shape[:2], dtype=bool)
+    assert image_noise(noisy, seen) == pytest.approx(0.01, rel=0.1)
+    assert image_noise(world, seen) < 0.002
+    assert image_noise(world[:3], seen[:3]) == 0.0
+    assert image_noise(world, np.zeros_like(seen)) == 0.0
+
+
+def test_the_bone_term_has_the_gradient_and_curvature_of_its_energy() -> None:
+    rng = np.random.default_rng(0)
+    positions = rng.normal(size=(3, 14, 3))
+    term = BoneVectorTerm(OP14, rng.normal(size=(3, 14, 3)), rng.uniform(size=(3, 14, 3)))
+    step = rng.normal(size=positions.shape)
+    normal = Normal.zeros(3, 14)
+    term.add_gradient(positions, normal)
+    term.add_curvature(positions, normal)
+    slope = 2.0 * (normal.gradient * step).sum()
+    bend = np.einsum("tia,atij,tja->", step, normal.matrix, step)
+    assert term.energy(positions + step) == pytest.approx(term.energy(positions) + slope + bend)
+
+
+def test_the_fit_refuses_what_does_not_fit_together() -> None:
+    pose = walk(5)
+    good = {"confidence": np.ones((5, 14)), "bone_m": pose, "bone_deviation_m": np.ones((5, 14)), "rate_hz": 24.0}
+    with pytest.raises(InputError, match="do not belong"):
+        fit_observed(OP14, REFERENCE_LENGTHS_M, pose, pose[:4, :, :2], **good)
+    with pytest.raises(InputError, match="positive"):
+        ObservedFitSettings(least_noise_m=0.0)

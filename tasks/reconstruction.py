@@ -117,7 +117,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     if not database_refs:
-        facts["skipped"].append({"person_id": -1, "reason": "no projection database without the sequence's own take"})
+        facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
         rows, attachments = _reconstruct(store, database_refs, sequence_id, people, parameters, facts)
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
@@ -161,7 +161,7 @@ def _reconstruct(
     )
     poses, starts, take_ids, frames = _read_database(store, database_refs)
     if len(poses) == 0:
-        facts["skipped"].append({"person_id": -1, "reason": "the projection database has no pose"})
+        facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}
     rate_hz = float(store.manifest(database_refs[0]).facts["rate_hz"])
     cameras = [OrthographicCamera(math.radians(pitch)) for pitch in parameters.pitches_deg]
@@ -180,7 +180,7 @@ def _reconstruct(
         try:
             matched.append((person, match_track(searcher, person.track, options)))
         except InputError as error:
-            facts["skipped"].append({"person_id": person.person_id, "reason": str(error)})
+            facts["skipped"].append(f"{sequence_id}, person {person.person_id}: {error}")
     for method in parameters.methods if matched else ():
         found = [
             (person, reconstruct_track(searcher, person.track, method, options, matches=matches))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,7 +41,7 @@ def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
         caption=caption,
         headings=("figure", "part", "item", *headings),
         rows=tuple(
-            (metric.replace("_", " "), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
+            (_words(metric), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
             for metric, split, item in keys
         ),
     )
@@ -53,9 +54,14 @@ def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
     cells = {(score.split, score.item, score.metric): format_value(score.value, score.unit) for score in scores}
     return TextTable(
         caption=caption,
-        headings=("part", "item", *(metric.replace("_", " ") for metric in metrics)),
+        headings=("part", "item", *(_words(metric) for metric in metrics)),
         rows=tuple((split, item, *(cells.get((split, item, m), "") for m in metrics)) for split, item in rows),
     )
+
+
+def _words(metric: str) -> str:
+    """Give a metric's name as words; symbols such as E_r and D_C stay as they are."""
+    return re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", metric)
 
 
 def _all_first(key: tuple[str, str, str]) -> tuple[str, str, bool, str]:

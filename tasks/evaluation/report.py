@@ -1,4 +1,4 @@
-"""Topic `report`: everything that was found as one page, the dataset card, and one table of scores."""
+"""Topic `report`: everything that was found as one page, and the dataset card."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def shard(inputs: StageInputs, topics: Sequence[Shard], *, title: str, descripti
 
 
 def run(shard: Shard, store: Store) -> TopicResult:
-    """Assemble the page, the card and the table of scores."""
+    """Assemble the page and the card; the table of scores is what the other topics wrote, taken together."""
     found = [manifest for key in shard.after if (manifest := store.find(STAGE_NAME, key)) is not None]
     assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
     inputs = [store.manifest(ref) for ref in shard.inputs]
@@ -91,7 +91,6 @@ def run(shard: Shard, store: Store) -> TopicResult:
         )
     )
     return TopicResult(
-        scores=[score for topic in scores.values() for score in topic],
         pictures={"report.html": page.encode(), "card.md": card.encode()},
         captions={"report.html": "The report", "card.md": "The dataset card"},
     )

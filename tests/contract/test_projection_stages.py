@@ -259,4 +259,4 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     only_own = build(store, [put_take(store, "a")])
     (ref,) = reconstruct(store, [video], only_own)
     assert open_table(ref, store).num_rows == 0
-    assert "no projection database" in store.manifest(ref).facts["skipped"][0]["reason"]
+    assert "no projection database" in store.manifest(ref).facts["skipped"][0]

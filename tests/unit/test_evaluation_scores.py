@@ -113,7 +113,7 @@ def test_tables_put_methods_side_by_side_and_baselines_last() -> None:
     ]
     table = score_table(scores, caption="c")
     assert table.headings == ("figure", "part", "item", "ridge", "copy (baseline)")
-    assert table.rows == (("E r", "all", "all", "1 cm", "2 cm"),)
+    assert table.rows == (("E_r", "all", "all", "1 cm", "2 cm"),)
 
 
 def test_a_table_of_one_method_has_a_row_for_each_item() -> None:

@@ -124,7 +124,18 @@ def _section(store: Store, found: Sequence[Manifest], topic: str, scores: Sequen
 
 
 def _skipped(manifest: Manifest) -> list[str]:
-    return list(manifest.facts.get("skipped", []))
+    """Say in sentences what an artifact left out."""
+    facts = manifest.facts
+    found = list(facts.get("skipped", []))
+    if "poses" in manifest.tables and facts["num_persons"] == 1:
+        found.append(f"Take {facts['take_id']}: one person; the stages that need pairs passed it over.")
+    if facts.get("num_skipped_frames"):
+        named = ", ".join(facts["skipped_files"])
+        found.append(f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}).")
+    if facts.get("num_annotations_skipped"):
+        count = facts["num_annotations_skipped"]
+        found.append(f"Chains: {count} annotations without all joints of two people, or without a view, were left out.")
+    return found
 
 
 def _sources(inputs: Sequence[Manifest]) -> list[CardSource]:

@@ -31,5 +31,4 @@ def run(shard: Shard, store: Store) -> TopicResult:
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
         pictures={name: take_sheet(facts["take_id"], people, facts["rate_hz"])},
         captions={name: f"Take {facts['take_id']}{held_out}: person A orange, person B blue, left limbs darker."},
-        notes=[f"Take {facts['take_id']}: one person; stages that need pairs skip it."] if people.shape[1] == 1 else [],
     )

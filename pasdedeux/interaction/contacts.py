@@ -61,4 +61,4 @@ def closest_joint_pairs(pair_m: Array, *, num_pairs: int = 5) -> Contacts:
 def gap_m(pair_m: Array) -> Array:
     """Give the distance (*batch,), metres, between the closest joints of the two people; NaN joints are left out."""
     distances = joint_pair_distances(pair_m)
-    return np.asarray(np.nanmin(distances.reshape(*distances.shape[:-2], -1), axis=-1))
+    return np.asarray(np.nanmin(distances, axis=(-2, -1)))

@@ -13,6 +13,7 @@ from pasdedeux.sampling.chain import (
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import Density, Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
+from pasdedeux.sampling.growth import Growth, GrowthOptions, grow, spread
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
     InteractionLikelihood,
@@ -37,6 +38,8 @@ __all__ = [
     "Evaluation",
     "GatheredPairs",
     "GaussianBlocks",
+    "Growth",
+    "GrowthOptions",
     "InteractionLikelihood",
     "Match",
     "PairChart",
@@ -56,9 +59,11 @@ __all__ = [
     "gauge_fix",
     "generator_from_json",
     "generator_to_json",
+    "grow",
     "invariants",
     "plain_log_likelihood",
     "run_segment",
     "seed_quality",
+    "spread",
     "step",
 ]

@@ -1,0 +1,300 @@
+"""Frontier growth: lifting annotation after annotation from what is lifted already, beginning with a few seeds.
+
+A chain hardly leaves its seed.  What reaches far is this: of all annotations not lifted yet, take the one whose image
+is closest to some lifted pair seen from the annotation's own view; move that pair to match it (the image plane from the
+annotation, depth and bone lengths from the pair); if the physical prior finds it possible, it may lift others.
+
+Depth comes from several lifted pairs that look alike, not from one, and once everything is lifted the neighbours agree:
+the depth of each grown pair becomes that of the pairs that look like it under its view.  Their image planes are others,
+so what one annotation does not see another one does.  Grown pairs are no draws: they are a spread of starts for chains,
+and a set that covers.  Our own; Yin et al. (2018) start from one seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import pair_frame
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
+from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.likelihood import AnnotatedPairs
+from pasdedeux.sampling.parameters import gauge_fix
+from pasdedeux.sampling.seeds import seed_quality
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["Growth", "GrowthOptions", "grow", "spread", "view_residuals"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+SIGMA_P_M = 0.05
+"""Bandwidth of the prior that grown pairs are scored with, metres (Yin et al. 2018, section 4.1)."""
+
+_ORDER = np.array(PAIR17.order)
+_PARENTS = np.array(PAIR17.parents)
+_NUM_POINTS = 2 * PAIR17.num_joints
+
+
+@dataclass(frozen=True)
+class GrowthOptions:
+    """How annotations are lifted from lifted pairs.
+
+    Args:
+        image_deviation_m: Error of an annotated joint, metres.
+        depth_deviation_m: Error of a bone's depth taken from the pairs that look alike, metres.
+        farthest_m: An annotation farther than this from everything lifted is left; root mean square over the joints.
+        num_neighbours: Pairs that a depth is averaged over, at most.
+        neighbour_deviation_m: Width of their weights, by how much farther they are than the nearest, metres.
+        num_sweeps: How often neighbours agree at the end.
+        most_invalid: Joint angles out of range beyond which a grown pair is refused.
+
+    Raises:
+        InputError: A width is not positive or a count is out of range.
+    """
+
+    image_deviation_m: float = 0.02
+    depth_deviation_m: float = 0.05
+    farthest_m: float = 0.25
+    num_neighbours: int = 8
+    neighbour_deviation_m: float = 0.03
+    num_sweeps: int = 3
+    most_invalid: int = MOST_INVALID_ANGLES
+
+    def __post_init__(self) -> None:
+        """Check widths and counts."""
+        widths = (self.image_deviation_m, self.depth_deviation_m, self.farthest_m, self.neighbour_deviation_m)
+        if not all(width > 0.0 for width in widths) or self.num_neighbours < 1 or self.num_sweeps < 0:
+            raise InputError(f"growth needs positive widths, a neighbour and no negative number of sweeps: {self}")
+
+    @property
+    def tightness(self) -> float:
+        """Weight of a squared depth error against a squared image error."""
+        return (self.image_deviation_m / self.depth_deviation_m) ** 2
+
+
+@dataclass(frozen=True)
+class Growth:
+    """Grown pairs in the order in which they grew.
+
+    Args:
+        pairs_m: Pairs (n, person=2, joint=17, 3), metres, gauge-fixed.
+        entry: Entry of the annotated pairs that each was lifted to, (n,).
+        parent: What each was lifted from, the nearest one: indices below the number of seeds are seeds, (n,); later
+            ones are grown pairs, counted on from there.
+        generation: Steps from a seed, (n,), from 1.
+        gap_m: Distance of the annotation from the parent under the annotation's view, (n,), metres.
+        log_prior: Log of eq. 2 (Yin et al. 2018) with `sigma_p` 0.05 m and the pair's own bone lengths, (n,).
+        num_refused: Annotations whose lifted pair was refused.
+        num_left: Annotations that nothing lifted came near, or that were not asked for.
+    """
+
+    pairs_m: Array
+    entry: Indices
+    parent: Indices
+    generation: Indices
+    gap_m: Array
+    log_prior: Array
+    num_refused: int
+    num_left: int
+
+
+def grow(
+    seeds_m: Array,
+    annotated: AnnotatedPairs,
+    limits: JointLimits,
+    *,
+    num_grown: int,
+    options: GrowthOptions | None = None,
+) -> Growth:
+    """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
+
+    Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
+    the pair lifted from.  No randomness; ties go to the entry that comes first.
+
+    Raises:
+        InputError: There is no seed, or one with a position that is not finite.
+    """
+    options = options or GrowthOptions()
+    if not len(seeds_m) or not np.isfinite(seeds_m).all():
+        raise InputError("growth needs at least one seed, all of its positions finite")
+    frontier = _Frontier(annotated, options)
+    is_possible = _Limiter(limits, options.most_invalid)
+    for seed in seeds_m:
+        frontier.add(np.asarray(seed, dtype=np.float64), entry=-1, parent=-1, gap_m=0.0)
+    num_refused = 0
+    while len(frontier.pairs) - len(seeds_m) < num_grown:
+        entry = frontier.nearest()
+        if entry < 0:
+            break
+        pair = frontier.lift(entry)
+        if not is_possible(pair):
+            num_refused += 1
+            continue
+        frontier.add(
+            pair, entry=entry, parent=int(frontier.which[entry, 0]), gap_m=float(frontier.distance_m[entry, 0])
+        )
+    for _ in range(options.num_sweeps):
+        frontier.agree(len(seeds_m))
+    return frontier.growth(len(seeds_m), limits, num_refused)
+
+
+def view_residuals(pair_m: Array, images: Array, directions: Array) -> Array:
+    """Give how far a pair, seen from views, is from images: root mean square after the best turn in the plane.
+
+    Args:
+        pair_m: Pair (person=2, joint=17, 3), metres.
+        images: Centred images, coordinate before joint, (entry, 2, 34), metres.
+        directions: Views (entry, 3) in the pair's local frame.
+
+    Returns:
+        Distances (entry,), metres.  With C = sum p X' the covariance of image and pair and w the direction to the
+        camera, |a + ib|^2 of the best turn is |C_x|^2 - (C_x w)^2 + |C_y|^2 - (C_y w)^2 + 2 w (C_x x C_y), so no image
+        is made at all.
+    """
+    points = pair_m.reshape(_NUM_POINTS, 3)
+    points = points - points.mean(axis=0)
+    count = len(images)
+    covariance = (images.reshape(2 * count, _NUM_POINTS) @ points).reshape(count, 2, 3)
+    towards = pair_frame(pair_m).direction(directions)
+    along = np.einsum("ncx,nx->nc", covariance, towards)
+    volume = np.einsum("nx,nx->n", towards, np.cross(covariance[:, 0], covariance[:, 1]))
+    best = (covariance**2).sum(axis=(1, 2)) - (along**2).sum(axis=1) + 2.0 * volume
+    spread_m2 = points.T @ points
+    own = np.trace(spread_m2) - np.einsum("nx,xy,ny->n", towards, spread_m2, towards)
+    squared = own + (images**2).sum(axis=(1, 2)) - 2.0 * np.sqrt(np.maximum(best, 0.0))
+    return np.sqrt(np.maximum(squared, 0.0) / _NUM_POINTS)
+
+
+def spread(pairs_m: Array, count: int) -> Indices:
+    """Give up to `count` pairs of (n, person=2, joint, 3) that cover them: the first, then always the farthest left.
+
+    Far is the mean joint distance as the pairs stand, which gauge-fixing makes comparable.  Asking for more keeps the
+    first ones.
+    """
+    points = np.asarray(pairs_m, dtype=np.float64).reshape(len(pairs_m), -1, 3)
+    chosen: list[int] = []
+    distance = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        chosen.append(int(np.argmax(distance)))
+        latest = np.linalg.norm(points - points[chosen[-1]], axis=-1).mean(axis=-1)
+        distance = np.minimum(distance, latest)
+    return np.array(chosen, dtype=np.int64)
+
+
+class _Limiter:
+    """Tells whether the prior of a pair (2, 17, 3) is above 0."""
+
+    def __init__(self, limits: JointLimits, most_invalid: int) -> None:
+        self._limits = np.stack([limits.lower_rad, limits.upper_rad])
+        self._most_invalid = most_invalid
+        self._work = np.empty(self._limits.shape)
+        self._valid = np.empty((PAIR17.num_joints, 3))
+
+    def __call__(self, pair: Array) -> bool:
+        invalid = [move_to_nearest_valid(person, self._limits, self._work, self._valid)[0] for person in pair]
+        return sum(invalid) <= self._most_invalid
+
+
+class _Frontier:
+    """Everything lifted so far, and for each entry the lifted pairs that look most like it."""
+
+    def __init__(self, annotated: AnnotatedPairs, options: GrowthOptions) -> None:
+        points = annotated.points_m.reshape(len(annotated.points_m), _NUM_POINTS, 2)
+        points = points - points.mean(axis=1, keepdims=True)
+        self.options = options
+        self.images = np.ascontiguousarray(np.swapaxes(points, 1, 2))
+        self.directions = annotated.directions
+        self.annotation = annotated.annotation_index
+        self.is_done = np.zeros(len(points), dtype=bool)
+        self.distance_m, self.which = self._nobody(len(points))
+        self.pairs: list[Array] = []
+        self.entries: list[int] = []
+        self.parents: list[int] = []
+        self.gaps: list[float] = []
+        self.lengths: list[Array] = []
+
+    def _nobody(self, count: int) -> tuple[Array, Indices]:
+        shape = (count, self.options.num_neighbours)
+        return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
+
+    def add(self, pair: Array, *, entry: int, parent: int, gap_m: float) -> None:
+        """Take a pair in: it may lift what it looks like."""
+        self.pairs.append(pair)
+        self.entries.append(entry)
+        self.parents.append(parent)
+        self.gaps.append(gap_m)
+        self.lengths.append(bone_lengths(PAIR17, pair) if parent < 0 else self.lengths[parent])
+        residual = view_residuals(pair, self.images, self.directions)
+        keep_nearest(residual, len(self.pairs) - 1, self.distance_m, self.which)
+
+    def nearest(self) -> int:
+        """Give the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""
+        distance = np.where(self.is_done, np.inf, self.distance_m[:, 0])
+        entry = int(np.argmin(distance))
+        if not distance[entry] <= self.options.farthest_m:
+            return -1
+        self.is_done |= self.annotation == self.annotation[entry]
+        return entry
+
+    def lift(self, entry: int) -> Array:
+        """Give the pair (2, 17, 3) that matches an entry, in camera axes."""
+        which = self.which[entry]
+        return self._placed(entry, self.distance_m[entry], which, self.lengths[int(which[0])])
+
+    def _placed(self, entry: int, distance_m: Array, which: Indices, lengths: Array) -> Array:
+        is_there = which >= 0
+        squared = distance_m[is_there] ** 2
+        weight = np.exp(-0.5 * (squared - squared[0]) / self.options.neighbour_deviation_m**2)
+        pairs = np.stack([self.pairs[index] for index in which[is_there]])
+        points = pairs.reshape(len(pairs), _NUM_POINTS, 3)
+        towards = pair_frame(pairs).direction(self.directions[entry])
+        depths = np.einsum("knx,kx->kn", points - points.mean(axis=1, keepdims=True), towards)
+        depth = (weight / weight.sum()) @ depths
+        placed = np.empty((2, PAIR17.num_joints, 3))
+        image = np.ascontiguousarray(self.images[entry].T).reshape(2, PAIR17.num_joints, 2)
+        tightness = self.options.tightness
+        place_bones(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
+        return placed
+
+    def agree(self, num_seeds: int) -> None:
+        """Give every grown pair the depth of the pairs, itself left out, that look like it under its view."""
+        entries = np.array(self.entries[num_seeds:], dtype=np.int64)
+        if not len(entries) or len(self.pairs) < 2:
+            return
+        distance_m, which = self._nobody(len(entries))
+        images, directions = np.ascontiguousarray(self.images[entries]), self.directions[entries]
+        for index, pair in enumerate(self.pairs):
+            residual = view_residuals(pair, images, directions)
+            if index >= num_seeds:
+                residual[index - num_seeds] = np.inf
+            keep_nearest(residual, index, distance_m, which)
+        self.pairs[num_seeds:] = [
+            self._placed(int(entry), distance_m[row], which[row], self.lengths[num_seeds + row])
+            for row, entry in enumerate(entries)
+        ]
+
+    def growth(self, num_seeds: int, limits: JointLimits, num_refused: int) -> Growth:
+        """Turn every pair upright as its parent and give them all."""
+        fixed = [gauge_fix(pair) for pair in self.pairs[:num_seeds]]
+        generation = [0] * num_seeds
+        for index in range(num_seeds, len(self.pairs)):
+            parent = self.parents[index]
+            fixed.append(gauge_fix(self.pairs[index], fixed[parent]))
+            generation.append(generation[parent] + 1)
+        grown = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
+        return Growth(
+            pairs_m=grown,
+            entry=np.array(self.entries[num_seeds:], dtype=np.int64),
+            parent=np.array(self.parents[num_seeds:], dtype=np.int64),
+            generation=np.array(generation[num_seeds:], dtype=np.int64),
+            gap_m=np.array(self.gaps[num_seeds:], dtype=np.float64),
+            log_prior=-seed_quality(grown, limits).violation_m2 / (2.0 * SIGMA_P_M**2),
+            num_refused=num_refused,
+            num_left=len(np.unique(self.annotation)) - len(grown) - num_refused,
+        )

@@ -1,0 +1,183 @@
+"""Frontier growth: exact bones, honest distances, and pairs lifted close to the truth from one seed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import project_pair
+from pasdedeux.errors import InputError
+from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow, spread
+from pasdedeux.sampling.growth import view_residuals
+from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
+from pasdedeux.skeletons import PAIR17
+
+ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
+WIDE = JointLimits(np.full(29, -10.0), np.full(29, 10.0), ("anything",) * 29)
+
+
+def annotated(count: int, *, spread_rad: float = 0.15) -> tuple[np.ndarray, AnnotatedPairs]:
+    """Give pairs and one annotation of each, true views."""
+    rng = np.random.default_rng(7)
+    pairs = random_pairs(rng, count, spread_rad=spread_rad)
+    directions = normalise(rng.normal(size=(count, 3)) * [1.0, 0.3, 1.0])
+    return pairs, AnnotatedPairs(project_pair(pairs, directions), directions, np.arange(count))
+
+
+def errors(grown: Any, pairs: np.ndarray) -> np.ndarray:
+    return cartesian_dissimilarity(grown.pairs_m.reshape(-1, 34, 3), pairs[grown.entry].reshape(-1, 34, 3))
+
+
+def test_view_residuals_are_those_of_projected_images() -> None:
+    rng = np.random.default_rng(1)
+    pairs = random_pairs(rng, 3)
+    entries = random_annotations(rng, random_pairs(rng, 40), 40)
+    images = entries.points_m.reshape(40, 34, 2)
+    images = images - images.mean(axis=1, keepdims=True)
+    for pair in pairs:
+        seen = project_pair(pair, entries.directions).reshape(40, 34, 2)
+        expected = np.sqrt(plane_residual(seen, images) / 34)
+        got = view_residuals(pair, np.ascontiguousarray(np.swapaxes(images, 1, 2)), entries.directions)
+        np.testing.assert_allclose(got, expected, atol=1e-7)
+
+
+def placed(image: np.ndarray, depth: np.ndarray, lengths: np.ndarray, tightness: float) -> np.ndarray:
+    out = np.empty((2, 17, 3))
+    place_bones(image, depth, lengths, ORDER, PARENTS, tightness, out)
+    return out
+
+
+def test_placed_bones_have_exact_lengths_and_return_what_fits_already() -> None:
+    rng = np.random.default_rng(2)
+    pair = random_pairs(rng, 1)[0]
+    lengths = bone_lengths(PAIR17, pair)
+    image, depth = np.ascontiguousarray(pair[..., :2]), np.ascontiguousarray(pair[..., 2])
+    np.testing.assert_allclose(placed(image, depth, lengths, 0.2), pair, atol=1e-6)
+    # Also where the image and the depths fit nothing, and where a bone has no depth or no length at all.
+    for noise in (0.1, 10.0):
+        wild = placed(image + noise * rng.normal(size=image.shape), depth * 0.0, lengths, 0.2)
+        np.testing.assert_allclose(bone_lengths(PAIR17, wild), lengths, atol=1e-9)
+    flat = placed(image * 0.0, depth * 0.0, lengths * 0.0, 0.2)
+    np.testing.assert_allclose(bone_lengths(PAIR17, flat), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("tightness", [0.04, 0.5, 3.0])
+def test_no_other_direction_of_a_bone_fits_better(tightness: float) -> None:
+    rng = np.random.default_rng(3)
+    pair = random_pairs(rng, 1)[0]
+    lengths = bone_lengths(PAIR17, pair)
+    image = pair[..., :2] + 0.1 * rng.normal(size=(2, 17, 2))
+    depth = pair[..., 2] + 0.1 * rng.normal(size=(2, 17))
+    out = placed(image, depth, lengths, tightness)
+    others = normalise(rng.normal(size=(20_000, 3)))
+
+    def cost(bone: np.ndarray, person: int, joint: int) -> np.ndarray:
+        parent = PARENTS[joint]
+        across = out[person, parent, :2] + bone[..., :2] - image[person, joint]
+        along = bone[..., 2] - (depth[person, joint] - depth[person, parent])
+        return (across**2).sum(axis=-1) + tightness * along**2
+
+    for person in range(2):
+        for joint in range(1, 17):
+            own = out[person, joint] - out[person, PARENTS[joint]]
+            rivals = cost(others * lengths[person, joint], person, joint)
+            assert cost(own, person, joint) <= rivals.min() + 1e-9
+
+
+def test_the_nearest_are_kept_in_order() -> None:
+    rng = np.random.default_rng(4)
+    residuals = rng.random((30, 5))
+    best, which = np.full((5, 4), np.inf), np.full((5, 4), -1, dtype=np.int64)
+    for index, residual in enumerate(residuals):
+        keep_nearest(residual, index, best, which)
+    np.testing.assert_array_equal(which, np.argsort(residuals, axis=0)[:4].T)
+    np.testing.assert_array_equal(best, np.sort(residuals, axis=0)[:4].T)
+
+
+def test_one_seed_grows_over_all_annotations_with_exact_lineage() -> None:
+    pairs, entries = annotated(150)
+    grown = grow(pairs[:1], entries, WIDE, num_grown=1000)
+    assert sorted(grown.entry) == list(range(150))
+    assert grown.num_left == grown.num_refused == 0
+    assert (grown.parent < 1 + np.arange(150)).all()
+    parents = np.where(grown.parent > 0, grown.generation[np.maximum(grown.parent - 1, 0)], 0)
+    np.testing.assert_array_equal(grown.generation, parents + 1)
+    np.testing.assert_allclose(
+        bone_lengths(PAIR17, grown.pairs_m), np.broadcast_to(bone_lengths(PAIR17, pairs[0]), (150, 2, 17)), atol=1e-6
+    )
+    alone = cartesian_dissimilarity(np.repeat(pairs[:1], 150, axis=0).reshape(-1, 34, 3), pairs.reshape(-1, 34, 3))
+    assert np.median(errors(grown, pairs)) < 0.5 * np.median(alone)
+
+
+def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth() -> None:
+    pairs, entries = annotated(300)
+    lifted = grow(pairs[:1], entries, WIDE, num_grown=300, options=GrowthOptions(num_sweeps=0))
+    agreed = grow(pairs[:1], entries, WIDE, num_grown=300)
+    np.testing.assert_array_equal(lifted.entry, agreed.entry)
+    assert errors(agreed, pairs).mean() < errors(lifted, pairs).mean()
+
+
+def test_growth_does_not_depend_on_where_the_seed_stands_and_repeats_exactly() -> None:
+    pairs, entries = annotated(60)
+    once = grow(pairs[:1], entries, WIDE, num_grown=40)
+    again = grow(pairs[:1], entries, WIDE, num_grown=40)
+    np.testing.assert_array_equal(once.pairs_m, again.pairs_m)
+    turned = pairs[:1] @ rotmat_from_unitquat(normalise(np.array([0.1, 0.7, -0.2, 0.5]))).T + [1.0, 2.0, 3.0]
+    moved = grow(turned, entries, WIDE, num_grown=40)
+    np.testing.assert_array_equal(once.entry, moved.entry)
+    distance = cartesian_dissimilarity(once.pairs_m.reshape(-1, 34, 3), moved.pairs_m.reshape(-1, 34, 3))
+    np.testing.assert_allclose(distance, 0.0, atol=1e-6)
+
+
+def test_asking_for_more_grows_on_from_the_same_beginning() -> None:
+    pairs, entries = annotated(60)
+    options = GrowthOptions(num_sweeps=0)
+    few = grow(pairs[:2], entries, WIDE, num_grown=20, options=options)
+    more = grow(pairs[:2], entries, WIDE, num_grown=50, options=options)
+    np.testing.assert_array_equal(more.entry[:20], few.entry)
+    np.testing.assert_allclose(more.pairs_m[:20], few.pairs_m)
+
+
+def test_an_annotation_is_lifted_once_whatever_the_number_of_its_views() -> None:
+    pairs, entries = annotated(30)
+    turned = normalise(entries.directions + 0.2 * np.random.default_rng(0).normal(size=(30, 3)))
+    both = AnnotatedPairs(
+        np.concatenate([entries.points_m] * 2),
+        np.concatenate([entries.directions, turned]),
+        np.tile(np.arange(30), 2),
+    )
+    grown = grow(pairs[:1], both, WIDE, num_grown=100)
+    assert len(grown.entry) == 30
+    assert len(np.unique(both.annotation_index[grown.entry])) == 30
+
+
+def test_impossible_pairs_are_refused_and_far_annotations_left() -> None:
+    pairs, entries = annotated(30)
+    narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
+    refused = grow(pairs[:1], entries, narrow, num_grown=100)
+    assert (len(refused.entry), refused.num_refused, refused.num_left) == (0, 30, 0)
+    left = grow(pairs[:1], entries, WIDE, num_grown=100, options=GrowthOptions(farthest_m=1e-3))
+    assert left.num_left == 30 - len(left.entry)
+    assert left.num_left > 20
+
+
+def test_seeds_that_cannot_grow_are_refused_with_the_reason() -> None:
+    _, entries = annotated(5)
+    with pytest.raises(InputError, match="at least one seed"):
+        grow(np.zeros((0, 2, 17, 3)), entries, WIDE, num_grown=1)
+    with pytest.raises(InputError, match="positive widths"):
+        GrowthOptions(image_deviation_m=0.0)
+
+
+def test_a_spread_covers_and_keeps_its_beginning() -> None:
+    pairs = np.concatenate([standing_pair(distance_m=gap)[None] for gap in (0.5, 0.52, 1.5, 1.0, 0.51)])
+    np.testing.assert_array_equal(spread(pairs, 3), [0, 2, 3])
+    np.testing.assert_array_equal(spread(pairs, 2), [0, 2])
+    assert len(spread(pairs, 10)) == 5

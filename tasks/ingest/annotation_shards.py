@@ -84,7 +84,7 @@ def run_annotations(shard: Shard, store: Store) -> ArtifactRef:
     """Read a source of 2D poses and derive the working skeletons."""
     parameters = dict(shard.parameters)
     is_held_out, kind = parameters.pop("is_held_out"), parameters.pop("format")
-    parameters.pop("kind")
+    del parameters["kind"], parameters["frames"]
     options = AnnotationOptions(path=Path(shard.files[0].path), **parameters)
     files = []
     for file in shard.files:

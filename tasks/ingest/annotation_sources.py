@@ -24,7 +24,7 @@ from tasks.ingest.parameters import AnnotationOptions
 from tasks.ingest.sources import load_file
 from tasks.stage import SourceFile
 
-__all__ = ["AnnotationSource", "ReadAnnotations", "find_annotations", "read_annotations"]
+__all__ = ["AnnotationSource", "ReadAnnotations", "file_frames", "find_annotations", "read_annotations"]
 
 FORMATS = ("openpose", "coco", "annotation_csv", "annotation_npz")
 
@@ -84,6 +84,11 @@ def find_annotations(options: AnnotationOptions) -> AnnotationSource:
     return AnnotationSource(files=files, format=kind)
 
 
+def file_frames(source: AnnotationSource) -> list[int]:
+    """Give the frame of each file of a source that has one file per frame; empty for others."""
+    return _frame_numbers([file.path for file in source.files]) if source.format == "openpose" else []
+
+
 def read_annotations(options: AnnotationOptions, kind: str, files: Sequence[tuple[str, bytes]]) -> ReadAnnotations:
     """Read a source of 2D poses from its files, given as (name, bytes).
 
@@ -120,7 +125,7 @@ def _read_openpose(
     options: AnnotationOptions, files: Sequence[tuple[str, bytes]], skipped: list[str]
 ) -> AnnotatedFrames:
     frames: list[tuple[int, OpenPoseFrame]] = []
-    for index, (name, data) in enumerate(files):
+    for number, (name, data) in zip(_frame_numbers([name for name, _ in files]), files, strict=True):
         try:
             frame = read_openpose_frame(data)
         except FormatError as error:
@@ -128,6 +133,11 @@ def _read_openpose(
                 skipped.append(name)
                 continue
             raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
-        number = openpose_frame_number(name)
-        frames.append((index if number is None else number, frame))
+        frames.append((number, frame))
     return join_openpose_frames(frames, sequence_id=options.id, layout=options.layout)
+
+
+def _frame_numbers(names: Sequence[str]) -> list[int]:
+    """Give the frame that each file is of, by its name; one without a number is where it stands."""
+    numbers = [openpose_frame_number(name) for name in names]
+    return [index if number is None else number for index, number in enumerate(numbers)]

@@ -8,7 +8,7 @@ from typing import Any
 
 from pasdedeux.choreography import DUETS
 from pasdedeux.errors import InputError
-from tasks.ingest.annotation_sources import find_annotations
+from tasks.ingest.annotation_sources import file_frames, find_annotations
 from tasks.ingest.parameters import DuetOptions, IngestParameters, PairOptions, PersonOptions, TakeOptions
 from tasks.ingest.sources import DUET_CREDIT, PersonSource, credit_of, find_person
 from tasks.stage import Shard, StageInputs
@@ -199,6 +199,8 @@ def _annotation_shards(seed: int, parameters: IngestParameters) -> Iterator[Shar
                 **options.model_dump(mode="json", exclude={"path", "format"}),
                 "format": source.format,
                 "is_held_out": options.take_id in parameters.held_out,
+                # OpenPose tells the frame by the file's name, which no digest of the content knows.
+                "frames": file_frames(source),
             },
             files=source.files,
             seed=seed,

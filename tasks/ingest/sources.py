@@ -26,7 +26,7 @@ from pasdedeux.formats import (
     read_rotation_rows,
 )
 from pasdedeux.skeletons import Skeleton
-from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout
+from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source
 from tasks.ingest.parameters import CommonOptions, PersonOptions
@@ -101,8 +101,10 @@ def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str,
         layout = find_layout(joint_names)
         if layout is None:
             shown = ", ".join(joint_names[:12]) + (", ..." if len(joint_names) > 12 else "")
+            near = joints_missing(joint_names)
+            hint = f"; the nearest is {near[0].name}, which also needs {', '.join(near[1])}" if near else ""
             raise InputError(
-                f"its joints fit none of the known layouts ({', '.join(LAYOUTS)}); joints: {shown}; "
+                f"its joints fit none of the known layouts ({', '.join(LAYOUTS)}){hint}; joints: {shown}; "
                 "name a layout, or write one under [ingest.mappings]"
             )
     elif name in LAYOUTS:

@@ -10,7 +10,16 @@ from pasdedeux.skeletons.layouts.keypoints import KEYPOINT_LAYOUTS, KeypointLayo
 from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
 from pasdedeux.skeletons.layouts.others import BODY22_LAYOUT, LAFAN, MIXAMO, YIANNAKIDES
 
-__all__ = ["KEYPOINT_LAYOUTS", "LAYOUTS", "AddedPoint", "KeypointLayout", "Layout", "find_layout", "get_layout"]
+__all__ = [
+    "KEYPOINT_LAYOUTS",
+    "LAYOUTS",
+    "AddedPoint",
+    "KeypointLayout",
+    "Layout",
+    "find_layout",
+    "get_layout",
+    "joints_missing",
+]
 
 LAYOUTS: dict[str, Layout] = {
     layout.name: layout for layout in (BODY22_LAYOUT, CMU_ASF, CMU_CGSPEED, CMU_DAZ, LAFAN, MIXAMO, YIANNAKIDES)
@@ -34,6 +43,17 @@ def find_layout(joint_names: Sequence[str]) -> Layout | None:
         if fitting:
             return max(fitting, key=lambda layout: len(layout.signature)).with_prefix(prefix)
     return None
+
+
+def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | None:
+    """Give the layout that these joint names come nearest to, and what they lack of it; None when none comes near.
+
+    Near is a layout of whose signature at least half is there.
+    """
+    lacking = {layout.name: sorted(layout.signature.difference(joint_names)) for layout in LAYOUTS.values()}
+    nearest = min(LAYOUTS.values(), key=lambda layout: len(lacking[layout.name]) / len(layout.signature))
+    missing = lacking[nearest.name]
+    return (nearest, missing) if 2 * len(missing) <= len(nearest.signature) else None
 
 
 def get_layout(name: str) -> Layout:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,7 +13,7 @@ from flows.listener import Listener
 from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs
 from flows.records import begin_record, copy_report, end_record, read_last_run, record_stage, report_folder
 from flows.study import Study
-from storage_schema import ArtifactRef, Manifest, MissingArtifact, RunFolder, Store, new_run
+from storage_schema import ArtifactRef, Manifest, MissingArtifact, RunFolder, StorageError, Store, new_run
 from tasks.graph import Graph
 from tasks.stage import Shard
 
@@ -126,7 +127,9 @@ def execute(run: Run, folder: RunFolder, plan: Plan, run_stage: StageRunner) -> 
         status = "interrupted"
         raise
     finally:
-        end_record(folder, run.study.name, status, [outcome.to_json() for outcome in outcomes])
+        # On a disk that is full the record fails as well: what is said is what went wrong first.
+        with nullcontext() if status == "finished" else suppress(StorageError):
+            end_record(folder, run.study.name, status, [outcome.to_json() for outcome in outcomes])
     return Outcome(folder.run_id, tuple(outcomes), copy_report(run.store, folder, _reporting(run, outcomes)))
 
 

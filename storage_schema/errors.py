@@ -12,6 +12,7 @@ __all__ = [
     "FullDisk",
     "MissingArtifact",
     "NewerSchema",
+    "NotAStore",
     "SchemaError",
     "StorageError",
     "UnknownReference",
@@ -46,10 +47,14 @@ class NewerSchema(StorageError):
     is_input: ClassVar[bool] = True
 
 
-class FullDisk(StorageError):
-    """There is no room left where the store lies; nothing half-written stays behind."""
+class NotAStore(StorageError):
+    """What should be the folder of a store is something else."""
 
     is_input: ClassVar[bool] = True
+
+
+class FullDisk(StorageError):
+    """There is no room left where the store lies; nothing half-written stays behind."""
 
 
 class UnknownReference(StorageError):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from storage_schema.arrow import schema_digest
-from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
+from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest, refuse_newer
 from storage_schema.parquet_files import iter_table, read_table
 from storage_schema.table_data import TableData
@@ -176,7 +176,12 @@ class StoreReader:
         return self.folder(ref.stage, ref.key) / f"{table}.parquet"
 
     def check_version(self) -> None:
-        """Raise NewerSchema when the store was made by a newer program; looked up once per object."""
+        """Refuse what this program cannot read; looked up once per object.
+
+        Raises:
+            NewerSchema: The store was made by a newer program.
+            NotAStore: The path is a file, or what the store says of itself cannot be read.
+        """
         if self._is_checked:
             return
         path = self.root / STORE_FILE
@@ -184,7 +189,9 @@ class StoreReader:
             found = json.loads(path.read_bytes())["schema_version"]
         except FileNotFoundError:
             return
+        except NotADirectoryError:
+            raise NotAStore(f"{self.root} is not a store: it is a file, not a folder") from None
         except (ValueError, KeyError, TypeError) as error:
-            raise StorageError(f"{self.root} is not a store: {path.name} cannot be read ({error})") from error
+            raise NotAStore(f"{self.root} is not a store: {path.name} cannot be read ({error})") from error
         refuse_newer(found, f"the store {self.root}")
         self._is_checked = True

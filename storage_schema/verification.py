@@ -70,6 +70,7 @@ def verify(
     Raises:
         NewerSchema: The store was written by a newer program.
     """
+    store.check_version()
     if refs is None:
         names = [(folder.parent.parent.name, folder.name, None) for folder in store.folders()]
         wanted: list[tuple[str, str, ArtifactRef | None]] = [*names]

@@ -13,10 +13,10 @@ import typer
 from flows.console.context import Context, JsonOption, StoreOption, StudyArgument, open_store, print_json
 from flows.console.display import format_table, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, settle
-from flows.planning import Plan, Selection, make_plan
+from flows.planning import Plan, PlanError, Selection, make_plan
 from flows.records import describe_runs, read_last_run
 from flows.study import Study, load_study
-from storage_schema import FullDisk, Store, latest_studies
+from storage_schema import Store, latest_studies
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
@@ -189,7 +189,7 @@ def _refuse_full_disk(store: Store) -> None:
         folder = folder.parent
     free = shutil.disk_usage(folder).free
     if free < _LEAST_FREE_BYTES:
-        raise FullDisk(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
+        raise PlanError(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
 
 
 def _describe(store: Store) -> dict[str, Any]:

@@ -43,8 +43,10 @@ class Context:
 
 
 def open_store(folder: Path) -> Store:
-    """Give the store in a folder."""
-    return Store(folder)
+    """Give the store in a folder, which need not be there yet; NewerSchema or NotAStore where it cannot be one."""
+    store = Store(folder)
+    store.check_version()
+    return store
 
 
 def print_json(value: Any) -> None:

@@ -19,7 +19,7 @@ def test_every_error_survives_pickling_and_has_one_root(name: str) -> None:
 def test_errors_that_a_user_can_put_right_say_so() -> None:
     assert {name for name in errors.__all__ if getattr(errors, name).is_input} == {
         "NewerSchema",
-        "FullDisk",
+        "NotAStore",
         "UnknownReference",
         "DatasetExists",
     }

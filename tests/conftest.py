@@ -26,3 +26,9 @@ def data_dir() -> Path:
     if not (path / "cmu_salsa_bvh").is_dir():
         pytest.skip(f"real motion data is absent: no cmu_salsa_bvh in {path} (set PASDEDEUX_DATA)")
     return path
+
+
+@pytest.fixture(scope="session")
+def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder in which Prefect keeps its database: one cold start of its server for all tests."""
+    return tmp_path_factory.mktemp("prefect")

@@ -1,0 +1,183 @@
+"""2D poses that a study cannot be built from: the command line names file and frame in one sentence before any work."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.formats import write_annotation_npz
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from storage_schema import Store, open_table
+from tests.real_study import build_here, call_in_process, never_begun
+from tests.source_samples import coco_text, csv_text, openpose_text, person_px
+
+STUDY = """
+[study]
+name = "bad"
+stages = ["ingest"]
+
+[ingest]
+annotations = [{{ id = "walk", path = "{path}"{options} }}]
+"""
+NUM_FRAMES = 8
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Give a folder with a study over a good OpenPose folder of two people in COCO-18."""
+    (tmp_path / "walk").mkdir()
+    for frame in range(NUM_FRAMES):
+        (tmp_path / "walk" / name_of(frame)).write_text(openpose_text("coco18", people=2, seed=frame))
+    write_study(tmp_path)
+    return tmp_path
+
+
+def name_of(frame: int) -> str:
+    return f"walk_{frame:012d}_keypoints.json"
+
+
+def write_study(folder: Path, options: str = "", *, path: str = "walk") -> Path:
+    study = folder / "bad.toml"
+    study.write_text(STUDY.format(path=path, options=options))
+    return study
+
+
+def refusal(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    """Give the one sentence with which `run` refuses the study; nothing may have been begun."""
+    found = call_in_process(capsys, "run", folder / "bad.toml", "--store", folder / "store")
+    assert found.code == 2, found
+    assert (found.out, found.err.count("\n")) == ("", 1), found
+    assert "Traceback" not in found.err
+    assert never_begun(folder / "store")
+    return found.err.removeprefix("error: ").rstrip()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", '{"version": 1.3, "people": [{"pose_keypoints_2d": [1, 2', "\x00\x00", "[1, 2]", '{"people": 3}']
+)
+def test_an_unreadable_openpose_file_is_named_with_what_can_be_done(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    (folder / "walk" / name_of(3)).write_text(text)
+    found = refusal(folder, capsys)
+    assert found.startswith(f"annotations walk: {name_of(3)}: ")
+    assert found.endswith('(set on_unreadable = "skip" to go on without it)')
+
+
+def test_unreadable_openpose_files_are_skipped_and_counted_when_the_study_says_so(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for frame in (3, 5):
+        (folder / "walk" / name_of(frame)).write_text("{")
+    study = write_study(folder, ', on_unreadable = "skip"')
+    build_here(study, folder / "store")
+    rows = open_table("annotations:bad", folder / "store")
+    assert sorted(set(rows["frame"].tolist())) == [0, 1, 2, 4, 6, 7]
+    (manifest,) = Store(folder / "store").artifacts()
+    assert manifest.facts["num_skipped_frames"] == 2
+    assert manifest.facts["skipped_files"] == [name_of(3), name_of(5)]
+
+
+def test_a_folder_of_nothing_but_unreadable_files_is_refused_even_when_they_are_skipped(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for frame in range(NUM_FRAMES):
+        (folder / "walk" / name_of(frame)).write_text("{")
+    write_study(folder, ', on_unreadable = "skip"')
+    assert "nobody was detected" in refusal(folder, capsys)
+
+
+def test_coco_18_is_not_read_as_body_25(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_study(folder, ', layout = "body25"')
+    assert refusal(folder, capsys) == (
+        "annotations walk: sequence 'walk': the layout 'body25' is asked for, but the files have 18 keypoints: 'coco18'"
+    )
+
+
+def test_coco_18_that_a_table_calls_body_25_is_told_by_its_anatomy(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An exporter that pads the 18 keypoints to 25: the names are wrong, and hips lie where ankles are."""
+    px = np.full((NUM_FRAMES, 25, 2), np.nan)
+    px[:, :18] = [person_px("coco18", seed=frame) for frame in range(NUM_FRAMES)]
+    frames = AnnotatedFrames(
+        layout="body25",
+        sequence_id=("walk",) * NUM_FRAMES,
+        frame=np.arange(NUM_FRAMES),
+        person_id=np.zeros(NUM_FRAMES, dtype=np.int64),
+        keypoints_px=px,
+        confidence=np.isfinite(px).all(axis=-1).astype(np.float64),
+    )
+    (folder / "walk.npz").write_bytes(write_annotation_npz(frames))
+    write_study(folder, path="walk.npz")
+    found = refusal(folder, capsys)
+    assert "do not look like people in the layout 'body25'" in found
+    assert "'coco18' fits" in found
+
+
+def test_two_layouts_in_one_folder_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "walk" / name_of(2)).write_text(openpose_text("body25", people=2))
+    assert refusal(folder, capsys).endswith("files of different layouts: body25, coco18")
+
+
+def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(folder / "walk")
+    assert refusal(folder, capsys) == f"annotations walk: file {folder / 'walk'} does not exist"
+    (folder / "walk").mkdir()
+    assert refusal(folder, capsys) == f"annotations walk: folder {folder / 'walk'} holds no .json files"
+
+
+def test_a_line_of_a_table_that_is_wrong_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = csv_text().splitlines()
+    lines[9] = lines[9].replace(",0.8", ",high")
+    (folder / "walk.csv").write_text("\n".join(lines) + "\n")
+    write_study(folder, path="walk.csv")
+    assert refusal(folder, capsys).startswith("annotations walk: walk.csv: line 10: ")
+
+
+def test_an_unknown_joint_of_a_table_is_named_with_the_known_ones(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "walk.csv").write_text(csv_text().replace("left_knee", "left_kneee"))
+    write_study(folder, path="walk.csv")
+    found = refusal(folder, capsys)
+    assert "joint 'left_kneee' is not in the layout 'pair17'; known: pelvis, " in found
+
+
+def test_a_coco_annotation_of_another_number_of_keypoints_is_named(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = json.loads(coco_text())
+    content["annotations"][4]["keypoints"] = content["annotations"][4]["keypoints"][:-3]
+    (folder / "walk.json").write_text(json.dumps(content))
+    write_study(folder, path="walk.json")
+    assert refusal(folder, capsys) == (
+        "annotations walk: walk.json: annotation 4 has 48 values in 'keypoints'; 51 are allowed (17 keypoints)"
+    )
+
+
+def test_a_motion_file_in_the_place_of_2d_poses_is_called_by_its_kind(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "walk.json").write_text("HIERARCHY\nROOT hips\n{\n}\n")
+    write_study(folder, path="walk.json")
+    assert refusal(folder, capsys) == "annotations walk: walk.json is a file of the kind 'bvh', not one of 2D poses"
+
+
+def test_a_renamed_openpose_file_is_another_frame_and_so_another_artifact(folder: Path) -> None:
+    build_here(folder / "bad.toml", folder / "store")
+    (folder / "walk" / name_of(7)).rename(folder / "walk" / name_of(30))
+    assert build_here(folder / "bad.toml", folder / "store") == {"ingest": 1}
+    rows = open_table("annotations:bad", folder / "store")
+    assert sorted(set(rows["frame"].tolist())) == [0, 1, 2, 3, 4, 5, 6, 30]
+
+
+def test_another_name_of_the_sequence_in_front_of_the_numbers_changes_nothing(folder: Path) -> None:
+    build_here(folder / "bad.toml", folder / "store")
+    for path in sorted((folder / "walk").iterdir()):
+        path.rename(path.with_name(path.name.replace("walk_", "stroll_")))
+    assert build_here(folder / "bad.toml", folder / "store") == {"ingest": 0}

@@ -1,0 +1,239 @@
+"""Studies and stores that cannot be used: one sentence, exit code 2, nothing begun; a disk that fills up gives 1."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from storage_schema import Store, verify
+from tests.real_study import SMALL, Answer, RealRun, build_here, call_in_process, never_begun
+
+ONE_TAKE = """
+[study]
+name = "one"
+stages = ["ingest"]
+
+[ingest]
+duets = [{ name = "hug", duration_s = 1.0 }]
+rate_hz = 12.0
+virtual_video = { num_random_views = 4 }
+"""
+
+
+def refuse(capsys: pytest.CaptureFixture[str], study: Path, *more: str | Path) -> str:
+    """Give what `run` says when it refuses a study; nothing may have been begun."""
+    store = study.parent / "store"
+    found = call_in_process(capsys, "run", study, "--store", store, *more)
+    assert found.code == 2, found
+    assert found.out == ""
+    assert "Traceback" not in found.err
+    assert never_begun(store)
+    return found.err.removeprefix("error: ").rstrip()
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "my.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("num_chains", "num_chain", "chains.num_chain: unknown; did you mean num_chains?"),
+        ("[augmentation]", "[augmentations]", "augmentations: unknown; did you mean augmentation?"),
+        (
+            "num_random_views",
+            "num_random_vews",
+            "ingest.virtual_video.num_random_vews: unknown; did you mean num_random_views?",
+        ),
+        ("duration_s = 1.5", "duration = 1.5", "ingest.duets.1.duration: unknown; did you mean duration_s?"),
+        ("seed = 3", "sed = 3", "study.sed: unknown; did you mean seed?"),
+        ('"prior_only"', '"prior_onli"', "chains.densities.1: should be 'ic' or 'prior_only'; found 'prior_onli'"),
+        ("num_seeds = 1", "num_seeds = 0", "seeds.num_seeds: should be greater than or equal to 1; found 0"),
+        (
+            'held_out = ["hug"]',
+            'held_out = ["hugg"]',
+            "ingest: 'hugg' is not a take of this study; did you mean 'hug'?",
+        ),
+        ("rate_hz = 12.0", 'rate_hz = "fast"', "ingest.rate_hz: should be a valid number"),
+    ],
+)
+def test_what_a_study_says_wrongly_is_named_with_its_full_path(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, sentence: str
+) -> None:
+    assert SMALL.count(old) == 1
+    study = write(tmp_path, SMALL.replace(old, new))
+    found = refuse(capsys, study)
+    assert found.startswith(f"study {study}: {sentence}")
+    assert "\n" not in found
+
+
+def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = write(tmp_path, SMALL.replace("num_chains", "num_chain").replace("num_seeds = 1", "num_seeds = 0"))
+    assert len(refuse(capsys, study).splitlines()) == 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ("chains.num_chain=4", "chains.num_chain: unknown; did you mean num_chains?"),
+        ("chain.num_chains=4", "chain: unknown; did you mean chains?"),
+        ("chains", "--set chains: expected section.name=value, for example chains.num_chains=4"),
+    ],
+)
+def test_a_setting_that_names_nothing_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], settings: str, sentence: str
+) -> None:
+    assert sentence in refuse(capsys, write(tmp_path, SMALL), "--set", settings)
+
+
+def test_a_study_that_is_not_toml_names_the_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = write(tmp_path, SMALL.replace('name = "small"', "name = small"))
+    found = refuse(capsys, study)
+    assert found.startswith(f"study {study} is not valid TOML: ")
+    assert "line 3" in found
+
+
+def test_a_study_that_does_not_exist_is_named_with_the_nearest(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert refuse(capsys, tmp_path / "none.toml") == f"study file {tmp_path / 'none.toml'} does not exist"
+    found = call_in_process(capsys, "run", "duet", "--store", tmp_path / "store")
+    assert (found.code, found.err) == (2, "error: study 'duet': unknown; did you mean duets?; or give a .toml file\n")
+
+
+def test_an_unknown_stage_and_a_stage_whose_inputs_are_missing_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = write(tmp_path, SMALL)
+    assert "chain" in refuse(capsys, study, "--until", "chain")
+    assert refuse(capsys, study, "--only", "training").startswith("stage training needs ")
+
+
+def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = write(tmp_path, SMALL)
+    build_until_ingest = SMALL.replace('name = "small"', 'name = "small"\nstages = ["ingest", "priors"]')
+    build_here(write(tmp_path, build_until_ingest), tmp_path / "store")
+    study = write(tmp_path, SMALL)
+    for frames, sentence in (
+        ('[{take="tango",frame=1}]', "seeds.frames: take 'tango' is no take of two people that may be learned from"),
+        ('[{take="hug",frame=1}]', "seeds.frames: take 'hug' is no take of two people that may be learned from"),
+        ('[{take="waltz",frame=99}]', "seeds.frames: take 'waltz' has frames 0 to 23, found 99"),
+    ):
+        found = call_in_process(capsys, "run", study, "--store", tmp_path / "store", "--set", f"seeds.frames={frames}")
+        assert found.code == 2, found
+        assert found.err.startswith(f"error: {sentence}")
+
+
+def test_a_store_of_a_newer_program_is_refused_and_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = write(tmp_path, ONE_TAKE)
+    store = tmp_path / "store"
+    build_here(study, store)
+    mark = store / "store.json"
+    mark.write_text(json.dumps({"schema_version": 999}) + "\n")
+    before = sorted(path for path in store.rglob("*"))
+    for arguments in (
+        ("run", study, "--store", store),
+        ("plan", study, "--store", store),
+        ("status", "--store", store),
+        ("verify", "--store", store),
+        ("show", "takes:one", "--store", store),
+        ("export", "poses:one", "--store", store, "--out", tmp_path / "out"),
+        ("dataset", "create", "d", "--study", "one", "--store", store),
+    ):
+        found = call_in_process(capsys, *arguments)
+        assert found.code == 2, found
+        assert found.err.count("\n") == 1
+        assert str(store) in found.err
+        assert "newer" in found.err
+        assert "999" in found.err
+    assert sorted(path for path in store.rglob("*")) == before
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_is_no_store_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = write(tmp_path, ONE_TAKE)
+    (tmp_path / "store").write_text("I am a file")
+    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
+    assert found.code == 2, found
+    assert str(tmp_path / "store") in found.err
+    assert found.err.count("\n") == 1
+
+
+def test_a_reference_to_nothing_says_what_there_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = write(tmp_path, ONE_TAKE)
+    build_here(study, tmp_path / "store")
+    for reference in ("draws:one", "takes:two", "takes:one/tango", "tables:one", "takes@ffff", "takes", "takes:one#99"):
+        found = call_in_process(capsys, "show", reference, "--store", tmp_path / "store")
+        assert (found.code, found.out) == (2, ""), found
+        assert found.err.count("\n") == 1, found
+
+
+def test_next_to_no_room_is_refused_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12 - 10**6, 10**6))
+    found = refuse(capsys, write(tmp_path, ONE_TAKE))
+    assert found == f"the disk of the store {tmp_path / 'store'} has 1 MB left; free some space first"
+
+
+FILL = """
+import errno, os, sys
+from storage_schema.durable import HashingFile
+write, left = HashingFile.write, int(sys.argv.pop(1))
+def limited(file, data):
+    global left
+    if left <= 0:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    left -= 1
+    return write(file, data)
+HashingFile.write = limited
+from flows.console import main
+main(sys.argv[1:])
+"""
+
+
+def run_on_a_disk_with_room_for(writes: int, study: Path, prefect_home: Path) -> Answer:
+    arguments = (str(writes), "run", study, "--store", study.parent / "store", "--workers", "0")
+    return RealRun(*arguments, prefect_home=prefect_home, program=("-c", FILL)).finish()
+
+
+@pytest.mark.slow
+def test_a_disk_that_fills_up_during_a_run_is_one_sentence_with_the_shard_and_the_same_command_finishes(
+    tmp_path: Path, prefect_home: Path
+) -> None:
+    study = write(tmp_path, ONE_TAKE)
+    found = run_on_a_disk_with_room_for(30, study, prefect_home)
+    assert found.code == 1, found
+    last = found.err.strip().splitlines()[-1]
+    assert last.startswith("error: stage ingest, hug, shard "), found.err
+    assert f"the disk is full: no room left in {tmp_path / 'store'}" in last
+    assert "Traceback" not in found.err
+    assert verify(Store(tmp_path / "store")).is_ok
+    assert not list((tmp_path / "store" / "tmp").iterdir())
+
+    build_here(study, tmp_path / "store")
+    build_here(study, tmp_path / "undisturbed")
+    one, other = (
+        {(m.partition, m.name): m.ref.content_digest for m in Store(tmp_path / name).artifacts()}
+        for name in ("store", "undisturbed")
+    )
+    assert one == other
+
+
+@pytest.mark.slow
+def test_a_disk_without_room_for_the_first_record_is_one_sentence_too(tmp_path: Path, prefect_home: Path) -> None:
+    found = run_on_a_disk_with_room_for(0, write(tmp_path, ONE_TAKE), prefect_home)
+    assert found.code == 1, found
+    assert f"the disk is full: no room left in {tmp_path / 'store'}" in found.err.strip().splitlines()[-1]
+    assert "Traceback" not in found.err

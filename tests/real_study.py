@@ -1,0 +1,200 @@
+"""Small studies over every real stage, and the command line as a person calls it: here, or in a process of its own.
+
+What the command line refuses, it refuses before it imports Prefect, so such calls are made in this process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from flows.console.app import run_command_line
+from storage_schema import Store, read_latest
+from tasks.graph import Graph, load_graph
+from tests.toy_runs import ROOT, run_toys, wait_until
+
+__all__ = [
+    "SMALL",
+    "Answer",
+    "RealRun",
+    "build_here",
+    "call_in_process",
+    "committed",
+    "digests",
+    "graph",
+    "never_begun",
+]
+
+SMALL = """
+[study]
+name = "small"
+title = "Two short duets"
+seed = 3
+
+[ingest]
+rate_hz = 12.0
+duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 1.5 }]
+held_out = ["hug"]
+virtual_video = { num_random_views = 12 }
+
+[seeds]
+num_seeds = 1
+
+[chains]
+densities = ["ic", "prior_only"]
+num_chains = 2
+num_draws = 20
+segment_draws = 10
+num_candidates = 12
+num_views = 4
+
+[augmentation]
+scales = [0.75, 0.95, 1.05, 1.25]
+
+[reconstruction]
+pitches_deg = [0.0, 20.0]
+
+[evaluation]
+num_truth_pairs = 12
+clip_seconds = 0.5
+"""
+"""Every stage on two duets of a second or two, one of them held out; computed in some 20 s of processor time."""
+
+
+def graph() -> Graph:
+    """Give the graph of all real stages."""
+    return load_graph()
+
+
+def build_here(study: Path, store: Path, *settings: str) -> dict[str, int]:
+    """Bring a study up to date in this process, without Prefect and Dask; gives the shards computed per stage."""
+    outcome = run_toys(study, store, *settings, graph=graph())
+    return {stage.name: stage.num_computed for stage in outcome.stages}
+
+
+def digests(store: Path, study: str = "small") -> dict[tuple[str, str, str], str]:
+    """Give the content digest of every artifact of the last run by (stage, partition, shard)."""
+    latest = read_latest(Store(store), study)
+    assert latest is not None, f"nothing was built in {store}"
+    return {
+        (stage, shard.partition, shard.name): shard.content_digest
+        for stage, shards in latest.stages.items()
+        for shard in shards
+    }
+
+
+def committed(store: Path) -> dict[tuple[str, str, str], str]:
+    """Give when each artifact of a store was made, by (stage, partition, shard): a new time means computed again."""
+    return {(m.ref.stage, m.partition, m.name): m.created_at for m in Store(store).artifacts()}
+
+
+def never_begun(store: Path) -> bool:
+    """Tell whether nothing was computed or recorded in a store."""
+    return not store.exists() or (not committed(store) and not list((store / "runs").glob("*-*")))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one call of the command line gave."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """The answer of `--json`."""
+        return json.loads(self.out)
+
+
+def call_in_process(capsys: Any, *arguments: str | Path) -> Answer:
+    """Call the command line in this process: for what does not get as far as computing."""
+    code = run_command_line([str(argument) for argument in arguments], graph=graph())
+    found = capsys.readouterr()
+    return Answer(code, found.out, found.err)
+
+
+class RealRun:
+    """The command line in a process of its own, as the leader of a process group like a job of a shell."""
+
+    def __init__(
+        self,
+        *arguments: str | Path,
+        prefect_home: Path,
+        program: Sequence[str] = ("-m", "flows.console"),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        surroundings = {**os.environ, "PREFECT_HOME": str(prefect_home), **(environment or {})}
+        surroundings.pop("PREFECT_API_URL", None)
+        self.process = subprocess.Popen(
+            [sys.executable, *program, *(str(argument) for argument in arguments)],
+            cwd=ROOT,
+            env=surroundings,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def finish(self, *, limit_s: float = 300.0) -> Answer:
+        """Wait for the end."""
+        out, err = self.process.communicate(timeout=limit_s)
+        return Answer(self.process.returncode, out, err)
+
+    def wait_for_artifacts(self, store: Path, count: int) -> None:
+        """Wait until this many artifacts are committed."""
+        wait_until(
+            lambda: len(list(store.glob("*/??/*/manifest.json"))) >= count or self.process.poll() is not None,
+            f"{count} artifacts",
+            limit_s=240.0,
+        )
+        assert self.process.poll() is None, self.process.communicate()
+
+    def kill(self) -> list[psutil.Process]:
+        """Do `kill -9` to the process alone; gives the processes that it had started, which must now end too."""
+        left = self.descendants()
+        self.process.kill()
+        self.process.communicate()
+        return left
+
+    def interrupt(self) -> list[psutil.Process]:
+        """Do what Ctrl-C at a terminal does; gives the processes that must now end."""
+        left = self.descendants()
+        os.killpg(self.process.pid, signal.SIGINT)
+        return left
+
+    def descendants(self) -> list[psutil.Process]:
+        """Give every process that this one has started."""
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+    def workers(self) -> list[psutil.Process]:
+        """Give the Dask workers: processes that Python's multiprocessing spawned and that listen to the scheduler."""
+        return [p for p in self.descendants() if _command(p).find("spawn_main") >= 0]
+
+
+def wait_until_gone(processes: Sequence[psutil.Process]) -> None:
+    """Wait until none of these processes runs any more."""
+    wait_until(lambda: not any(_is_running(p) for p in processes), "the run's processes to end", limit_s=60.0)
+
+
+def _command(process: psutil.Process) -> str:
+    try:
+        return " ".join(process.cmdline())
+    except psutil.Error:
+        return ""
+
+
+def _is_running(process: psutil.Process) -> bool:
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

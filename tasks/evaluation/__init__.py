@@ -1,4 +1,4 @@
-"""Evaluation: a shard per topic and item scores what the stages made; the last assembles report, card and scores."""
+"""Evaluation: a shard per topic and item scores what the stages made; the last assembles report and card."""
 
 from __future__ import annotations
 

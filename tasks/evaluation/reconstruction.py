@@ -19,10 +19,10 @@ def shards(inputs: StageInputs) -> list[Shard]:
     """One shard per reconstructed sequence whose truth is known."""
     found = []
     for motions in inputs.of("motions"):
-        if not motions.facts["sequence_takes"]:
-            continue
         used = {ref.key for ref in motions.inputs}
-        annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in used]
+        annotations = [m for m in inputs.of("annotations") if m.ref.key in used and m.facts["is_virtual"]]
+        if not annotations:
+            continue
         takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
         found.append(
             make_shard(

@@ -40,10 +40,11 @@ def read_take_frames(store: Store, refs: Iterable[ArtifactRef]) -> dict[tuple[st
     """Give the take and its frame behind every (sequence, frame) of virtual video."""
     frames = {}
     for ref in refs:
+        if not store.manifest(ref).facts["is_virtual"]:
+            continue  # a video of the user's own may show a take, but nobody knows which frame of it
         table = store.read(ref, "annotations", columns=["sequence_id", "frame", "take_id", "take_frame"])
         for sequence_id, frame, take_id, take_frame in zip(
             table["sequence_id"], table["frame"], table["take_id"], table["take_frame"], strict=True
         ):
-            if take_id is not None:
-                frames[sequence_id, int(frame)] = (take_id, int(take_frame))
+            frames[sequence_id, int(frame)] = (take_id, int(take_frame))
     return frames

@@ -1,0 +1,52 @@
+"""Values that must not change unnoticed: built-in duets and artifact keys.
+
+When one changes on purpose, `python -m tests.golden.test_golden_values` writes the file anew; commit that alone, with
+the reason.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from pasdedeux.choreography import DUETS, make_duet
+from pasdedeux.skeletons import BODY22
+from storage_schema import artifact_key
+
+_FILE = Path(__file__).with_name("golden_values.json")
+_JOINTS = BODY22.indices(("pelvis", "head", "left_wrist", "right_wrist", "left_toe"))
+_FRAMES = (0, 137, 300, 599)
+_TOLERANCE_M = 1e-6
+"""Far above rounding on any machine, far below anything that shows."""
+
+
+def _duet_values() -> dict[str, list]:
+    values = {}
+    for name in sorted(DUETS):
+        positions = make_duet(name).positions_m()[list(_FRAMES)][:, :, _JOINTS]
+        values[name] = np.round(positions, 9).tolist()
+    return values
+
+
+def _key() -> str:
+    return artifact_key(
+        stage="chains", version=1, parameters={"b": [1, 2.5, None], "a": {"x": True}}, input_digests=["0" * 64], seed=7
+    )
+
+
+def test_the_built_in_duets_move_as_they_always_did() -> None:
+    golden = json.loads(_FILE.read_text())["duets"]
+    found = _duet_values()
+    assert sorted(found) == sorted(golden)
+    for name, values in found.items():
+        assert np.abs(np.array(values) - np.array(golden[name])).max() < _TOLERANCE_M, name
+
+
+def test_the_same_work_has_the_key_it_always_had() -> None:
+    assert json.loads(_FILE.read_text())["key"] == _key()
+
+
+if __name__ == "__main__":
+    _FILE.write_text(json.dumps({"duets": _duet_values(), "key": _key()}, indent=1) + "\n")

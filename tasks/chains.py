@@ -14,7 +14,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
     ChainState,
     Evaluation,
-    GatheredPairs,
     GaussianBlocks,
     InteractionLikelihood,
     PairChart,
@@ -22,13 +21,13 @@ from pasdedeux.sampling import (
     PhysicalPrior,
     build_bank,
     diagnose,
-    gather_pairs,
     generator_from_json,
     generator_to_json,
     run_segment,
 )
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.seeds import read_limits
+from tasks.annotated_pairs import annotated_pairs, gather, views_of
+from tasks.seeds import read_limits, start_indices
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
@@ -99,9 +98,8 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     A segment's key knows its chain and number but not how many draws are asked for, so asking for more extends.
     """
     limits = [manifest.ref for manifest in inputs.of("joint_limits")]
-    annotated = _annotated(inputs)
-    seen = {manifest.ref for manifest in annotated}
-    views = [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
+    annotated = annotated_pairs(inputs)
+    views = views_of(annotated, inputs)
     asked = parameters.model_dump(mode="json")
     num_segments = -(-parameters.num_draws // parameters.segment_draws)
     shards: list[Shard] = []
@@ -110,10 +108,10 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
         if density == "ic" and (not annotated or not views):
             continue
         names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (_LIKELIHOOD_PARAMETERS if density == "ic" else ())
-        for seed in inputs.of("seeds"):
-            index = int(seed.facts["seed_index"])
+        starts = [(seed.ref, index) for seed in inputs.of("seeds") for index in start_indices(seed)]
+        for seed, index in starts:
             common = {"density": density, "seed_index": index, **{name: asked[name] for name in names}}
-            refs = (seed.ref, *limits, *needs)
+            refs = (seed, *limits, *needs)
             segments: list[Shard] = []
             for chain in range(parameters.num_chains):
                 previous: tuple[str, ...] = ()
@@ -140,23 +138,12 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
                     "num_chains": parameters.num_chains,
                     "num_segments": num_segments,
                 },
-                inputs=(seed.ref,),
+                inputs=(seed,),
                 after=tuple(shard.key for shard in segments),
                 seed=inputs.seed,
             )
             shards += [*segments, summary]
     return shards
-
-
-def _annotated(inputs: StageInputs) -> list[Manifest]:
-    """Give the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
-    usable = [
-        manifest
-        for manifest in inputs.of("annotations")
-        if not manifest.facts.get("is_held_out", False) and int(manifest.facts.get("num_persons", 2)) >= 2
-    ]
-    preferred = [manifest for manifest in usable if manifest.facts.get("purpose") in ("random_views", "given")]
-    return preferred or usable
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -168,7 +155,7 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
     options = shard.parameters
     density, seed_index = str(options["density"]), int(options["seed_index"])
     chain, segment, count = int(options["chain"]), int(options["segment"]), int(options["segment_draws"])
-    seed = _read_seed(store, shard.inputs[0])
+    seed = _read_seed(store, shard.inputs[0], seed_index)
     chart = PairChart(seed.pair_m)
     likelihood, num_skipped = _likelihood(shard, store) if density == "ic" else (None, 0)
     target = PairDensity(
@@ -266,10 +253,11 @@ class _Seed:
     take_id: str | None
 
 
-def _read_seed(store: Store, ref: ArtifactRef) -> _Seed:
-    table = store.read(ref, "seeds", columns=["pair17_m", "take_id"])
-    take_id = table["take_id"][0]
-    return _Seed(np.array(table["pair17_m"][0], dtype=np.float64), None if take_id is None else str(take_id))
+def _read_seed(store: Store, ref: ArtifactRef, seed_index: int) -> _Seed:
+    table = store.read(ref, "seeds", columns=["seed_index", "pair17_m", "take_id"])
+    row = int(np.flatnonzero(np.asarray(table["seed_index"]) == seed_index)[0])
+    take_id = table["take_id"][row]
+    return _Seed(np.array(table["pair17_m"][row], dtype=np.float64), None if take_id is None else str(take_id))
 
 
 # Building a likelihood reads every annotation; the segments that one worker runs in a row mostly share it.
@@ -285,7 +273,7 @@ def _likelihood(shard: Shard, store: Store) -> tuple[InteractionLikelihood, int]
         [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
     )
     if identity not in _KEPT:
-        gathered = _gather(shard, store)
+        gathered = gather(shard, store).gathered
         rng = stream(shard.seed, "chains", "views", seed_index)
         views = gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
         bank = build_bank(
@@ -305,51 +293,6 @@ def _likelihood(shard: Shard, store: Store) -> tuple[InteractionLikelihood, int]
         while len(_KEPT) > _MOST_KEPT:
             _KEPT.popitem(last=False)
     return _KEPT[identity]
-
-
-def _gather(shard: Shard, store: Store) -> GatheredPairs:
-    """Give every annotated pair among the inputs with its view hypotheses; annotations without both are left out."""
-    keypoints: dict[tuple[str, int], dict[int, np.ndarray]] = {}
-    for ref in shard.inputs:
-        if "annotations" not in store.manifest(ref).tables:
-            continue
-        table = store.read(
-            ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
-        )
-        is_wanted = np.asarray(table["is_key"]) & ~np.asarray(table["is_held_out"])
-        sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
-        points = np.asarray(table["pair17_px"], dtype=np.float64)
-        for row in np.flatnonzero(is_wanted).tolist():
-            keypoints.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
-    pairs, scales, directions, weights, which = [], [], [], [], []
-    index: dict[tuple[str, int], int] = {}
-    for ref in shard.inputs:
-        if "views" not in store.manifest(ref).tables:
-            continue
-        names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "trust", "metres_per_pixel"]
-        table = store.read(ref, "views", columns=names)
-        sequence, frame, hypothesis, direction, weight, trust, scale = (table[name] for name in names)
-        for row in np.flatnonzero(np.asarray(hypothesis) < int(shard.parameters["num_hypotheses"])).tolist():
-            place = (str(sequence[row]), int(frame[row]))
-            people = keypoints.get(place, {})
-            if len(people) < 2:
-                continue
-            first, second = sorted(people)[:2]
-            pairs.append(np.stack([people[first], people[second]]))
-            scales.append(scale[row])
-            directions.append(direction[row])
-            weights.append(float(weight[row]) * float(trust[row]))
-            which.append(index.setdefault(place, len(index)))
-    if not pairs:
-        raise InputError("no annotated pair has a view: chains with density 'ic' need annotations of two people")
-    gathered = gather_pairs(
-        np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
-    )
-    return GatheredPairs(
-        pairs=gathered.pairs,
-        weights=gathered.weights,
-        num_skipped=gathered.num_skipped + sum(1 for place in keypoints if place not in index),
-    )
 
 
 def _summarise(shard: Shard, store: Store) -> ArtifactRef:
@@ -374,7 +317,7 @@ def _summarise(shard: Shard, store: Store) -> ArtifactRef:
         stacked["log_density"],
         stacked["num_accepted"],
         thin=int(options["thin"]),
-        seed_m=_read_seed(store, shard.inputs[0]).pair_m,
+        seed_m=_read_seed(store, shard.inputs[0], int(options["seed_index"])).pair_m,
         log_ceiling=float(facts["log_ceiling"]),
     )
     info = {

@@ -1,20 +1,34 @@
-"""Stage `seeds`: real pairs from which chains start, named in the study or chosen among the takes."""
+"""Stage `seeds`: pairs from which chains start: frames named or chosen among the takes, and pairs grown from them."""
 
 from __future__ import annotations
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.growth import GrowthOptions, grow, spread
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
-__all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "plan", "read_limits", "run_shard"]
+__all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "plan", "read_limits", "run_shard", "start_indices"]
 
-VERSION = 1
+VERSION = 2
+
+
+_GROWTH_PARAMETERS = (
+    "num_grown",
+    "num_starts",
+    "num_hypotheses",
+    "image_deviation_m",
+    "depth_deviation_m",
+    "farthest_m",
+    "num_neighbours",
+    "num_sweeps",
+)
 
 
 class SeedFrame(Parameters):
@@ -30,10 +44,28 @@ class SeedsParameters(Parameters):
     num_seeds: int = Field(2, ge=1, le=10_000, description="Seeds chosen automatically when no frames are named")
     frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
     max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
+    num_grown: int = Field(
+        0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
+    )
+    num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, spread over all, from which chains start too")
+    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that growth may use")
+    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
+    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
+    farthest_m: float = Field(
+        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
+    )
+    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
+    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
+
+    @model_validator(mode="after")
+    def _starts_are_grown(self) -> SeedsParameters:
+        if self.num_starts > self.num_grown:
+            raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
+        return self
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
-    """Plan a shard per seed, from pair takes that are not held out."""
+    """Plan a shard per seed, from pair takes that are not held out, and one for all that grows from them."""
     takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
     limits = tuple(manifest.ref for manifest in inputs.of("joint_limits"))
     if not takes:
@@ -49,13 +81,35 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         if frame.frame > last:
             raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
         chosen = {"seed_index": index, "take": frame.take, "frame": frame.frame}
-        shards.append(_shard(inputs, index, chosen, (takes[frame.take].ref,)))
+        shards.append(_shard(inputs, index, chosen, (takes[frame.take].ref, *limits)))
     if not parameters.frames:
         refs = (*(manifest.ref for manifest in takes.values()), *limits)
         for index in range(parameters.num_seeds):
             chosen = {"seed_index": index, "max_frames_per_take": parameters.max_frames_per_take}
             shards.append(_shard(inputs, index, chosen, refs))
+    annotated = annotated_pairs(inputs)
+    views = views_of(annotated, inputs)
+    if parameters.num_grown and annotated and views:
+        asked = parameters.model_dump(mode="json", include=set(_GROWTH_PARAMETERS))
+        shards.append(
+            Shard(
+                stage="seeds",
+                version=VERSION,
+                partition="growth",
+                name="grown",
+                parameters={**asked, "first_index": len(shards)},
+                inputs=(*limits, *(manifest.ref for manifest in (*annotated, *views))),
+                after=tuple(shard.key for shard in shards),
+                seed=inputs.seed,
+            )
+        )
     return shards
+
+
+def start_indices(manifest: Manifest) -> list[int]:
+    """Give the indices of the seeds in an artifact from which chains start, from its facts."""
+    facts = manifest.facts
+    return [int(index) for index in facts["starts"]] if "starts" in facts else [int(facts["seed_index"])]
 
 
 def _is_usable(manifest: Manifest) -> bool:
@@ -76,7 +130,9 @@ def _shard(inputs: StageInputs, index: int, chosen: dict[str, object], refs: tup
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Read or choose one seed and commit it, gauge-fixed."""
+    """Read or choose one seed, or grow many, and commit them, gauge-fixed."""
+    if shard.name == "grown":
+        return _grow(shard, store)
     index = int(shard.parameters["seed_index"])
     poses = [ref for ref in shard.inputs if "poses" in store.manifest(ref).tables]
     if "take" in shard.parameters:
@@ -91,6 +147,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "take_id": [take_id],
         "take_frame": [frame],
         "sequence_id": [None],
+        "sequence_frame": [None],
+        "parent_seed_index": [None],
+        "generation": [0],
+        "gap_m": [None],
+        "log_prior": seed_quality(pair[None], read_limits(shard, store)).log_prior,
         "pair17_m": gauge_fix(pair)[None],
     }
     facts = {
@@ -101,6 +162,60 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
     }
     return commit(shard, store, tables={"seeds": columns}, facts=facts)
+
+
+def _grow(shard: Shard, store: Store) -> ArtifactRef:
+    """Grow pairs over the annotations from the seeds of the shards before this one."""
+    options = shard.parameters
+    before = [_done(key, store) for key in shard.after]
+    roots = np.stack([np.asarray(store.read(one.ref, "seeds")["pair17_m"][0], dtype=np.float64) for one in before])
+    placed = gather(shard, store)
+    pairs = placed.gathered.pairs
+    growth = grow(
+        roots,
+        pairs,
+        read_limits(shard, store),
+        num_grown=int(options["num_grown"]),
+        options=GrowthOptions(
+            image_deviation_m=options["image_deviation_m"],
+            depth_deviation_m=options["depth_deviation_m"],
+            farthest_m=options["farthest_m"],
+            num_neighbours=int(options["num_neighbours"]),
+            num_sweeps=int(options["num_sweeps"]),
+        ),
+    )
+    first, count = int(options["first_index"]), len(growth.pairs_m)
+    places = [placed.places[index] for index in pairs.annotation_index[growth.entry].tolist()]
+    columns = {
+        "seed_index": first + np.arange(count),
+        "origin": ["grown"] * count,
+        "take_id": [None] * count,
+        "take_frame": [None] * count,
+        "sequence_id": [sequence for sequence, _ in places],
+        "sequence_frame": [frame for _, frame in places],
+        "parent_seed_index": growth.parent,
+        "generation": growth.generation,
+        "gap_m": growth.gap_m,
+        "log_prior": growth.log_prior,
+        "pair17_m": growth.pairs_m,
+    }
+    facts = {
+        "kind": "grown_seeds",
+        "num_grown": count,
+        "num_refused": growth.num_refused,
+        "num_left": growth.num_left,
+        "num_annotations_skipped": placed.gathered.num_skipped,
+        "starts": (first + spread(growth.pairs_m, int(options["num_starts"]))).tolist(),
+        "takes": merge_takes(*before, *(store.manifest(ref) for ref in shard.inputs)),
+    }
+    return commit(shard, store, tables={"seeds": columns}, facts=facts)
+
+
+def _done(key: str, store: Store) -> Manifest:
+    manifest = store.find("seeds", key)
+    if manifest is None:
+        raise InputError(f"the seed seeds@{key[:12]} that others grow from is not in the store")
+    return manifest
 
 
 def _choose(shard: Shard, store: Store, poses: list[ArtifactRef], index: int) -> tuple[np.ndarray, str, int]:
@@ -151,7 +266,7 @@ def read_limits(shard: Shard, store: Store) -> JointLimits:
 STAGE = Stage(
     name="seeds",
     version=VERSION,
-    reads=("poses", "joint_limits"),
+    reads=("poses", "annotations", "views", "joint_limits"),
     writes=("seeds",),
     parameters=SeedsParameters,
     plan=plan,

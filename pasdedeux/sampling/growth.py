@@ -33,9 +33,6 @@ __all__ = ["Growth", "GrowthOptions", "grow", "spread", "view_residuals"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-SIGMA_P_M = 0.05
-"""Bandwidth of the prior that grown pairs are scored with, metres (Yin et al. 2018, section 4.1)."""
-
 _ORDER = np.array(PAIR17.order)
 _PARENTS = np.array(PAIR17.parents)
 _NUM_POINTS = 2 * PAIR17.num_joints
@@ -294,7 +291,7 @@ class _Frontier:
             parent=np.array(self.parents[num_seeds:], dtype=np.int64),
             generation=np.array(generation[num_seeds:], dtype=np.int64),
             gap_m=np.array(self.gaps[num_seeds:], dtype=np.float64),
-            log_prior=-seed_quality(grown, limits).violation_m2 / (2.0 * SIGMA_P_M**2),
+            log_prior=seed_quality(grown, limits).log_prior,
             num_refused=num_refused,
             num_left=len(np.unique(self.annotation)) - len(grown) - num_refused,
         )

@@ -18,6 +18,8 @@ __all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
 
 Array = npt.NDArray[np.float64]
 
+SIGMA_P_M = 0.05
+"""Bandwidth of the prior that seeds are scored with, metres (Yin et al. 2018, section 4.1)."""
 CLOSE_SHARE = 0.25
 """Share of a take's frames, those with the smallest gap, that count as close interaction."""
 SOUND_SHARE = 0.5
@@ -39,6 +41,11 @@ class SeedQuality:
     num_invalid: npt.NDArray[np.int64]
     violation_m2: Array
     gap_m: Array
+
+    @property
+    def log_prior(self) -> Array:
+        """Log of eq. 2 (Yin et al. 2018), (pair,), with its own bone lengths; finite for impossible ones too."""
+        return np.asarray(-self.violation_m2 / (2.0 * SIGMA_P_M**2))
 
     @property
     def is_possible(self) -> npt.NDArray[np.bool_]:

@@ -67,10 +67,22 @@ SEEDS = Table(
     sorted_by=("seed_index",),
     columns=(
         integer("seed_index", "Index of the seed in the study"),
-        text("origin", "frame (of a take), lifted (from an annotation) or draw (a restart)"),
+        text("origin", "frame (of a take), lifted (from 2D alone), grown (from other seeds) or draw (a restart)"),
         text("take_id", "Take it came from, else null", is_nullable=True),
         integer("take_frame", "Frame of that take, else null", is_nullable=True),
         text("sequence_id", "Annotated sequence it was lifted from, else null", is_nullable=True),
+        integer("sequence_frame", "Annotated frame of that sequence, else null", is_nullable=True),
+        integer(
+            "parent_seed_index", "Seed that a grown seed was lifted from, the nearest one; else null", is_nullable=True
+        ),
+        integer("generation", "Steps of growth from a seed that did not grow; 0 for those"),
+        float64(
+            "gap_m",
+            "Root mean square distance of the annotated joints from the parent seen from their view; else null",
+            unit="m",
+            is_nullable=True,
+        ),
+        float64("log_prior", "Log of the prior (lift eq. 2) with the seed's own bone lengths, 0.05 m wide"),
         array(
             "pair17_m",
             "World positions of both people",

@@ -18,8 +18,8 @@ SPLITS = ("annotated", "unannotated", "held_out")
 
 
 def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) -> list[Shard]:
-    """One shard per part of the real frames, over the draws of every density."""
-    draws = inputs.of("draws")
+    """One shard per part of the real frames, over the draws of every density and the grown seeds."""
+    draws = [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if seed.facts["kind"] == "grown_seeds")]
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     annotations = [
         manifest
@@ -56,7 +56,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
     draw_refs = shard.inputs[parameters["num_takes"] + parameters["num_annotations"] :]
     held_out = {f["take_id"] for ref in take_refs if (f := store.manifest(ref).facts)["is_held_out"]}
     for ref in draw_refs:
-        refuse_overlap(f"chain {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], sorted(held_out))
+        refuse_overlap(
+            f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], sorted(held_out)
+        )
     takes = read_takes(store, take_refs, "pair17_m")
     annotated = set(read_take_frames(store, annotation_refs).values())
     generator = stream(shard.seed, TOPIC, split)
@@ -73,7 +75,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(
         scores=coverage_scores(curves, levels, split=split, num_truth=len(truth)),
         pictures={name: coverage_figure(curves, levels, split=split)},
-        captions={name: f"Coverage of {split.replace('_', ' ')} frames by the draws of each density."},
+        captions={
+            name: f"Coverage of {split.replace('_', ' ')} frames by the draws of each density and by grown seeds."
+        },
     )
 
 
@@ -96,9 +100,14 @@ def _split(
 
 
 def _draws(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
-    """Give the draws (draw, 2, 17, 3) of each density, all seeds and chains."""
+    """Give the draws (draw, 2, 17, 3) of each density, all seeds and chains, and the grown seeds."""
     found: dict[str, list[np.ndarray]] = {}
     for ref in refs:
+        if "seeds" in store.manifest(ref).tables:
+            table = store.read(ref, "seeds", columns=["pair17_m"])
+            if table.num_rows:
+                found.setdefault("grown_seeds", []).append(np.asarray(table["pair17_m"], dtype=np.float64))
+            continue
         table = store.read(ref, "draws", columns=["density", "pair17_m"])
         found.setdefault(str(table["density"][0]), []).append(table["pair17_m"].astype(np.float64))
     return {density: np.concatenate(parts) for density, parts in sorted(found.items())}

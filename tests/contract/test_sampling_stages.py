@@ -200,6 +200,48 @@ def test_asking_for_more_seeds_keeps_the_first(inputs: Any) -> None:
     assert [shard.key for shard in few] == [shard.key for shard in more[:2]]
 
 
+def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, num_seeds=2, num_grown=30, num_starts=3).of("seeds")
+    assert [manifest.facts["kind"] for manifest in made] == ["seed", "seed", "grown_seeds"]
+    facts = made[-1].facts
+    table = store.read(made[-1].ref, "seeds")
+    assert table.num_rows == facts["num_grown"]
+    assert 20 < table.num_rows <= 30
+    assert facts["takes"] == ["one", "two"]
+    assert facts["num_annotations_skipped"] == 1
+    assert not any(sequence.startswith("kept_back") for sequence in table["sequence_id"])
+    index, parent = np.asarray(table["seed_index"]), np.asarray(table["parent_seed_index"])
+    np.testing.assert_array_equal(index, 2 + np.arange(table.num_rows))
+    assert (parent < index).all()
+    generation = dict(zip(index.tolist(), np.asarray(table["generation"]).tolist(), strict=True))
+    assert all(generation[row] == generation.get(above, 0) + 1 for row, above in zip(index, parent, strict=True))
+    assert set(facts["starts"]) <= set(index.tolist())
+    assert np.isfinite(np.asarray(table["log_prior"])).all()
+
+
+def test_chains_start_from_a_spread_of_grown_seeds(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=2)
+    options = {**QUICK, "num_chains": 1, "densities": ("ic",)}
+    planned = chains.plan(given, ChainsParameters(**options))
+    starts = given.of("seeds")[-1].facts["starts"]
+    assert [shard.parameters["seed_index"] for shard in planned if shard.name == "summary"] == [0, *starts]
+    of_grown = [shard for shard in planned if shard.parameters["seed_index"] == starts[0]]
+    made = run(of_grown, chains, store)
+    draws = store.read(made[0].ref, "draws")
+    table = store.read(given.of("seeds")[-1].ref, "seeds")
+    row = np.asarray(table["seed_index"]).tolist().index(starts[0])
+    start, seed = np.asarray(draws["pair17_m"][0], dtype=np.float64), np.asarray(table["pair17_m"][row])
+    assert np.linalg.norm(start - seed, axis=-1).mean() < 0.1
+    assert draws["take_id"][0] is None
+
+
+def test_more_starts_than_grown_seeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="only 3 are grown"):
+        SeedsParameters(num_grown=3, num_starts=4)
+
+
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables)

@@ -20,6 +20,7 @@ from pasdedeux.formats import (
     read_openpose_frame,
     read_positions_npz,
 )
+from tasks.ingest.known_sources import known_source
 
 __all__ = ["new_study", "write_new_study"]
 
@@ -203,8 +204,11 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
     else:
         lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
     lines.append(f"up_axis = {_quoted(first.up_axis)}         # bodies stand along it: {_words(first.up_sureness)}")
-    if first.rate_hz is None:
-        lines.append("# rate_hz = 120       # the files state none; CMU: 120 Hz, subjects 60 and 61: 60 Hz")
+    known_rate = known_source(people[0].path.name, first.layout or "").rate_hz
+    if known_rate is not None:
+        lines.append(f"rate_hz = {known_rate:g}         # known of CMU's files{_against(first.rate_hz, known_rate)}")
+    elif first.rate_hz is None:
+        lines.append("# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed")
     else:
         seconds = people[0].num_frames / first.rate_hz
         lines.append(
@@ -214,6 +218,13 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
     for source in people:
         guess = source.guess
         assert guess is not None
+        known_unit = known_source(source.path.name, guess.layout or "").metres_per_unit
+        if known_unit is not None:
+            lines += [
+                "[[ingest.takes.persons]]",
+                f"metres_per_unit = {known_unit:g}   # known of CMU's salsa BVH: sure",
+            ]
+            continue
         is_believed = guess.unit_sureness >= BELIEVED
         unit = (
             guess.metres_per_unit if is_believed else guess.metres_per_unit * USUAL_HEIGHT_M / (guess.height_m or 1.0)
@@ -226,6 +237,11 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
             f"{'' if is_believed else '# '}metres_per_unit = {unit:.10g}   # {source.path.name}: {why}",
         ]
     return lines
+
+
+def _against(stated_hz: float | None, known_hz: float) -> str:
+    """Say that a file states another rate than is known of it."""
+    return f"; the header says {stated_hz:g}" if stated_hz is not None and abs(stated_hz - known_hz) > 0.01 else ""
 
 
 def _annotations(source: _Source, base: Path | None) -> list[str]:

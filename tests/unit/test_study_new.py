@@ -76,9 +76,18 @@ def test_what_is_no_motion_is_refused(tmp_path: Path) -> None:
         new_study("s", [tmp_path / "y.bvh"])
 
 
-def test_salsa_files_get_the_guess_and_the_doubt_they_deserve(data_dir: Path) -> None:
+def test_salsa_files_are_known_to_lie_by_their_names(data_dir: Path) -> None:
     folder = data_dir / "cmu_salsa_bvh"
     text = new_study("salsa", [folder / "60_10.bvh", folder / "61_10.bvh"])
     assert 'layout = "cmu_daz"' in text
+    assert "rate_hz = 60         # known of CMU's files; the header says 120" in text
+    assert "metres_per_unit = 1.263   # known" in text
+    assert "metres_per_unit = 1.191   # known" in text
+
+
+def test_salsa_files_of_another_name_get_the_guess_and_the_doubt_they_deserve(data_dir: Path, tmp_path: Path) -> None:
+    for name, other in (("60_10.bvh", "leader.bvh"), ("61_10.bvh", "follower.bvh")):
+        (tmp_path / other).symlink_to(data_dir / "cmu_salsa_bvh" / name)
+    text = new_study("salsa", [tmp_path / "leader.bvh", tmp_path / "follower.bvh"])
     assert "rate_hz = 120         # stated by the file" in text  # it lies: 60 Hz is true
     assert text.count("A GUESS - SET IT") == 2  # 1.29 m tall in metres: not believed

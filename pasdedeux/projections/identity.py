@@ -1,0 +1,330 @@
+"""Stable identities of the people of a video: which detection of a frame is which person of the frames before.
+
+Detectors list people in any order.  A person is followed by the 2D pose itself: every joint of a track is predicted
+from its place and speed, and the detections of a frame are given to the tracks by the assignment of least total cost.
+Two people who cross hardly ever have all joints in the same place with the same labels, so the pose tells them apart
+where the place does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import OP14
+
+__all__ = ["FollowedRows", "Follower", "IdentityOptions", "body_size_px", "follow_people", "identity_switches"]
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
+"""Alpha-beta filter of a joint: near the critically damped pair beta = alpha^2 / (2 - alpha), a little slower."""
+
+_SIZE_GAIN = 0.1
+_LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
+"""Who is not seen goes on: the speed of the whole body fades slowly, that of limbs against it fast."""
+
+_IMPOSSIBLE = 1e6
+_LEAST_SIZE_PX = 4.0
+_HIGHEST_BOX_PER_LENGTH = 4.0
+
+_TRUNK = OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"])
+
+
+@dataclass(frozen=True)
+class IdentityOptions:
+    """How people are followed.  Lengths are shares of the size of the body in the image (about its height).
+
+    Args:
+        gate: Mean joint distance from the prediction beyond which a detection is somebody else.
+        gate_growth_per_s: Growth of the gate while a person is not seen.
+        most_gate: The gate never grows beyond this.
+        most_absent_s: After this time unseen a person who comes back is a new one.
+        size_cost: Cost of a size that is e times the one before.
+        duplicate: Two detections of a frame nearer than this are one person seen twice.
+        ghost_s: Tracks seen for less than this are dropped, when the sequence is four times as long.
+        least_joints: Detections with fewer joints are dropped.
+    """
+
+    gate: float = 0.25
+    gate_growth_per_s: float = 0.5
+    most_gate: float = 0.6
+    most_absent_s: float = 1.5
+    size_cost: float = 0.2
+    duplicate: float = 0.06
+    ghost_s: float = 0.25
+    least_joints: int = 3
+
+    def __post_init__(self) -> None:
+        """Refuse values without meaning."""
+        if not (0 < self.gate <= self.most_gate and min(self.most_absent_s, self.duplicate) > 0):
+            raise InputError(f"identities: gates, distances and times must be positive: {self}")
+        if min(self.gate_growth_per_s, self.size_cost, self.ghost_s) < 0 or self.least_joints < 1:
+            raise InputError(f"identities: a negative cost or time, or no least number of joints: {self}")
+
+
+@dataclass(frozen=True)
+class FollowedRows:
+    """Detections with the person they belong to.
+
+    Args:
+        track_id: Person of each row (row,), counted from 0 by first appearance; -1 for dropped rows.
+        keypoints_px: (row, joint, 2); rows that a doubled person was merged into hold the mean of both.
+        confidence: (row, joint).
+        num_merged: Doubled detections that were merged into others.
+        num_ghosts: Rows of short ghosts and of detections with too few joints that were dropped.
+    """
+
+    track_id: Integers
+    keypoints_px: Array
+    confidence: Array
+    num_merged: int
+    num_ghosts: int
+
+
+@dataclass
+class _Person:
+    """State of one followed person."""
+
+    track_id: int
+    place_px: Array
+    speed_px_s: Array
+    is_known: npt.NDArray[np.bool_]
+    size_px: float
+    last_time_s: float
+
+    def predict(self, time_s: float) -> Array:
+        """Give where the joints are expected; speeds fade, so that absences do not fling people away."""
+        passed = time_s - self.last_time_s
+        body = np.median(self.speed_px_s[self.is_known], axis=0)
+        limbs = self.speed_px_s - body
+        return np.asarray(self.place_px + body * _faded(passed, _BODY_FADE_S) + limbs * _faded(passed, _LIMB_FADE_S))
+
+
+def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
+    """Give the size (*batch,) of people in the image, about their height, pixels; NaN with fewer than two joints.
+
+    The diagonal of the box of the seen joints, but at least what the trunk says and at most four times the trunk.
+    """
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
+
+    def diagonal(points: Array, seen: npt.NDArray[np.bool_]) -> Array:
+        high = np.where(seen[..., None], points, -np.inf).max(axis=-2)
+        low = np.where(seen[..., None], points, np.inf).min(axis=-2)
+        return np.where(seen.sum(axis=-1) >= 2, np.linalg.norm(np.where(high > low, high - low, 0.0), axis=-1), np.nan)
+
+    box = diagonal(keypoints_px, is_seen)
+    trunk = diagonal(keypoints_px[..., _TRUNK, :], is_seen[..., _TRUNK])
+    has_trunk = is_seen[..., _TRUNK].sum(axis=-1) >= 4
+    size = np.where(has_trunk, np.clip(box, 1.5 * trunk, _HIGHEST_BOX_PER_LENGTH * trunk), box)
+    return np.where(np.isfinite(size), np.maximum(size, _LEAST_SIZE_PX), np.nan)
+
+
+class Follower:
+    """Follows people frame by frame, as frames arrive; the state is theirs alone.
+
+    Args:
+        options: How.
+    """
+
+    def __init__(self, options: IdentityOptions | None = None) -> None:
+        self.options = options or IdentityOptions()
+        self._people: list[_Person] = []
+        self._num_tracks = 0
+
+    def step(self, time_s: float, keypoints_px: Array, confidence: Array) -> FollowedRows:
+        """Give the people of one frame.
+
+        Args:
+            time_s: Time of the frame, later than the one before.
+            keypoints_px: Detections (detection, 14, 2), NaN where not seen.
+            confidence: (detection, 14), 0 where not seen.
+        """
+        points, seen = _clean(keypoints_px, confidence)
+        is_seen = seen > 0
+        size = body_size_px(points, seen)
+        is_usable = (is_seen.sum(axis=1) >= self.options.least_joints) & np.isfinite(size)
+        track_id = np.full(len(points), -1, dtype=np.int64)
+        usable = np.flatnonzero(is_usable)
+        self._people = [p for p in self._people if time_s - p.last_time_s <= self.options.most_absent_s]
+        matched: dict[int, _Person] = {}
+        if len(usable) and self._people:
+            cost, limit = self._costs(time_s, points[usable], is_seen[usable], size[usable])
+            # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
+            gated = np.where(cost <= limit, cost - 2.0 * self.options.most_gate, 0.0)
+            for row, column in zip(*linear_sum_assignment(gated), strict=True):
+                if cost[row, column] <= limit[row, column]:
+                    matched[int(usable[column])] = self._people[row]
+        merged = 0
+        for index in usable.tolist():
+            if index in matched:
+                continue
+            twin = _twin(index, matched, points, is_seen, size, self.options.duplicate)
+            if twin is None:
+                self._num_tracks += 1
+                matched[index] = _Person(
+                    self._num_tracks - 1,
+                    np.nan_to_num(points[index]),
+                    np.zeros(points[index].shape),
+                    is_seen[index].copy(),
+                    float(size[index]),
+                    time_s,
+                )
+                self._people.append(matched[index])
+            else:
+                points[twin], seen[twin] = _mean_of(points[np.array([twin, index])], seen[np.array([twin, index])])
+                is_seen = seen > 0
+                merged += 1
+        for index, person in matched.items():
+            track_id[index] = person.track_id
+            _update(person, time_s, points[index], is_seen[index], float(size[index]))
+        return FollowedRows(track_id, points, seen, merged, int((~is_usable).sum()))
+
+    def _costs(self, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size: Array) -> tuple[Array, Array]:
+        """Give the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
+        cost = np.full((len(self._people), len(points)), _IMPOSSIBLE)
+        limit = np.zeros(cost.shape)
+        for row, person in enumerate(self._people):
+            predicted = person.predict(time_s)
+            both = is_seen & person.is_known
+            distance = np.linalg.norm(np.nan_to_num(points) - predicted, axis=-1)
+            # A single joint that is far off is a detector's fault and not another person.
+            share = np.minimum(distance / person.size_px, 3.0 * self.options.gate)
+            count = both.sum(axis=1)
+            mean = np.sum(share * both, axis=1) / np.maximum(count, 1)
+            # Where the two have too few joints in common only the place of the whole tells.
+            centre = np.array([np.mean(one[seen], axis=0) for one, seen in zip(points, is_seen, strict=True)])
+            own = predicted[person.is_known].mean(axis=0)
+            mean = np.where(count >= 2, mean, np.linalg.norm(centre - own, axis=-1) / person.size_px)
+            cost[row] = mean + self.options.size_cost * np.abs(np.log(size / person.size_px))
+            passed = time_s - person.last_time_s
+            limit[row] = min(self.options.gate + self.options.gate_growth_per_s * passed, self.options.most_gate)
+        return cost, limit
+
+
+def follow_people(
+    frame: Integers,
+    keypoints_px: Array,
+    confidence: Array,
+    *,
+    rate_hz: float,
+    options: IdentityOptions | None = None,
+) -> FollowedRows:
+    """Give the person of every detection of a sequence, whatever the order of people within its frames.
+
+    Args:
+        frame: Frame number of each row (row,), in any order; numbers may have gaps.
+        keypoints_px: op14 keypoints (row, 14, 2), pixels; NaN where not seen.
+        confidence: (row, 14), 0 where not seen.
+        rate_hz: Frames per second.
+        options: How.
+
+    Returns:
+        The rows in the order given; without rows nothing.
+
+    Raises:
+        InputError: Shapes do not fit, or the rate is not positive.
+    """
+    options = options or IdentityOptions()
+    if keypoints_px.shape != (len(frame), OP14.num_joints, 2) or confidence.shape != keypoints_px.shape[:2]:
+        raise InputError(
+            f"identities: {len(frame)} frames, keypoints {keypoints_px.shape}, confidences {confidence.shape}; "
+            f"expected (rows, {OP14.num_joints}, 2) and (rows, {OP14.num_joints})"
+        )
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"identities: the frame rate is {rate_hz}, it must be positive")
+    points, seen = np.array(keypoints_px, dtype=np.float64), np.array(confidence, dtype=np.float64)
+    track_id = np.full(len(frame), -1, dtype=np.int64)
+    follower = Follower(options)
+    merged = ghosts = 0
+    for number in np.unique(frame):
+        rows = np.flatnonzero(frame == number)
+        found = follower.step(float(number) / rate_hz, points[rows], seen[rows])
+        track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
+        merged += found.num_merged
+        ghosts += found.num_ghosts
+    is_ghost = _ghosts(frame, track_id, rate_hz, options)
+    ghosts += int(is_ghost.sum())
+    track_id[is_ghost] = -1
+    kept = [int(one) for one in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if one >= 0]
+    renamed = {old: new for new, old in enumerate(kept)} | {-1: -1}
+    final = np.array([renamed[int(one)] for one in track_id], dtype=np.int64)
+    return FollowedRows(final, points, seen, merged, ghosts)
+
+
+def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) -> int:
+    """Count how often a person's track is not the one the person was last seen with; dropped rows (-1) are skipped."""
+    switches = 0
+    for person in np.unique(true_id):
+        rows = np.flatnonzero((true_id == person) & (track_id >= 0))
+        ids = track_id[rows[np.argsort(frame[rows], kind="stable")]]
+        switches += int(np.count_nonzero(np.diff(ids)))
+    return switches
+
+
+def _faded(passed_s: float, fade_s: float) -> float:
+    """Give the time that a fading speed has worked for."""
+    return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
+
+
+def _clean(keypoints_px: Array, confidence: Array) -> tuple[Array, Array]:
+    points = np.array(keypoints_px, dtype=np.float64)
+    is_seen = np.isfinite(points).all(axis=-1) & (np.nan_to_num(confidence) > 0)
+    return np.where(is_seen[..., None], points, np.nan), np.where(is_seen, np.nan_to_num(confidence), 0.0)
+
+
+def _twin(
+    index: int,
+    matched: dict[int, _Person],
+    points: Array,
+    is_seen: npt.NDArray[np.bool_],
+    size: Array,
+    duplicate: float,
+) -> int | None:
+    """Give the matched detection that this one is a double of, None where it is somebody of its own."""
+    for other in matched:
+        both = is_seen[index] & is_seen[other]
+        if both.sum() < min(4, is_seen[index].sum()):
+            continue
+        apart = np.linalg.norm(points[index, both] - points[other, both], axis=-1)
+        if float(np.median(apart)) < duplicate * float(size[other]):
+            return other
+    return None
+
+
+def _mean_of(points: Array, confidence: Array) -> tuple[Array, Array]:
+    """Give the mean of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
+    total = confidence.sum(axis=0)
+    mean = np.einsum("dj,djc->jc", confidence, np.nan_to_num(points)) / np.where(total > 0, total, 1.0)[:, None]
+    return np.where((total > 0)[:, None], mean, np.nan), confidence.max(axis=0)
+
+
+def _update(person: _Person, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size_px: float) -> None:
+    """Move a person's state to a detection that is theirs."""
+    passed = time_s - person.last_time_s
+    predicted = person.predict(time_s)
+    off = np.where((is_seen & person.is_known)[:, None], np.nan_to_num(points) - predicted, 0.0)
+    person.place_px = np.where(
+        (is_seen & ~person.is_known)[:, None], np.nan_to_num(points), predicted + _PLACE_GAIN * off
+    )
+    if passed > 0:
+        person.speed_px_s = person.speed_px_s * np.where(is_seen, 1.0, np.exp(-passed / _LIMB_FADE_S))[:, None]
+        person.speed_px_s = person.speed_px_s + _SPEED_GAIN / passed * off
+    person.is_known = person.is_known | is_seen
+    person.size_px += _SIZE_GAIN * (size_px - person.size_px)
+    person.last_time_s = time_s
+
+
+def _ghosts(frame: Integers, track_id: Integers, rate_hz: float, options: IdentityOptions) -> npt.NDArray[np.bool_]:
+    """Tell the rows of tracks that were seen too shortly to be people."""
+    if len(frame) == 0:
+        return np.zeros(0, dtype=bool)
+    length = int(frame.max() - frame.min()) + 1
+    least = min(round(options.ghost_s * rate_hz), length // 4)
+    ids, counts = np.unique(track_id, return_counts=True)
+    return np.isin(track_id, ids[(counts < least) & (ids >= 0)])

@@ -1,0 +1,153 @@
+"""People keep their identity through crossings, absences and doubled detections, in whatever order they are listed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.identity import (
+    FollowedRows,
+    IdentityOptions,
+    body_size_px,
+    follow_people,
+    identity_switches,
+)
+from tests.crowds import SALSA_TAKES, Detections, duet_couple, film, salsa_couple
+from tests.walkers import walk
+
+
+def follow(seen: Detections, options: IdentityOptions | None = None) -> FollowedRows:
+    return follow_people(seen.frame, seen.keypoints_px, seen.confidence, rate_hz=seen.rate_hz, options=options)
+
+
+def switches(seen: Detections, found: FollowedRows) -> int:
+    return identity_switches(seen.true_id, found.track_id, seen.frame)
+
+
+def crossing(num_frames: int = 90) -> np.ndarray:
+    """Two walkers who pass through each other's place, one behind the other in the image."""
+    couple = np.stack([walk(num_frames, seed=person, rate_hz=30.0, turn_rad=0.0) for person in range(2)], axis=1)
+    way = np.linspace(-1.2, 1.2, num_frames)
+    couple[:, 0, :, 0] += way[:, None]
+    couple[:, 1, :, 0] -= way[:, None]
+    couple[:, 1, :, 2] -= 0.4
+    return couple
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 5.0])
+@pytest.mark.parametrize("name", ["waltz", "hug", "judo", "push_hands"])
+def test_duets_are_followed_without_a_switch(name: str, noise_px: float) -> None:
+    couple = duet_couple(name, duration_s=6.0)
+    for view in range(3):
+        seen = film(np.random.default_rng([view, 7]), couple, noise_px=noise_px)
+        found = follow(seen)
+        assert switches(seen, found) == 0
+        assert set(found.track_id.tolist()) == {0, 1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise_px", [0.0, 5.0])
+def test_the_salsa_takes_are_followed_without_a_switch(data_dir: Path, noise_px: float) -> None:
+    for take in SALSA_TAKES:
+        seen = film(np.random.default_rng([int(take), 0]), salsa_couple(data_dir, take), noise_px=noise_px)
+        assert switches(seen, follow(seen)) == 0, take
+
+
+def test_the_order_of_people_and_rows_does_not_matter() -> None:
+    seen = film(np.random.default_rng(3), crossing(), noise_px=5.0)
+    found = follow(seen)
+    shuffled = np.random.default_rng(4).permutation(len(seen.frame))
+    again = follow(seen.rows(shuffled))
+    for person in (0, 1):
+        rows = np.flatnonzero(found.track_id == found.track_id[person])
+        others = again.track_id[np.isin(shuffled, rows)]
+        assert len(set(others.tolist())) == 1
+
+
+def test_a_person_hidden_while_passing_behind_comes_back_as_the_same() -> None:
+    couple = crossing()
+    for yaw_rad in (0.0, 0.3, -0.3):
+        seen = film(np.random.default_rng(5), couple, noise_px=3.0, yaw_rad=yaw_rad)
+        hidden = (seen.true_id == 1) & (seen.frame > 35) & (seen.frame < 55)
+        kept = seen.rows(~hidden)
+        found = follow(kept)
+        assert switches(kept, found) == 0
+        assert set(found.track_id.tolist()) == {0, 1}
+
+
+def test_gaps_in_the_frame_numbers_are_time_that_passed() -> None:
+    seen = film(np.random.default_rng(6), crossing(), noise_px=2.0)
+    kept = seen.rows((seen.frame % 3 == 0) & ~((seen.frame > 30) & (seen.frame < 42)))
+    assert switches(kept, follow(kept)) == 0
+
+
+def test_people_may_come_and_go() -> None:
+    seen = film(np.random.default_rng(8), crossing(), noise_px=2.0, yaw_rad=0.1)
+    kept = seen.rows((seen.true_id == 0) | (seen.frame >= 40))
+    found = follow(kept)
+    assert switches(kept, found) == 0
+    first = kept.frame[found.track_id == 1].min()
+    assert (found.track_id[kept.frame < 40] == 0).all()
+    assert first == 40
+
+
+def test_a_person_who_is_back_after_too_long_is_a_new_one() -> None:
+    seen = film(np.random.default_rng(9), crossing(150), yaw_rad=0.0)
+    alone = seen.rows((seen.true_id == 0) & ((seen.frame < 40) | (seen.frame > 100)))
+    assert sorted(set(follow(alone).track_id.tolist())) == [0, 1]
+    patient = IdentityOptions(most_absent_s=10.0)
+    assert len(set(follow(alone, patient).track_id.tolist())) <= 2
+
+
+def test_a_doubled_person_is_merged_into_one() -> None:
+    seen = film(np.random.default_rng(10), crossing(), yaw_rad=0.2)
+    doubled = np.flatnonzero((seen.true_id == 0) & (seen.frame > 20) & (seen.frame < 26))
+    rng = np.random.default_rng(11)
+    both = Detections(
+        np.concatenate([seen.frame, seen.frame[doubled]]),
+        np.concatenate([seen.true_id, seen.true_id[doubled]]),
+        np.concatenate([seen.keypoints_px, seen.keypoints_px[doubled] + rng.normal(0, 3.0, (len(doubled), 14, 2))]),
+        np.concatenate([seen.confidence, seen.confidence[doubled]]),
+        seen.rate_hz,
+    )
+    found = follow(both)
+    assert found.num_merged == len(doubled)
+    assert switches(both, found) == 0
+    assert set(found.track_id.tolist()) == {-1, 0, 1}
+    used = found.track_id >= 0
+    assert len({(f, t) for f, t in zip(both.frame[used], found.track_id[used], strict=True)}) == used.sum()
+
+
+def test_short_ghosts_and_scraps_are_dropped() -> None:
+    seen = film(np.random.default_rng(12), crossing(), yaw_rad=0.0)
+    ghost = seen.rows(np.flatnonzero(seen.true_id == 0)[30:34])
+    ghost = replace(ghost, keypoints_px=ghost.keypoints_px + np.array([700.0, -300.0]), true_id=np.full(4, 9))
+    scrap = seen.rows(np.flatnonzero(seen.true_id == 0)[50:60])
+    scrap_confidence = scrap.confidence.copy()
+    scrap_confidence[:, 2:] = 0.0
+    scrap = replace(scrap, confidence=scrap_confidence, true_id=np.full(10, 8))
+    names = ("frame", "true_id", "keypoints_px", "confidence")
+    joined = [np.concatenate([getattr(one, name) for one in (seen, ghost, scrap)]) for name in names]
+    everyone = Detections(*joined, rate_hz=seen.rate_hz)
+    found = follow(everyone)
+    assert (found.track_id[everyone.true_id >= 8] == -1).all()
+    assert found.num_ghosts == 14
+    assert switches(everyone, found) == 0
+
+
+def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
+    empty = follow_people(np.zeros(0, np.int64), np.zeros((0, 14, 2)), np.zeros((0, 14)), rate_hz=30.0)
+    assert len(empty.track_id) == 0
+    blind = follow_people(np.arange(3), np.full((3, 14, 2), np.nan), np.ones((3, 14)), rate_hz=30.0)
+    assert blind.track_id.tolist() == [-1, -1, -1]
+    with pytest.raises(InputError, match=r"expected \(rows, 14, 2\)"):
+        follow_people(np.arange(3), np.zeros((3, 17, 2)), np.ones((3, 17)), rate_hz=30.0)
+    with pytest.raises(InputError, match="rate is 0"):
+        follow_people(np.arange(3), np.zeros((3, 14, 2)), np.ones((3, 14)), rate_hz=0.0)
+    with pytest.raises(InputError, match="gates"):
+        IdentityOptions(gate=0.0)
+    assert np.isnan(body_size_px(np.zeros((14, 2)), np.zeros(14)))

@@ -8,7 +8,6 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, image_noise
@@ -450,7 +449,11 @@ def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_index: np
 def _smooth_way(way: Array, window: int) -> Array:
     """Smooth points over time (frame, d)."""
     length = min(window, len(way) - (len(way) + 1) % 2)
-    return np.asarray(savgol_filter(way, length, _SMOOTHING_ORDER, axis=0)) if length > _SMOOTHING_ORDER else way
+    if length <= _SMOOTHING_ORDER:
+        return way
+    from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
+
+    return np.asarray(savgol_filter(way, length, _SMOOTHING_ORDER, axis=0))
 
 
 def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> Array:

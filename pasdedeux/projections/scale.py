@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import savgol_filter
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
@@ -157,6 +156,8 @@ def _smooth_way(place: Array, window: int) -> Array:
     if not is_known.any() or length < _WAY_ORDER + 2:
         return place
     way = np.stack([np.interp(frames, frames[is_known], axis[is_known]) for axis in place.T], axis=-1)
+    from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
+
     smooth = savgol_filter(way, length, _WAY_ORDER, axis=0, mode="interp")
     return np.where(is_known[:, None], smooth, np.nan)
 

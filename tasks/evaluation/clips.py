@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.evaluation.overlay import floor_grid, overlay_clip
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard
@@ -35,6 +34,8 @@ def shards(inputs: StageInputs, *, seconds: float, rate_hz: float) -> list[Shard
 
 def run(shard: Shard, store: Store) -> TopicResult:
     """Draw the first seconds of one sequence."""
+    from pasdedeux.evaluation.overlay import floor_grid, overlay_clip  # here: planning does not need OpenCV
+
     sequence_id = shard.parameters["sequence_id"]
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
     data = store.read(shard.inputs[0], "annotations", columns=columns)

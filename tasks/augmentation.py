@@ -37,7 +37,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, artifact_fields, 
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 Scale = Annotated[float, Field(ge=0.05, le=20.0)]
 PersonName = Literal["A", "B", "AB"]
@@ -83,6 +83,10 @@ class WeightParameters(Parameters):
     floor: float = Field(Weights.floor, ge=0, description="Height of joints near the floor")
     bending: float = Field(Weights.bending, ge=0, description="Bending of the spine")
     girdle: float = Field(Weights.girdle, ge=0, description="Rigidity of girdle and hips")
+    clearance: float = Field(Weights.clearance, ge=0, description="Penetration of the partner beyond the source's")
+    clearance_self: float = Field(
+        Weights.clearance_self, ge=0, description="Penetration of one's own body beyond the source's and plain FK's"
+    )
     fixed: float = Field(Weights.fixed, ge=0, description="Pull of a person held fixed towards the source")
 
 

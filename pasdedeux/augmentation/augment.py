@@ -14,7 +14,7 @@ from pasdedeux.augmentation.descent import descend
 from pasdedeux.augmentation.energy import total_energy
 from pasdedeux.augmentation.quality import Judge, Quality, QualityLimits, Verdict
 from pasdedeux.augmentation.source import Source
-from pasdedeux.augmentation.terms import Weights, build_problem, build_targets
+from pasdedeux.augmentation.terms import Targets, Weights, build_problem, build_targets
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.fitting import FitSettings
 from pasdedeux.skeletons import BODY22
@@ -113,7 +113,7 @@ class Augmenter:
             return []
         problem, settings = self.problem, self.settings
         targets = build_targets(problem, np.stack([variation.bone_scale for variation in variations]))
-        energy_fk = total_energy(problem, targets, np.zeros(targets.reference.shape))
+        energy_fk = self._energies(targets, targets.reference)
         positions = np.array(targets.reference)
         energy = np.array(energy_fk)
         solvers = ["descent"] * len(variations)
@@ -122,12 +122,12 @@ class Augmenter:
         if self._bulk is not None:
             result = self._bulk.solve(targets)
             with np.errstate(invalid="ignore", over="ignore"):
-                bulk_energy = total_energy(problem, targets, result.positions - targets.reference)
-                is_better = np.isfinite(bulk_energy) & (bulk_energy <= energy_fk)
+                bulk_energy = self._energies(targets, result.positions)
+            is_better = np.isfinite(bulk_energy) & (bulk_energy <= energy_fk)
             positions[is_better], energy[is_better] = result.positions[is_better], bulk_energy[is_better]
             is_done = is_better & (result.residual_m <= settings.fallback_residual_m)
             solvers = ["bulk" if good else "bulk+descent" for good in is_done]
-            iterations = [result.num_iterations] * len(variations)
+            iterations = [int(number) for number in result.num_iterations]
         for index in np.flatnonzero(~is_done):
             descent = descend(problem, targets, int(index), positions[index], settings.descent)
             if np.isfinite(descent.positions).all():
@@ -149,6 +149,16 @@ class Augmenter:
             )
             for index, variation in enumerate(variations)
         ]
+
+    def _energies(self, targets: Targets, positions: Array) -> Array:
+        """Give the energy (variant,), one by one, so that sums round the same in every batch."""
+        chosen = (targets.select([variant]) for variant in range(targets.num_variants))
+        return np.array(
+            [
+                total_energy(self.problem, one, points[None] - one.reference)[0]
+                for one, points in zip(chosen, positions, strict=True)
+            ]
+        )
 
     def _variant(
         self,

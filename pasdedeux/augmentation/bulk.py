@@ -8,12 +8,18 @@ look at the residual and hand bad variants to `descent`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.bulk_kernels import (
+    add_stencils,
+    assemble,
+    assemble_near,
+    project_edges,
+    project_near,
+)
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.source import NUM_POINTS
 from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
@@ -31,6 +37,8 @@ _BONES = np.array(
 )
 _EDGES = np.ascontiguousarray(np.concatenate([_BONES, GIRDLE_PAIRS]))
 _NUM_BONES = len(_BONES)
+_DROPPED = 0.3
+"""Variants that are done leave the iteration when they are this share of it: leaving costs a copy of the rest."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +47,11 @@ class BulkSettings:
 
     Args:
         max_iterations: Most iterations.
-        tolerance_m: A batch is done when no bone of a frame is further than this from its length (root mean square).
+        tolerance_m: A variant is done when no bone of a frame is further than this from its length (root mean square).
         penalty: ADMM penalty on bone vectors, in units of the Laplacian weight.
         contact_penalty: What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all
             edges the iteration swings wherever contacts are dense.
+        clearance_penalty: Penalty of near bones per unit of their weight.
         relaxation: Over-relaxation, 1 (none) to 1.8.
         is_single_precision: Iterate in 32-bit floats; targets and the final projection stay in 64.
 
@@ -54,6 +63,7 @@ class BulkSettings:
     tolerance_m: float = 2e-4
     penalty: float = 8.0
     contact_penalty: float = 0.3
+    clearance_penalty: float = 0.5
     relaxation: float = 1.4
     is_single_precision: bool = False
 
@@ -73,12 +83,12 @@ class BulkResult:
     Args:
         positions: Positions with exact bones (variant, T, 44, 3), metres.
         residual_m: Root mean square bone error before the final projection (variant,), metres.
-        num_iterations: Iterations done.
+        num_iterations: Iterations done (variant,).
     """
 
     positions: Array
     residual_m: Array
-    num_iterations: int
+    num_iterations: npt.NDArray[np.int64]
 
 
 class BulkSolver:
@@ -90,47 +100,122 @@ class BulkSolver:
         dtype = np.float32 if self.settings.is_single_precision else np.float64
         penalties = _penalties(problem, self.settings)
         matrix = problem.matrix + _penalty_matrix(penalties)
+        near = problem.clearance
+        stencils = np.zeros(matrix.shape[1:])
+        near_penalties = self.settings.clearance_penalty * near.weights
+        add_stencils(near.points, near.shares, near_penalties, stencils)
+        matrix += stencils
         self._factors: list[Factor] = [
             factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
         self._penalties: AnyFloat = penalties.astype(dtype)
+        self._shares: AnyFloat = near.shares.astype(dtype)
+        self._normals: AnyFloat = near.normals.astype(dtype)
+        self._near_penalties: AnyFloat = near_penalties.astype(dtype)
+        self._constants: AnyFloat = np.array([self.settings.relaxation, self.settings.clearance_penalty]).astype(dtype)
         self._dtype = dtype
 
     def solve(self, targets: Targets) -> BulkResult:
-        """Solve a batch of variants."""
+        """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
         problem, settings, dtype = self.problem, self.settings, self._dtype
         frames, count = problem.num_frames, targets.num_variants
-        blocks = self._factors[0].num_blocks
-        linear: AnyFloat = _padded(right_hand_side(problem, targets), blocks).astype(dtype)
-        reference: AnyFloat = _padded(np.transpose(targets.reference, (3, 1, 2, 0)), blocks).astype(dtype)
+        blocks, near = self._factors[0].num_blocks, problem.clearance
+        shape = (3, 2 * blocks, NUM_POINTS, count)
+        linear: AnyFloat = np.zeros(shape, dtype)
+        for variant in range(count):
+            # One by one: BLAS sums in another order for another number of columns.
+            linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
+        reference: AnyFloat = np.zeros(shape, dtype)
+        reference[:, :frames] = np.transpose(targets.reference, (3, 1, 2, 0))
         lengths = np.empty((frames, len(_EDGES), count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
-        stiffness = np.full(len(_EDGES), -1.0)
-        stiffness[_NUM_BONES:] = problem.weights.girdle
-        shape = (3, 2 * blocks, NUM_POINTS, count)
-        solution = np.zeros_like(linear)
-        offsets, linear, reference = solution.reshape(shape), linear.reshape(shape), reference.reshape(shape)
-        dual = np.zeros((3, frames, len(_EDGES), count), dtype)
-        aim = np.empty_like(dual)
-        squared = np.zeros((frames, count))
-        penalties = self._penalties
-        _project_edges(offsets, reference, dual, aim, lengths, _EDGES, stiffness, penalties, 1.0, True, squared)
-        num_iterations, relaxation = 0, settings.relaxation
-        while num_iterations < settings.max_iterations:
-            num_iterations += 1
-            _assemble(linear, reference, aim, _EDGES, penalties, offsets)
+        state = _Iteration(
+            offsets=np.zeros(shape, dtype),
+            linear=linear,
+            reference=reference,
+            dual=np.zeros((3, frames, len(_EDGES), count), dtype),
+            aim=np.zeros((3, frames, len(_EDGES), count), dtype),
+            lengths=lengths,
+            limits=np.ascontiguousarray(np.transpose(targets.clearance_m, (1, 2, 0)), dtype),
+            near_dual=np.zeros((3, *near.weights.shape, count), dtype),
+            near_aim=np.zeros((3, *near.weights.shape, count), dtype),
+        )
+        stiffness: AnyFloat = np.where(np.arange(len(_EDGES)) < _NUM_BONES, -1.0, problem.weights.girdle).astype(dtype)
+        solved = np.empty((count, 3, frames, NUM_POINTS), dtype)
+        residual, num_iterations = np.empty(count), np.full(count, settings.max_iterations)
+        active, is_done = np.arange(count), np.zeros(count, dtype=bool)
+        squared = np.zeros((frames, count), dtype)
+        self._project(state, stiffness, squared, is_first=True)
+        for iteration in range(1, settings.max_iterations + 1):
+            assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
+            assemble_near(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
             for axis, group in enumerate(AXIS_GROUP):
-                solve(self._factors[group], solution[axis])
-            _project_edges(
-                offsets, reference, dual, aim, lengths, _EDGES, stiffness, penalties, relaxation, False, squared
-            )
-            if np.sqrt(squared.max() / _NUM_BONES) < settings.tolerance_m:
+                solve(self._factors[group], state.offsets[axis].reshape(blocks, 2 * NUM_POINTS, -1))
+            self._project(state, stiffness, squared, is_first=False)
+            is_new = np.sqrt(squared.max(axis=0) / _NUM_BONES) < settings.tolerance_m
+            is_new = (is_new | (iteration == settings.max_iterations)) & ~is_done
+            for column in np.flatnonzero(is_new):
+                variant = active[column]
+                solved[variant] = state.offsets[:, :frames, :, column]
+                residual[variant] = np.sqrt(np.ascontiguousarray(squared[:, column]).mean() / _NUM_BONES)
+                num_iterations[variant] = iteration
+            is_done |= is_new
+            if is_done.all():
                 break
-        residual = np.sqrt(squared.mean(axis=0) / _NUM_BONES)
-        points = reference[:, :frames].astype(np.float64) + offsets[:, :frames]
-        positions = project_to_bones(np.transpose(points, (3, 1, 2, 0)), targets.lengths_m)
+            if is_done.sum() >= _DROPPED * len(active):
+                active, squared, state = active[~is_done], squared[:, ~is_done], state.keep(~is_done)
+                is_done = np.zeros(len(active), dtype=bool)
+        points = np.transpose(targets.reference, (0, 3, 1, 2)) + solved
+        positions = project_to_bones(np.transpose(points, (0, 2, 3, 1)), targets.lengths_m)
         return BulkResult(positions=positions, residual_m=residual, num_iterations=num_iterations)
+
+    def _project(self, state: _Iteration, stiffness: AnyFloat, squared: AnyFloat, *, is_first: bool) -> None:
+        project_edges(
+            state.offsets,
+            state.reference,
+            state.dual,
+            state.aim,
+            state.lengths,
+            _EDGES,
+            stiffness,
+            self._penalties,
+            self._constants,
+            is_first,
+            squared,
+        )
+        project_near(
+            state.offsets,
+            state.near_dual,
+            state.near_aim,
+            state.limits,
+            self.problem.clearance.points,
+            self._shares,
+            self._normals,
+            self._near_penalties,
+            self._constants,
+            is_first,
+        )
+
+
+@dataclass(frozen=True)
+class _Iteration:
+    """Arrays of the variants still iterated, variants last."""
+
+    offsets: AnyFloat
+    linear: AnyFloat
+    reference: AnyFloat
+    dual: AnyFloat
+    aim: AnyFloat
+    lengths: AnyFloat
+    limits: AnyFloat
+    near_dual: AnyFloat
+    near_aim: AnyFloat
+
+    def keep(self, is_kept: npt.NDArray[np.bool_]) -> _Iteration:
+        return _Iteration(
+            **{field.name: np.ascontiguousarray(getattr(self, field.name)[..., is_kept]) for field in fields(self)}
+        )
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
@@ -168,93 +253,3 @@ def _penalty_matrix(penalties: Array) -> Array:
         matrix[:, parent, child] -= penalty
         matrix[:, child, parent] -= penalty
     return matrix
-
-
-def _padded(values: Array, blocks: int) -> Array:
-    """Lay (3, T, 44, variant) out as (3, block, 88, variant), a last odd frame followed by zeros."""
-    padded = np.zeros((3, 2 * blocks, NUM_POINTS, values.shape[-1]))
-    padded[:, : values.shape[1]] = values
-    return padded.reshape(3, blocks, 2 * NUM_POINTS, values.shape[-1])
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _project_edges(
-    offsets: AnyFloat,
-    reference: AnyFloat,
-    dual: AnyFloat,
-    aim: AnyFloat,
-    lengths: AnyFloat,
-    edges: npt.NDArray[np.int64],
-    stiffness: AnyFloat,
-    penalties: AnyFloat,
-    relaxation: float,
-    is_first: bool,
-    squared: AnyFloat,
-) -> None:
-    """Project edge vectors onto their spheres, update the duals, leave z - u in `aim`, sum squared bone errors."""
-    frames, num_edges, count = lengths.shape
-    squared[:] = 0.0
-    for t in range(frames):
-        for e in range(num_edges):
-            parent, child = edges[e, 0], edges[e, 1]
-            k, penalty = stiffness[e], penalties[t, e]
-            for v in range(count):
-                x = (
-                    offsets[0, t, child, v]
-                    - offsets[0, t, parent, v]
-                    + reference[0, t, child, v]
-                    - reference[0, t, parent, v]
-                )
-                y = (
-                    offsets[1, t, child, v]
-                    - offsets[1, t, parent, v]
-                    + reference[1, t, child, v]
-                    - reference[1, t, parent, v]
-                )
-                z = (
-                    offsets[2, t, child, v]
-                    - offsets[2, t, parent, v]
-                    + reference[2, t, child, v]
-                    - reference[2, t, parent, v]
-                )
-                length = lengths[t, e, v]
-                if k < 0.0:
-                    miss = np.sqrt(x * x + y * y + z * z) - length
-                    squared[t, v] += miss * miss
-                ux, uy, uz = dual[0, t, e, v], dual[1, t, e, v], dual[2, t, e, v]
-                if not is_first:
-                    # The last z is aim + u; over-relaxation mixes it in.
-                    x = relaxation * x + (1.0 - relaxation) * (aim[0, t, e, v] + ux)
-                    y = relaxation * y + (1.0 - relaxation) * (aim[1, t, e, v] + uy)
-                    z = relaxation * z + (1.0 - relaxation) * (aim[2, t, e, v] + uz)
-                x, y, z = x + ux, y + uy, z + uz
-                norm = np.sqrt(x * x + y * y + z * z) + 1e-12
-                wanted = length if k < 0.0 else (penalty * norm + k * length) / (penalty + k)
-                scale = wanted / norm
-                ux, uy, uz = x * (1.0 - scale), y * (1.0 - scale), z * (1.0 - scale)
-                dual[0, t, e, v], dual[1, t, e, v], dual[2, t, e, v] = ux, uy, uz
-                aim[0, t, e, v] = x * scale - ux
-                aim[1, t, e, v] = y * scale - uy
-                aim[2, t, e, v] = z * scale - uz
-
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
-def _assemble(
-    linear: AnyFloat,
-    reference: AnyFloat,
-    aim: AnyFloat,
-    edges: npt.NDArray[np.int64],
-    penalties: AnyFloat,
-    rhs: AnyFloat,
-) -> None:
-    """Give b + penalty S^T (z - u - S r) in `rhs`."""
-    frames, num_edges, count = aim.shape[1:]
-    rhs[:] = linear
-    for axis in range(3):
-        for t in range(frames):
-            for e in range(num_edges):
-                parent, child, penalty = edges[e, 0], edges[e, 1], penalties[t, e]
-                for v in range(count):
-                    pull = penalty * (aim[axis, t, e, v] - reference[axis, t, child, v] + reference[axis, t, parent, v])
-                    rhs[axis, t, child, v] += pull
-                    rhs[axis, t, parent, v] -= pull

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.energy import total_energy
+from pasdedeux.augmentation.energy import energy_terms
 from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
-from pasdedeux.fitting import BoneForest, DistanceTerm, FitSettings, QuadraticTerm, Term, fit_bones
+from pasdedeux.fitting import BoneForest, DistanceTerm, FitSettings, HalfSpaceTerm, QuadraticTerm, Term, fit_bones
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["DescentResult", "descend", "fit_terms"]
@@ -39,6 +39,9 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
     zero = np.zeros((1, *one.difference.shape[1:]))
+    # At x = 0, where p = r, the girdle's energy is 0, and the clearance's is counted by its own term.
+    start = energy_terms(problem, one, zero)
+    constant = float(sum(energy[0] for name, energy in start.items() if name != "clearance"))
     girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
     quadratic = QuadraticTerm(
         origin_m=one.reference[0],
@@ -46,10 +49,18 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
         linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1),
-        # The girdle's energy is 0 at x = 0, where p = r.
-        constant=float(total_energy(problem, one, zero)[0]),
+        constant=constant,
     )
-    return [quadratic, girdle]
+    near = problem.clearance
+    clearance = HalfSpaceTerm(
+        origin_m=one.reference[0],
+        points=near.points,
+        shares=near.shares,
+        normals=near.normals,
+        limits_m=one.clearance_m[0],
+        weights=near.weights,
+    )
+    return [quadratic, girdle, clearance]
 
 
 def descend(

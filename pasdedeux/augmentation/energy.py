@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.clearance import separations
 from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets, bending_rows
 from pasdedeux.skeletons import BODY22
 
@@ -33,12 +34,14 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
     }
     bends = np.einsum("mi,vtia->vtma", bending_rows(problem.source), offsets)
     terms["bending"] = weights.bending * (bends**2).sum(axis=(1, 2, 3))
-    frame, first, second = np.nonzero(problem.contact)
+    frame, first, second = problem.touching
     gaps = apart[:, frame, first] - apart[:, frame, second + half]
     terms["contact"] = (problem.contact[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
     points = (targets.reference + offsets)[:, :, GIRDLE_PAIRS]
     distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)
     terms["girdle"] = weights.girdle * ((distance - targets.girdle_m) ** 2).sum(axis=(1, 2))
+    short = np.maximum(targets.clearance_m - separations(problem.clearance, offsets), 0.0)
+    terms["clearance"] = (problem.clearance.weights * short**2).sum(axis=(1, 2))
     return terms
 
 

@@ -22,6 +22,8 @@ Array = npt.NDArray[np.floating]
 
 BLOCK = 2 * NUM_POINTS
 """Unknowns of two frames."""
+_COLUMNS = 16
+"""Right-hand sides of one matrix product; a multiple of every BLAS kernel's width."""
 
 
 @dataclass(frozen=True)
@@ -93,40 +95,52 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array) -> None:
     blocks, size, count = rhs.shape
     half = size // 2
-    work = np.empty((size, count), rhs.dtype)
-    for k in range(blocks):
-        for i in range(size):
-            for v in range(count):
-                work[i, v] = rhs[k, i, v]
-        if k > 0:
+    work = np.zeros((size, _COLUMNS), rhs.dtype)
+    product = np.zeros((size, _COLUMNS), rhs.dtype)
+    for start in range(0, count, _COLUMNS):
+        stop = min(start + _COLUMNS, count)
+        for k in range(blocks):
             for i in range(size):
-                c = lag2[k - 1, i]
-                if c != 0.0:
-                    for v in range(count):
-                        work[i, v] -= c * rhs[k - 1, i, v]
+                for v in range(start, stop):
+                    work[i, v - start] = rhs[k, i, v]
+            if k > 0:
+                for i in range(size):
+                    c = lag2[k - 1, i]
+                    if c != 0.0:
+                        for v in range(start, stop):
+                            work[i, v - start] -= c * rhs[k - 1, i, v]
+                for i in range(half):
+                    c = lag1[k - 1, i]
+                    if c != 0.0:
+                        for v in range(start, stop):
+                            work[i, v - start] -= c * rhs[k - 1, i + half, v]
+            if count == _COLUMNS:
+                np.dot(inverse[k], work, rhs[k])
+            else:
+                np.dot(inverse[k], work, product)
+                for i in range(size):
+                    for v in range(start, stop):
+                        rhs[k, i, v] = product[i, v - start]
+        for k in range(blocks - 2, -1, -1):
+            for i in range(size):
+                c = lag2[k, i]
+                for v in range(start, stop):
+                    work[i, v - start] = c * rhs[k + 1, i, v]
             for i in range(half):
-                c = lag1[k - 1, i]
+                c = lag1[k, i]
                 if c != 0.0:
-                    for v in range(count):
-                        work[i, v] -= c * rhs[k - 1, i + half, v]
-        np.dot(inverse[k], work, rhs[k])
-    update = np.empty((size, count), rhs.dtype)
-    for k in range(blocks - 2, -1, -1):
-        for i in range(size):
-            c = lag2[k, i]
-            for v in range(count):
-                work[i, v] = c * rhs[k + 1, i, v]
-        for i in range(half):
-            c = lag1[k, i]
-            if c != 0.0:
-                for v in range(count):
-                    work[i + half, v] += c * rhs[k + 1, i, v]
-        np.dot(inverse[k], work, update)
-        for i in range(size):
-            for v in range(count):
-                rhs[k, i, v] -= update[i, v]
+                    for v in range(start, stop):
+                        work[i + half, v - start] += c * rhs[k + 1, i, v]
+            np.dot(inverse[k], work, product)
+            for i in range(size):
+                for v in range(start, stop):
+                    rhs[k, i, v] -= product[i, v - start]
 
 
 def solve(factor: Factor, rhs: Array) -> None:
-    """Solve in place for right-hand sides (block, 88, count), contiguous, of the factor's precision."""
+    """Solve in place for right-hand sides (block, 88, count), contiguous, of the factor's precision.
+
+    The matrix products always see 16 columns, filled up where fewer are left: BLAS picks its kernels, and with them the
+    order of its sums, by the number of columns, so a column's bits would depend on how many others came along.
+    """
     _solve(factor.inverse, factor.lag1, factor.lag2, rhs)

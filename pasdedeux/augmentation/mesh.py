@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -36,12 +37,12 @@ class InteractionMesh:
     weights: Array
     num_joggled: int
 
-    @property
+    @cached_property
     def laplacian(self) -> Array:
         """L = I - W (frame, 44, 44)."""
         return np.asarray(np.eye(NUM_POINTS) - self.weights)
 
-    @property
+    @cached_property
     def cross_laplacian(self) -> Array:
         """The part of L over edges between the two people (frame, 44, 44); its rows sum to 0."""
         half = BODY22.num_joints

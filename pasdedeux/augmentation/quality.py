@@ -129,21 +129,22 @@ class Judge:
 
     def measure(self, targets: Targets, positions: Array) -> list[Quality]:
         """Measure variants: positions (variant, T, 44, 3), metres, and the targets they were solved for."""
-        residuals = laplacian_residual(self.problem, targets, positions - targets.reference)
-        laplacian = np.sqrt((residuals**2).sum(axis=-1).mean(axis=(1, 2)))
-        return [
-            self._measure_one(points, targets.reference[variant], targets.lengths_m[variant], float(laplacian[variant]))
-            for variant, points in enumerate(positions)
-        ]
+        return [self._measure_one(points, targets.select([variant])) for variant, points in enumerate(positions)]
 
-    def _measure_one(self, points: Array, reference: Array, lengths: Array, laplacian: float) -> Quality:
+    def _measure_one(self, points: Array, targets: Targets) -> Quality:
+        reference, lengths = targets.reference[0], targets.lengths_m[0]
+        residuals = laplacian_residual(self.problem, targets, (points - reference)[None])
+        laplacian = float(np.sqrt((residuals**2).sum(axis=-1).mean()))
         drift = np.abs(self._contact_distances(points) - self._distance)
         drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         pair = points.reshape(-1, 2, BODY22.num_joints, 3)
         bone_error = np.abs(bone_lengths(BODY22, pair) - lengths.reshape(2, -1)).max()
         slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)[self._stands]
         below = np.maximum(self._floor - points[..., 1], 0.0)
-        extra = self._penetrate(points) - self._penetration
+        depths = self._penetrate(points)
+        extra = depths - self._penetration
+        by_proportions = self._penetrate(reference, is_within=True)
+        within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
         jerk = root_mean_square_jerk(points)
         return Quality(
             num_contact_pairs=len(drift),
@@ -157,7 +158,7 @@ class Judge:
             foot_slide_m=_mean(slide) or 0.0,
             floor_penetration_m=float((below - self._below).max()),
             penetration_m=float(np.percentile(np.maximum(extra[:, 2], 0.0), _PERCENTILE)),
-            self_penetration_m=float(np.percentile(np.maximum(extra[:, :2].sum(axis=-1), 0.0), _PERCENTILE)),
+            self_penetration_m=float(np.percentile(np.maximum(within, 0.0), _PERCENTILE)),
             spine_bend_rad=float(np.percentile(np.abs(_spine_bends(points) - self._bends).max(axis=1), _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > 1e-9 else 1.0 + jerk,
@@ -170,10 +171,11 @@ class Judge:
     def _foot_steps(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(np.diff(points[:, self._feet], axis=0)[..., [0, 2]], axis=-1))
 
-    def _penetrate(self, points: Array) -> Array:
+    def _penetrate(self, points: Array, *, is_within: bool = False) -> Array:
         pairs = np.ascontiguousarray(points.reshape(-1, 2, BODY22.num_joints, 3))
         model = self._model
-        return np.asarray(clip_penetration(pairs, self._radii, model.parents, model.within, model.between))
+        between = model.between[:0] if is_within else model.between
+        return np.asarray(clip_penetration(pairs, self._radii, model.parents, model.within, between))
 
 
 def root_mean_square_jerk(points: Array) -> float:

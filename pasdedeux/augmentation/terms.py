@@ -1,4 +1,4 @@
-"""The energy of a variant: DESIGN.md section 6, all terms quadratic in the positions but the girdle's.
+"""The energy of a variant: DESIGN.md section 6, quadratic but for girdle and clearance.
 
 With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (q: the source), the energy of a take is
 
@@ -8,6 +8,7 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
       + sum w_C |(x_i - x_j) - (d_i - d_j)|^2   contact pairs keep the source's vector
       + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
+      + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
       + w_B sum |(b2 / l2) - (b1 / l1)|^2       spine bends as r's does; b: change of a bone's vector, l: source length
       + sum w_G (|p_i - p_j| - |r_i - r_j|)^2   girdle and hips stay rigid
     subject to exact bone lengths.
@@ -20,11 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.clearance import Clearance, ClearanceSettings, clearance_limits, find_clearance
 from pasdedeux.augmentation.contacts import (
     FEET,
     BodyPart,
@@ -94,6 +97,8 @@ class Weights:
         bending: Bending of the spine against r's, per square radian, w_B; without it short spine bones fold like a
             carpenter's rule to make a torso shorter, which costs the other terms next to nothing.
         girdle: Rigidity of girdle and hips, w_G.
+        clearance: Penetration of the partner beyond the source's, w_K.
+        clearance_self: Penetration of one's own body beyond the source's and plain forward kinematics'.
         fixed: Pull of a person held fixed towards the source.
 
     Raises:
@@ -111,6 +116,8 @@ class Weights:
     floor: float = 100.0
     bending: float = 0.05
     girdle: float = 10.0
+    clearance: float = 20.0
+    clearance_self: float = 5.0
     fixed: float = 1e3
 
     def __post_init__(self) -> None:
@@ -137,6 +144,10 @@ class Problem:
         contact: Graded contact weights (T, 22 of A, 22 of B).
         stance: Weights of the horizontal velocity of each foot joint between frames (T-1, 44); 0 for other joints.
         floor: Weights of the height of each point (T, 44).
+        smoothness: Weight of the second difference at this rate.
+        anchor: Weight of each point's pull towards r or, held fixed, the source (44,).
+        clearance: Bones that may not come deeper into each other.
+        coupling: Matrix C (T, 44, 44) of the right-hand side's part C d within a frame.
         fixed_person: Index of the person held at the source, or None.
     """
 
@@ -151,12 +162,19 @@ class Problem:
     floor: Array
     smoothness: float
     anchor: Array
+    clearance: Clearance
+    coupling: Array
     fixed_person: int | None
 
     @property
     def num_frames(self) -> int:
         """Number of frames."""
         return self.source.num_frames
+
+    @cached_property
+    def touching(self) -> tuple[npt.NDArray[np.intp], ...]:
+        """Frame, joint of A and joint of B of every contact that weighs anything."""
+        return np.nonzero(self.contact)
 
 
 @dataclass(frozen=True)
@@ -170,6 +188,7 @@ class Targets:
         height: Target of the vertical part of x for the floor term (variant, T, 44), metres.
         lengths_m: New bone lengths (variant, 44), metres; 0 for the roots.
         girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
+        clearance_m: Least n . B x of near bones (variant, T, M), metres.
     """
 
     bone_scale: Array
@@ -178,6 +197,7 @@ class Targets:
     height: Array
     lengths_m: Array
     girdle_m: Array
+    clearance_m: Array
 
     @property
     def num_variants(self) -> int:
@@ -257,6 +277,9 @@ def build_problem(
             lag1[group, 1:] -= 2.0 * smoothness
             lag2[group] += smoothness
     matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
+    coupling = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian + _contact_matrix(contact)
+    if fixed_person is not None:
+        coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor - weights.reference
     return Problem(
         source=source,
         weights=weights,
@@ -269,6 +292,8 @@ def build_problem(
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
+        clearance=find_clearance(source, weights.clearance, weights.clearance_self, ClearanceSettings()),
+        coupling=coupling,
         fixed_person=fixed_person,
     )
 
@@ -294,19 +319,14 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
         height=_floor_heights(source, bone_scale, reference),
         lengths_m=lengths.reshape(len(bone_scale), NUM_POINTS),
         girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
+        clearance_m=clearance_limits(problem.clearance, points),
     )
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
     """Give b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
     difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
-    mesh = problem.mesh
-    coupling = problem.weights.laplacian * np.swapaxes(mesh.laplacian, -1, -2) @ mesh.cross_laplacian
-    coupling += _contact_matrix(problem.contact)
-    if problem.fixed_person is not None:
-        held = problem.anchor - problem.weights.reference
-        coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += held
-    rhs = np.matmul(coupling[None], difference)
+    rhs = np.matmul(problem.coupling[None], difference)
     if problem.num_frames > 1:
         change = problem.stance[None, :, :, None] * np.diff(difference, axis=1)
         change[1] = 0.0

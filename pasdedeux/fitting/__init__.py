@@ -2,7 +2,7 @@
 
 from pasdedeux.fitting.bones import BoneForest, BoneState
 from pasdedeux.fitting.levenberg import FitResult, FitSettings, fit_bones
-from pasdedeux.fitting.terms import DifferenceTerm, DistanceTerm, PointTerm, QuadraticTerm, Term
+from pasdedeux.fitting.terms import DifferenceTerm, DistanceTerm, HalfSpaceTerm, PointTerm, QuadraticTerm, Term
 
 __all__ = [
     "BoneForest",
@@ -11,6 +11,7 @@ __all__ = [
     "DistanceTerm",
     "FitResult",
     "FitSettings",
+    "HalfSpaceTerm",
     "PointTerm",
     "QuadraticTerm",
     "Term",

@@ -186,6 +186,11 @@ def _reduce(
         moves = carries[:, pairs[:, 1]] - carries[:, pairs[:, 0]]
         rows = np.einsum("gm,tma,tgak->tmgk", moves, unit, basis, optimize=True)[:, :, generators, columns]
         diagonal += np.matmul(np.swapaxes(rows * weights[..., None], 1, 2), rows)
+    for points, shares, weights, unit in normal.stencils:
+        moved = (carries.T[points] * shares[..., None]).sum(axis=2)
+        along = np.einsum("tma,tgak->tmgk", unit, basis, optimize=True)
+        rows = (moved[..., None] * along)[:, :, generators, columns]
+        diagonal += np.matmul(np.swapaxes(rows * weights[..., None], 1, 2), rows)
     return BlockMatrix(diagonal=diagonal, below=below), gradient
 
 

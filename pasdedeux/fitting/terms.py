@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 
-__all__ = ["AXES", "DifferenceTerm", "DistanceTerm", "Normal", "PointTerm", "QuadraticTerm", "Term"]
+__all__ = ["AXES", "DifferenceTerm", "DistanceTerm", "HalfSpaceTerm", "Normal", "PointTerm", "QuadraticTerm", "Term"]
 
 Array = npt.NDArray[np.float64]
 
@@ -32,6 +32,8 @@ class Normal:
         lag1: Between frames t and t+1 at the same point (axis=3, T-1, N).
         lag2: Between frames t and t+2 (axis=3, T-2, N).
         pairs: Rank-one parts: points i and j (m, 2), weights (T, m) and unit vectors (T, m, 3).
+        stencils: Rank-one parts of several points each: points (T, m, k), their shares (T, m, k), weights (T, m) and
+            unit vectors (T, m, 3).
     """
 
     gradient: Array
@@ -39,6 +41,7 @@ class Normal:
     lag1: Array
     lag2: Array
     pairs: list[tuple[npt.NDArray[np.int64], Array, Array]] = field(default_factory=list)
+    stencils: list[tuple[npt.NDArray[np.int64], Array, Array, Array]] = field(default_factory=list)
 
     @classmethod
     def zeros(cls, num_frames: int, num_points: int) -> Normal:
@@ -241,3 +244,57 @@ class DistanceTerm(Term):
         """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
         unit, _ = self._vectors(positions_m)
         normal.pairs.append((self.pairs, self.weights, unit))
+
+
+@dataclass(frozen=True)
+class HalfSpaceTerm(Term):
+    """sum w max(0, limit - n . sum_k share_k x_k)^2 with x = p - origin: combinations of points kept on one side.
+
+    Args:
+        origin_m: (T, N, 3), metres.
+        points: Points of each combination (T, m, k).
+        shares: What each contributes (T, m, k).
+        normals: Unit vectors n (T, m, 3).
+        limits_m: (T, m).
+        weights: (T, m); 0 for places that are not used.
+    """
+
+    origin_m: Array
+    points: npt.NDArray[np.int64]
+    shares: Array
+    normals: Array
+    limits_m: Array
+    weights: Array
+
+    is_quadratic = False
+
+    def _shortfall(self, positions_m: Array) -> Array:
+        frames = np.arange(len(positions_m))[:, None, None]
+        x = (positions_m - self.origin_m)[frames, self.points]
+        reach = np.einsum("tmka,tma->tmk", x, self.normals)
+        return np.asarray(np.maximum(self.limits_m - (self.shares * reach).sum(axis=-1), 0.0))
+
+    def energy(self, positions_m: Array) -> float:
+        """Give E."""
+        return float((self.weights * self._shortfall(positions_m) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        pull = -(self.weights * self._shortfall(positions_m))[..., None] * self.normals
+        frames = np.broadcast_to(np.arange(len(positions_m))[:, None, None], self.points.shape)
+        np.add.at(normal.gradient, (frames, self.points), self.shares[..., None] * pull[:, :, None])
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the curvature: that of the combinations on the wrong side."""
+        is_short = (self._shortfall(positions_m) > 0) & (self.weights > 0)
+        most = int(is_short.sum(axis=1).max(initial=0))
+        if most == 0:
+            return
+        frame, column = np.nonzero(is_short)
+        at = frame, (np.cumsum(is_short, axis=1) - 1)[frame, column]
+        shape = (len(positions_m), most)
+        points, shares = np.zeros((*shape, self.points.shape[2]), np.int64), np.zeros((*shape, self.points.shape[2]))
+        weights, units = np.zeros(shape), np.zeros((*shape, AXES))
+        points[at], shares[at] = self.points[frame, column], self.shares[frame, column]
+        weights[at], units[at] = self.weights[frame, column], self.normals[frame, column]
+        normal.stencils.append((points, shares, weights, units))

@@ -78,7 +78,7 @@ VARIANT_QUALITY = Table(
         ),
         float64(
             "self_penetration_m",
-            "The same within each person, for information: limbs that shrink keep their girth and so come closer",
+            "The same within each person, beyond the source's and that of plain forward kinematics with the new lengths",
             unit="m",
             is_nullable=True,
         ),

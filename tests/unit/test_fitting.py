@@ -9,6 +9,7 @@ from pasdedeux.fitting import (
     DifferenceTerm,
     DistanceTerm,
     FitSettings,
+    HalfSpaceTerm,
     PointTerm,
     QuadraticTerm,
     Term,
@@ -35,6 +36,14 @@ def _terms(generator: np.random.Generator, frames: int) -> list[Term]:
         DifferenceTerm(generator.normal(size=(frames, 10, 3)), np.array(0.7), 1),
         DifferenceTerm(np.zeros((frames, 10, 3)), np.array(1.3), 2),
         DistanceTerm(pairs, np.full((frames, 2), 0.5), np.array(3.0)),
+        HalfSpaceTerm(
+            origin_m=generator.normal(size=(frames, 10, 3)),
+            points=generator.integers(0, 10, (frames, 6, 4)),
+            shares=generator.normal(size=(frames, 6, 4)),
+            normals=generator.normal(size=(frames, 6, 3)),
+            limits_m=generator.normal(size=(frames, 6)),
+            weights=generator.uniform(0.0, 2.0, (frames, 6)),
+        ),
     ]
 
 
@@ -62,7 +71,7 @@ def test_block_solve_refuses_a_matrix_that_is_not_positive_definite() -> None:
         solve_blocks(BlockMatrix(-np.eye(3)[None], np.zeros((1, 2, 3, 3))), np.ones((1, 3)))
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(5))
 def test_gradients_agree_with_finite_differences(index: int) -> None:
     generator = np.random.default_rng(5)
     frames = 4

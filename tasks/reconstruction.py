@@ -14,6 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.motion_out import upright_motion
 from pasdedeux.projections.reconstruct import (
     Method,
@@ -26,7 +27,7 @@ from pasdedeux.projections.reconstruct import (
     reconstruct_track,
 )
 from pasdedeux.projections.temporal import TemporalWeights
-from pasdedeux.projections.tracks import PersonTrack, tracks_from_rows
+from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
@@ -45,6 +46,11 @@ class ReconstructionParameters(Parameters):
         (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
         description="Methods, each gives a motion; the last one is written as BVH",
+    )
+    identities: Literal["auto", "follow", "given"] = Field(
+        "auto",
+        description="Who is who: followed by pose and motion, as given, or followed where detectors number people anew "
+        "in every frame (OpenPose)",
     )
     num_yaws: int = Field(30, ge=1, le=360, description="Yaw steps of the database over a full turn")
     pitches_deg: tuple[float, ...] = Field(
@@ -113,7 +119,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "methods": [method.value for method in parameters.methods],
         "skipped": [],
     }
-    people = _read_tracks(store, annotations, sequence_id)
+    people = _read_tracks(store, annotations, sequence_id, parameters, facts)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     if not database_refs:
@@ -124,20 +130,33 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     return commit(shard, store, tables={"motions": _columns(rows)}, facts=facts, attachments=attachments)
 
 
-def _read_tracks(store: Store, ref: ArtifactRef, sequence_id: str) -> list[PersonTrack]:
-    """Give the tracks of the sequence, by person."""
+def _read_tracks(
+    store: Store, ref: ArtifactRef, sequence_id: str, parameters: ReconstructionParameters, facts: dict[str, Any]
+) -> list[PersonTrack]:
+    """Give the tracks of the sequence, by person; what was merged and dropped on the way is put into the facts."""
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "op14_confidence"]
     table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
     rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
     if len(rows) == 0:
         return []
     is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
+    frame, time_s = np.asarray(table["frame"])[rows], np.asarray(table["time_s"])[rows]
+    person_id = np.asarray(table["person_id"])[rows]
+    points = np.asarray(table["op14_px"], dtype=np.float64)[rows]
+    confidence = np.asarray(table["op14_confidence"], dtype=np.float64)[rows]
+    is_numbered_anew = store.manifest(ref).facts.get("format") == "openpose"
+    if parameters.identities == "follow" or (parameters.identities == "auto" and is_numbered_anew):
+        followed = follow_people(frame, points, confidence, rate_hz=rate_from_times(frame, time_s))
+        facts["num_merged_rows"], facts["num_ghost_rows"] = followed.num_merged, followed.num_ghosts
+        is_kept = followed.track_id >= 0
+        frame, time_s, person_id = frame[is_kept], time_s[is_kept], followed.track_id[is_kept]
+        points, confidence = followed.keypoints_px[is_kept], followed.confidence[is_kept]
     return tracks_from_rows(
-        np.asarray(table["frame"])[rows],
-        np.asarray(table["person_id"])[rows],
-        np.asarray(table["time_s"])[rows],
-        np.asarray(table["op14_px"], dtype=np.float64)[rows],
-        np.asarray(table["op14_confidence"], dtype=np.float64)[rows],
+        frame,
+        person_id,
+        time_s,
+        points,
+        confidence,
         width_px=None if is_unknown else int(table["image_width_px"][rows[0]]),
         height_px=None if is_unknown else int(table["image_height_px"][rows[0]]),
     )

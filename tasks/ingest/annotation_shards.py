@@ -139,6 +139,7 @@ def run_annotations(shard: Shard, store: Store) -> ArtifactRef:
             "num_persons": max(per_frame.values()),
             "rate_hz": rate,
             "purpose": "given",
+            "format": kind,
             "layout": frames.layout,
             "num_skipped_frames": len(found.skipped),
             "skipped_files": list(found.skipped[:20]),

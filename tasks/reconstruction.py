@@ -33,7 +33,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 
 class ReconstructionParameters(Parameters):

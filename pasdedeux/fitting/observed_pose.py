@@ -85,12 +85,14 @@ class ObservedFitSettings:
         acceleration_m_s2: Standard deviation of a joint's acceleration.
         num_rounds: Fits; between them the image's weights follow the residuals.
         max_iterations: Steps of each fit.
+        tolerance: A fit stops when a step lowers its energy by less than this share.
     """
 
     least_noise_m: float = 0.002
     acceleration_m_s2: float = 8.0
     num_rounds: int = 2
-    max_iterations: int = 15
+    max_iterations: int = 6
+    tolerance: float = 3e-3
 
     def __post_init__(self) -> None:
         """Refuse values without meaning."""
@@ -181,9 +183,8 @@ def fit_observed(
         weights[..., :2] = (weight * robust / noise**2)[..., None]
         # Depth of the whole body is free for parallel rays: a light hand keeps it where it was.
         weights[..., 2] = 1e-2
-        result = fit_bones(
-            forest, state, [PointTerm(targets, weights), smooth, bones], FitSettings(settings.max_iterations)
-        )
+        stop = FitSettings(settings.max_iterations, settings.tolerance)
+        result = fit_bones(forest, state, [PointTerm(targets, weights), smooth, bones], stop)
         state, positions = result.state, result.positions_m
         residual = np.linalg.norm(_shrink(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
         residual = np.where(is_seen, residual, np.nan)

@@ -49,6 +49,8 @@ _SMOOTHED_NOISE = 0.6
 """Noise left by a Savitzky-Golay window of 7 frames and order 2, as part of the noise before."""
 
 _NUM_FIT_ROUNDS = 2
+_SAME_IMAGE_M = 0.002
+"""A second round is made where the first one's depths change the image by more than this."""
 
 _MODEL_ERROR_M = 0.012
 """What estimated proportions, scale and lens leave over in the image even where keypoints are exact."""
@@ -395,8 +397,11 @@ def _fit(
     misfit = misfit - misfit[:, :1]
     followed = bone_vectors(retrieved)
     share = noise**2 / (noise**2 + _NOISE_OF_EQUAL_SHARES_M**2)
+    flat = np.full(found.query_m.shape, np.inf)
     for _ in range(_NUM_FIT_ROUNDS):
-        flat = found.query_m * (1.0 - positions[..., 2:] / distance[:, None, None])
+        before, flat = flat, found.query_m * (1.0 - positions[..., 2:] / distance[:, None, None])
+        if np.abs(flat - before)[is_seen].max() < _SAME_IMAGE_M:
+            break
         observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
         depths = decode_depths(
             observed,

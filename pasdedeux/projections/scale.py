@@ -196,8 +196,14 @@ def _upper_ratio(points: Array, weights: Array) -> Array:
     """Give the upper quartile over seen bones of image length over reference length (frame,); NaN below three bones."""
     length = np.linalg.norm(points[..., _CHILD, :] - points[..., _PARENT, :], axis=-1)
     is_seen = (weights[..., _CHILD] > 0) & (weights[..., _PARENT] > 0) & np.isfinite(length)
-    ratio = np.where(is_seen, length / REFERENCE_LENGTHS_M[_CHILD], np.nan)
-    enough = is_seen.sum(axis=-1) >= _MIN_BONES
-    ratio[~enough] = 0.0
-    upper = np.nanquantile(ratio, _QUANTILE, axis=-1)
+    ratio = np.sort(np.where(is_seen, length / REFERENCE_LENGTHS_M[_CHILD], np.inf), axis=-1)
+    count = is_seen.sum(axis=-1)
+    # Linear between order statistics as np.nanquantile, which takes 100 times as long for one short row after another.
+    at = _QUANTILE * np.maximum(count - 1, 0)
+    below = np.floor(at).astype(int)
+    above = np.minimum(below + 1, np.maximum(count - 1, 0))
+    low, high = (np.take_along_axis(ratio, index[..., None], axis=-1)[..., 0] for index in (below, above))
+    enough = count >= _MIN_BONES
+    with np.errstate(invalid="ignore"):
+        upper = low + (at - below) * (high - low)
     return np.where(enough & (upper > 0), upper, np.nan)

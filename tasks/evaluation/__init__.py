@@ -7,7 +7,18 @@ from collections.abc import Callable
 from pydantic import Field
 
 from storage_schema import ArtifactRef, Store
-from tasks.evaluation import augmentation, chains, clips, coverage, models, reconstruction, report, takes, views
+from tasks.evaluation import (
+    augmentation,
+    chains,
+    clips,
+    coverage,
+    models,
+    parallel_views,
+    reconstruction,
+    report,
+    takes,
+    views,
+)
 from tasks.evaluation.topic import STAGE_NAME, VERSION, TopicResult, commit_topic
 from tasks.stage import Parameters, Shard, Stage, StageInputs
 
@@ -26,6 +37,11 @@ class EvaluationParameters(Parameters):
     num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
     clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
     clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
+    parallel_views_deg: tuple[float, ...] = Field(
+        (),
+        description="Directions from which held-out takes are seen by parallel rays on the projection database's body, "
+        "as in the paper on it; none by default",
+    )
 
 
 _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
@@ -35,6 +51,7 @@ _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
     chains.TOPIC: chains.run,
     coverage.TOPIC: coverage.run,
     reconstruction.TOPIC: reconstruction.run,
+    parallel_views.TOPIC: parallel_views.run,
     augmentation.TOPIC: augmentation.run,
     models.TOPIC: models.run,
     report.TOPIC: report.run,
@@ -52,6 +69,7 @@ def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
             inputs, num_truth_pairs=parameters.num_truth_pairs, num_curve_points=parameters.num_curve_points
         ),
         *reconstruction.shards(inputs),
+        *parallel_views.shards(inputs, yaws_deg=parameters.parallel_views_deg),
         *augmentation.shards(inputs),
         *models.shards(inputs),
     ]

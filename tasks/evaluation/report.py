@@ -34,6 +34,11 @@ _SECTIONS = {
         "Motions reconstructed from 2D against the truth; nearest neighbour is the baseline. "
         "Errors are means over op14, centred on the mid-hip.",
     ),
+    "parallel_views": (
+        "Parallel views",
+        "Held-out motion on the body of the projection database, seen by parallel rays: errors of every method, and "
+        "how far reconstructions from two views differ (root rotation removed), as in the paper on such databases.",
+    ),
     "augmentation": (
         "Augmentation",
         "Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",

@@ -233,13 +233,22 @@ def _rest(
 
 
 def _skeleton_file(path: Path, kind: str, person: PersonOptions) -> LoadedFile | None:
-    """Give the skeleton file of a kind that needs one; the ASF of 60_01.amc is 60.asf beside it."""
+    """Give the skeleton file of a kind that needs one.
+
+    The ASF of 60_01.amc is 60.asf beside it; the template of rows of rotations is template.bvh beside them or above.
+    """
     if kind not in {"asf_amc", "rotation_rows"}:
         return None
     if person.skeleton is not None:
         return load_file(person.skeleton)
     if kind == "rotation_rows":
-        raise InputError("rows of rotations need their BVH template; set `skeleton` under `persons` of this take")
+        for folder in (path.parent, path.parent.parent):
+            if (folder / "template.bvh").is_file():
+                return load_file(folder / "template.bvh")
+        raise InputError(
+            "rows of rotations need their BVH template, and there is no template.bvh beside the file or above; "
+            "set `skeleton` under `persons` of this take"
+        )
     beside = path.with_name(path.stem.rpartition("_")[0] + ".asf")
     if not beside.is_file():
         raise InputError(f"its skeleton {beside.name} is not beside it; set `skeleton` under `persons` of this take")

@@ -124,7 +124,7 @@ class AugmentationParameters(Parameters):
     contact_m: tuple[float, float] = Field((0.2, 0.3), description="Contact distance: full weight up to, none from")
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time; 0 as published")
     solver: Literal["bulk", "descent"] = Field("bulk", description="bulk (with descent as fallback) or descent alone")
-    max_iterations: int = Field(32, ge=1, description="Iterations of the bulk solver")
+    num_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver")
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
 
     @model_validator(mode="after")
@@ -251,7 +251,7 @@ def _settings(parameters: AugmentationParameters) -> AugmentationSettings:
         weights=Weights(**parameters.weights.model_dump()),
         contacts=ContactSettings(contact_m=parameters.contact_m),
         limits=QualityLimits(**{name: Limit(*pair) for name, pair in limits.items()}),
-        bulk=BulkSettings(max_iterations=parameters.max_iterations, is_single_precision=True),
+        bulk=BulkSettings(num_iterations=parameters.num_iterations, is_single_precision=True),
         is_bulk=parameters.solver == "bulk",
         mesh_smoothing_s=parameters.mesh_smoothing_s,
         fixed_person=None if parameters.fixed_person is None else "AB".index(parameters.fixed_person),

@@ -127,7 +127,7 @@ class Augmenter:
             positions[is_better], energy[is_better] = result.positions[is_better], bulk_energy[is_better]
             is_done = is_better & (result.residual_m <= settings.fallback_residual_m)
             solvers = ["bulk" if good else "bulk+descent" for good in is_done]
-            iterations = [int(number) for number in result.num_iterations]
+            iterations = [result.num_iterations] * len(variations)
         for index in np.flatnonzero(~is_done):
             descent = descend(problem, targets, int(index), positions[index], settings.descent)
             if np.isfinite(descent.positions).all():

@@ -8,7 +8,7 @@ look at the residual and hand bad variants to `descent`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -37,8 +37,6 @@ _BONES = np.array(
 )
 _EDGES = np.ascontiguousarray(np.concatenate([_BONES, GIRDLE_PAIRS]))
 _NUM_BONES = len(_BONES)
-_DROPPED = 0.3
-"""Variants that are done leave the iteration when they are this share of it: leaving costs a copy of the rest."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,8 @@ class BulkSettings:
     """Settings of the iteration.
 
     Args:
-        max_iterations: Most iterations.
-        tolerance_m: A variant is done when no bone of a frame is further than this from its length (root mean square).
+        num_iterations: Iterations, the same for all: stopping each variant at a tolerance makes results jump where the
+            count does, and a model that learns how motion changes with scale learns the jumps.
         penalty: ADMM penalty on bone vectors, in units of the Laplacian weight.
         contact_penalty: What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all
             edges the iteration swings wherever contacts are dense.
@@ -59,8 +57,7 @@ class BulkSettings:
         InputError: A value that is not allowed.
     """
 
-    max_iterations: int = 32
-    tolerance_m: float = 2e-4
+    num_iterations: int = 24
     penalty: float = 8.0
     contact_penalty: float = 0.3
     clearance_penalty: float = 0.5
@@ -69,10 +66,10 @@ class BulkSettings:
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if self.max_iterations < 1 or not self.tolerance_m > 0 or not self.penalty > 0 or not 1 <= self.relaxation < 2:
+        if self.num_iterations < 1 or not self.penalty > 0 or not 1 <= self.relaxation < 2:
             raise InputError(
-                f"bulk solver: {self.max_iterations} iterations, tolerance {self.tolerance_m:g} m, penalty "
-                f"{self.penalty:g}, relaxation {self.relaxation:g}; allowed are >= 1, > 0, > 0, and 1 to below 2"
+                f"bulk solver: {self.num_iterations} iterations, penalty {self.penalty:g}, relaxation "
+                f"{self.relaxation:g}; allowed are >= 1, > 0, and 1 to below 2"
             )
 
 
@@ -83,12 +80,12 @@ class BulkResult:
     Args:
         positions: Positions with exact bones (variant, T, 44, 3), metres.
         residual_m: Root mean square bone error before the final projection (variant,), metres.
-        num_iterations: Iterations done (variant,).
+        num_iterations: Iterations done.
     """
 
     positions: Array
     residual_m: Array
-    num_iterations: npt.NDArray[np.int64]
+    num_iterations: int
 
 
 class BulkSolver:
@@ -142,33 +139,18 @@ class BulkSolver:
             near_aim=np.zeros((3, *near.weights.shape, count), dtype),
         )
         stiffness: AnyFloat = np.where(np.arange(len(_EDGES)) < _NUM_BONES, -1.0, problem.weights.girdle).astype(dtype)
-        solved = np.empty((count, 3, frames, NUM_POINTS), dtype)
-        residual, num_iterations = np.empty(count), np.full(count, settings.max_iterations)
-        active, is_done = np.arange(count), np.zeros(count, dtype=bool)
-        squared = np.zeros((frames, count), dtype)
+        squared: AnyFloat = np.zeros((frames, count), dtype)
         self._project(state, stiffness, squared, is_first=True)
-        for iteration in range(1, settings.max_iterations + 1):
+        for _ in range(settings.num_iterations):
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
             assemble_near(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
             for axis, group in enumerate(AXIS_GROUP):
                 solve(self._factors[group], state.offsets[axis].reshape(blocks, 2 * NUM_POINTS, -1))
             self._project(state, stiffness, squared, is_first=False)
-            is_new = np.sqrt(squared.max(axis=0) / _NUM_BONES) < settings.tolerance_m
-            is_new = (is_new | (iteration == settings.max_iterations)) & ~is_done
-            for column in np.flatnonzero(is_new):
-                variant = active[column]
-                solved[variant] = state.offsets[:, :frames, :, column]
-                residual[variant] = np.sqrt(np.ascontiguousarray(squared[:, column]).mean() / _NUM_BONES)
-                num_iterations[variant] = iteration
-            is_done |= is_new
-            if is_done.all():
-                break
-            if is_done.sum() >= _DROPPED * len(active):
-                active, squared, state = active[~is_done], squared[:, ~is_done], state.keep(~is_done)
-                is_done = np.zeros(len(active), dtype=bool)
-        points = np.transpose(targets.reference, (0, 3, 1, 2)) + solved
-        positions = project_to_bones(np.transpose(points, (0, 2, 3, 1)), targets.lengths_m)
-        return BulkResult(positions=positions, residual_m=residual, num_iterations=num_iterations)
+        residual = np.sqrt(np.array([column.mean() for column in squared.T.astype(np.float64)]) / _NUM_BONES)
+        points = targets.reference + np.transpose(state.offsets[:, :frames], (3, 1, 2, 0))
+        positions = project_to_bones(points, targets.lengths_m)
+        return BulkResult(positions=positions, residual_m=residual, num_iterations=settings.num_iterations)
 
     def _project(self, state: _Iteration, stiffness: AnyFloat, squared: AnyFloat, *, is_first: bool) -> None:
         project_edges(
@@ -200,7 +182,7 @@ class BulkSolver:
 
 @dataclass(frozen=True)
 class _Iteration:
-    """Arrays of the variants still iterated, variants last."""
+    """Arrays of the iteration, variants last."""
 
     offsets: AnyFloat
     linear: AnyFloat
@@ -211,11 +193,6 @@ class _Iteration:
     limits: AnyFloat
     near_dual: AnyFloat
     near_aim: AnyFloat
-
-    def keep(self, is_kept: npt.NDArray[np.bool_]) -> _Iteration:
-        return _Iteration(
-            **{field.name: np.ascontiguousarray(getattr(self, field.name)[..., is_kept]) for field in fields(self)}
-        )
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:

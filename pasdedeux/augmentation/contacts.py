@@ -57,7 +57,7 @@ class ContactSettings:
     stance_speed_m_s: tuple[float, float] = (0.15, 0.45)
     stance_height_m: tuple[float, float] = (0.05, 0.12)
     floor_height_m: tuple[float, float] = (0.04, 0.15)
-    smoothing_s: float = 0.15
+    smoothing_s: float = 0.3
 
     def __post_init__(self) -> None:
         """Check that every fade rises."""

@@ -87,7 +87,7 @@ class Weights:
     Args:
         laplacian: Interaction mesh, w_L.
         smoothness: Second difference of x at 30 Hz, w_S.
-        reference: Pull towards plain forward kinematics, w_R; keeps the problem well posed.
+        reference: Pull towards plain forward kinematics, w_R; settles what nothing else does, alike at every scale.
         contact_extremity: Contact pairs of two hands or feet.
         contact_mixed: Contact pairs of a hand or foot with another body part.
         contact_limb: Contact pairs in which an elbow or knee is the finest part.
@@ -106,17 +106,17 @@ class Weights:
     """
 
     laplacian: float = 1.0
-    smoothness: float = 20.0
-    reference: float = 1e-3
+    smoothness: float = 40.0
+    reference: float = 0.03
     contact_extremity: float = 60.0
     contact_mixed: float = 6.0
-    contact_limb: float = 8.0
-    contact_torso: float = 8.0
+    contact_limb: float = 12.0
+    contact_torso: float = 20.0
     stance: float = 50.0
     floor: float = 100.0
     bending: float = 0.05
     girdle: float = 10.0
-    clearance: float = 20.0
+    clearance: float = 30.0
     clearance_self: float = 5.0
     fixed: float = 1e3
 

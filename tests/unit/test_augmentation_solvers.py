@@ -29,7 +29,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from tests.moving_pairs import swaying_pair
 
-EXACT = BulkSettings(max_iterations=5000, tolerance_m=1e-9)
+EXACT = BulkSettings(num_iterations=3000)
 
 
 def _problem(frames: int, scale: float = 0.8, rate_hz: float = 30.0) -> tuple[Problem, Targets]:
@@ -173,7 +173,7 @@ def test_solving_is_equivariant_under_turns_about_the_vertical_and_shifts_over_t
     positions = swaying_pair(12)
     turn, shift = yaw_rotmat(0.7), np.array([3.0, 0.0, -2.0])
     variations = uniform_variations([0.8, 1.2], ["A"])
-    settings = AugmentationSettings(bulk=BulkSettings(max_iterations=24))
+    settings = AugmentationSettings(bulk=BulkSettings())
     plain = Augmenter(Source(positions, 30.0), settings).solve(variations)
     moved = Augmenter(Source(positions @ turn.T + shift, 30.0), settings).solve(variations)
     for one, other in zip(plain, moved, strict=True):
@@ -188,7 +188,8 @@ def test_single_and_double_precision_agree() -> None:
 
 
 def test_a_variant_is_the_same_to_the_last_bit_alone_and_in_any_batch() -> None:
-    augmenter = Augmenter(Source(swaying_pair(9, apart_m=0.3), 30.0))
+    settings = AugmentationSettings(fallback_residual_m=5e-5)
+    augmenter = Augmenter(Source(swaying_pair(9, apart_m=0.3), 30.0), settings)
     variations = [
         *bone_variations([0.6, 0.95], ["A"]),
         *uniform_variations([0.5, 1.02, 1.5], ["AB"]),
@@ -240,7 +241,7 @@ def test_a_pair_in_one_plane_is_solved() -> None:
 
 def test_a_bad_bulk_result_falls_back_to_guaranteed_descent() -> None:
     source = Source(swaying_pair(6), 30.0)
-    settings = AugmentationSettings(bulk=BulkSettings(max_iterations=1), fallback_residual_m=1e-12)
+    settings = AugmentationSettings(bulk=BulkSettings(num_iterations=1), fallback_residual_m=1e-12)
     (variant,) = Augmenter(source, settings).solve(uniform_variations([0.75], ["A"]))
     assert variant.solver == "bulk+descent"
     assert variant.energy < variant.energy_fk

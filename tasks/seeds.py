@@ -1,4 +1,4 @@
-"""Stage `seeds`: pairs from which chains start: frames named or chosen among the takes, and pairs grown from them."""
+"""Stage `seeds`: where chains start: frames of takes, pairs lifted from 2D alone, and what grows from both."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from pydantic import Field, model_validator
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.growth import GrowthOptions, grow, spread
+from pasdedeux.sampling.lifting import lift_seeds
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.views import read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "plan", "read_limits", "run_shard", "start_indices"]
 
@@ -41,14 +43,21 @@ class SeedFrame(Parameters):
 class SeedsParameters(Parameters):
     """How many seeds there are and where they come from."""
 
-    num_seeds: int = Field(2, ge=1, le=10_000, description="Seeds chosen automatically when no frames are named")
+    num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
     frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
     max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
+    num_lifted: int = Field(
+        0,
+        ge=0,
+        le=10_000,
+        description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I)",
+    )
+    max_annotations: int = Field(500, ge=1, description="Annotations that are grouped to choose those to lift")
     num_grown: int = Field(
         0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, spread over all, from which chains start too")
-    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that growth may use")
+    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
     image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
     depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
     farthest_m: float = Field(
@@ -58,6 +67,12 @@ class SeedsParameters(Parameters):
     num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
 
     @model_validator(mode="after")
+    def _there_are_seeds(self) -> SeedsParameters:
+        if not (self.num_seeds or self.frames or self.num_lifted):
+            raise ValueError("seeds: num_seeds, frames and num_lifted all ask for none; chains need at least one seed")
+        return self
+
+    @model_validator(mode="after")
     def _starts_are_grown(self) -> SeedsParameters:
         if self.num_starts > self.num_grown:
             raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
@@ -65,12 +80,10 @@ class SeedsParameters(Parameters):
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
-    """Plan a shard per seed, from pair takes that are not held out, and one for all that grows from them."""
+    """Plan a shard per frame of takes that are not held out, one for all lifted seeds and one for all grown ones."""
     takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
     limits = tuple(manifest.ref for manifest in inputs.of("joint_limits"))
-    if not takes:
-        return []
-    shards = []
+    shards: list[Shard] = []
     for index, frame in enumerate(parameters.frames):
         if frame.take not in takes:
             raise InputError(
@@ -82,28 +95,43 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
             raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
         chosen = {"seed_index": index, "take": frame.take, "frame": frame.frame}
         shards.append(_shard(inputs, index, chosen, (takes[frame.take].ref, *limits)))
-    if not parameters.frames:
+    if not parameters.frames and takes:
         refs = (*(manifest.ref for manifest in takes.values()), *limits)
         for index in range(parameters.num_seeds):
             chosen = {"seed_index": index, "max_frames_per_take": parameters.max_frames_per_take}
             shards.append(_shard(inputs, index, chosen, refs))
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
-    if parameters.num_grown and annotated and views:
-        asked = parameters.model_dump(mode="json", include=set(_GROWTH_PARAMETERS))
-        shards.append(
-            Shard(
-                stage="seeds",
-                version=VERSION,
-                partition="growth",
-                name="grown",
-                parameters={**asked, "first_index": len(shards)},
-                inputs=(*limits, *(manifest.ref for manifest in (*annotated, *views))),
-                after=tuple(shard.key for shard in shards),
-                seed=inputs.seed,
-            )
-        )
+    if not annotated or not views:
+        return shards
+    seen = tuple(manifest.ref for manifest in (*annotated, *views))
+    if parameters.num_lifted:
+        names = {"num_lifted", "max_annotations", "num_hypotheses"}
+        chosen = {**parameters.model_dump(mode="json", include=names), "first_index": len(shards)}
+        bases = (basis for basis in inputs.of("torso_basis") if not any(shares_takes(one, basis) for one in annotated))
+        refs = (*limits, *seen, *(basis.ref for basis in bases))
+        shards.append(_shared_shard(inputs, "lifted", chosen, refs, ()))
+    if parameters.num_grown and shards:
+        chosen = parameters.model_dump(mode="json", include=set(_GROWTH_PARAMETERS))
+        chosen["first_index"] = len(shards) + max(parameters.num_lifted - 1, 0)
+        before = tuple(shard.key for shard in shards)
+        shards.append(_shared_shard(inputs, "grown", chosen, (*limits, *seen), before))
     return shards
+
+
+def _shared_shard(
+    inputs: StageInputs, name: str, chosen: dict[str, object], refs: tuple[ArtifactRef, ...], after: tuple[str, ...]
+) -> Shard:
+    return Shard(
+        stage="seeds",
+        version=VERSION,
+        partition=name,
+        name=name,
+        parameters=chosen,
+        inputs=refs,
+        after=after,
+        seed=inputs.seed,
+    )
 
 
 def start_indices(manifest: Manifest) -> list[int]:
@@ -130,7 +158,9 @@ def _shard(inputs: StageInputs, index: int, chosen: dict[str, object], refs: tup
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Read or choose one seed, or grow many, and commit them, gauge-fixed."""
+    """Read or choose one seed, lift or grow many, and commit them, gauge-fixed."""
+    if shard.name == "lifted":
+        return _lift(shard, store)
     if shard.name == "grown":
         return _grow(shard, store)
     index = int(shard.parameters["seed_index"])
@@ -164,11 +194,49 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     return commit(shard, store, tables={"seeds": columns}, facts=facts)
 
 
+def _lift(shard: Shard, store: Store) -> ArtifactRef:
+    """Lift annotations that stand for all of them from 2D alone."""
+    options = shard.parameters
+    placed = gather(shard, store)
+    gathered = placed.gathered
+    seeds = lift_seeds(
+        gathered.pairs,
+        gathered.weights,
+        read_limits(shard, store),
+        read_torso_basis(store, shard.inputs),
+        num_seeds=int(options["num_lifted"]),
+        max_annotations=int(options["max_annotations"]),
+    )
+    count = len(seeds.pairs_m)
+    places = [placed.places[index] for index in gathered.pairs.annotation_index[seeds.entry].tolist()]
+    indices = int(options["first_index"]) + np.arange(count)
+    columns = {
+        "seed_index": indices,
+        "origin": ["lifted"] * count,
+        "take_id": [None] * count,
+        "take_frame": [None] * count,
+        "sequence_id": [sequence for sequence, _ in places],
+        "sequence_frame": [frame for _, frame in places],
+        "parent_seed_index": [None] * count,
+        "generation": [0] * count,
+        "gap_m": [None] * count,
+        "log_prior": seeds.log_prior,
+        "pair17_m": seeds.pairs_m,
+    }
+    facts = {
+        "kind": "lifted_seeds",
+        "starts": indices.tolist(),
+        "num_annotations_skipped": gathered.num_skipped,
+        "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
+    }
+    return commit(shard, store, tables={"seeds": columns}, facts=facts)
+
+
 def _grow(shard: Shard, store: Store) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
     options = shard.parameters
     before = [_done(key, store) for key in shard.after]
-    roots = np.stack([np.asarray(store.read(one.ref, "seeds")["pair17_m"][0], dtype=np.float64) for one in before])
+    roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
     placed = gather(shard, store)
     pairs = placed.gathered.pairs
     growth = grow(
@@ -185,6 +253,8 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
         ),
     )
     first, count = int(options["first_index"]), len(growth.pairs_m)
+    # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
+    possible = np.flatnonzero(growth.is_possible)
     places = [placed.places[index] for index in pairs.annotation_index[growth.entry].tolist()]
     columns = {
         "seed_index": first + np.arange(count),
@@ -205,7 +275,7 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
         "num_refused": growth.num_refused,
         "num_left": growth.num_left,
         "num_annotations_skipped": placed.gathered.num_skipped,
-        "starts": (first + spread(growth.pairs_m, int(options["num_starts"]))).tolist(),
+        "starts": (first + possible[spread(growth.pairs_m[possible], int(options["num_starts"]))]).tolist(),
         "takes": merge_takes(*before, *(store.manifest(ref) for ref in shard.inputs)),
     }
     return commit(shard, store, tables={"seeds": columns}, facts=facts)
@@ -266,7 +336,7 @@ def read_limits(shard: Shard, store: Store) -> JointLimits:
 STAGE = Stage(
     name="seeds",
     version=VERSION,
-    reads=("poses", "annotations", "views", "joint_limits"),
+    reads=("poses", "annotations", "views", "torso_basis", "joint_limits"),
     writes=("seeds",),
     parameters=SeedsParameters,
     plan=plan,

@@ -12,7 +12,7 @@ from pasdedeux.cameras import DEPTH_RULES, TorsoBasis, ViewOptions, default_tors
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
-__all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "read_torso_basis", "run_shard"]
+__all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "read_torso_basis", "run_shard", "shares_takes"]
 
 VERSION = 1
 
@@ -67,14 +67,15 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
             partition=manifest.partition,
             name=manifest.name,
             parameters=parameters.model_dump(mode="json"),
-            inputs=(manifest.ref, *(basis.ref for basis in bases if not _shares_takes(manifest, basis))),
+            inputs=(manifest.ref, *(basis.ref for basis in bases if not shares_takes(manifest, basis))),
             seed=inputs.seed,
         )
         for manifest in inputs.of("annotations")
     ]
 
 
-def _shares_takes(one: Manifest, other: Manifest) -> bool:
+def shares_takes(one: Manifest, other: Manifest) -> bool:
+    """Tell whether two artifacts rest on a common take."""
     return not set(one.facts.get("takes", [])).isdisjoint(other.facts.get("takes", []))
 
 

@@ -14,6 +14,7 @@ from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import Density, Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
 from pasdedeux.sampling.growth import Growth, GrowthOptions, grow, spread
+from pasdedeux.sampling.lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
     InteractionLikelihood,
@@ -41,6 +42,7 @@ __all__ = [
     "Growth",
     "GrowthOptions",
     "InteractionLikelihood",
+    "LiftedSeeds",
     "Match",
     "PairChart",
     "PairDensity",
@@ -61,6 +63,7 @@ __all__ = [
     "generator_to_json",
     "grow",
     "invariants",
+    "lift_seeds",
     "plain_log_likelihood",
     "run_segment",
     "seed_quality",

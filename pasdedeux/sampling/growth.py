@@ -87,6 +87,7 @@ class Growth:
         generation: Steps from a seed, (n,), from 1.
         gap_m: Distance of the annotation from the parent under the annotation's view, (n,), metres.
         log_prior: Log of eq. 2 (Yin et al. 2018) with `sigma_p` 0.05 m and the pair's own bone lengths, (n,).
+        is_possible: Whether the joint limits are kept, (n,): agreeing on depths may have changed it.
         num_refused: Annotations whose lifted pair was refused.
         num_left: Annotations that nothing lifted came near, or that were not asked for.
     """
@@ -97,6 +98,7 @@ class Growth:
     generation: Indices
     gap_m: Array
     log_prior: Array
+    is_possible: npt.NDArray[np.bool_]
     num_refused: int
     num_left: int
 
@@ -285,13 +287,15 @@ class _Frontier:
             fixed.append(gauge_fix(self.pairs[index], fixed[parent]))
             generation.append(generation[parent] + 1)
         grown = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
+        quality = seed_quality(grown, limits)
         return Growth(
             pairs_m=grown,
             entry=np.array(self.entries[num_seeds:], dtype=np.int64),
             parent=np.array(self.parents[num_seeds:], dtype=np.int64),
             generation=np.array(generation[num_seeds:], dtype=np.int64),
             gap_m=np.array(self.gaps[num_seeds:], dtype=np.float64),
-            log_prior=seed_quality(grown, limits).log_prior,
+            log_prior=quality.log_prior,
+            is_possible=quality.num_invalid <= self.options.most_invalid,
             num_refused=num_refused,
             num_left=len(np.unique(self.annotation)) - len(grown) - num_refused,
         )

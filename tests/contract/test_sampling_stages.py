@@ -237,6 +237,21 @@ def test_chains_start_from_a_spread_of_grown_seeds(inputs: Any) -> None:
     assert draws["take_id"][0] is None
 
 
+def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
+    store, tables = inputs
+    without_poses = {name: part for name, part in tables.items() if name != "poses"}
+    asked = {"num_seeds": 0, "num_lifted": 2, "num_grown": 10, "num_starts": 1}
+    made = with_seeds(store, without_poses, **asked).of("seeds")
+    assert [manifest.facts["kind"] for manifest in made] == ["lifted_seeds", "grown_seeds"]
+    lifted, grown = (store.read(manifest.ref, "seeds") for manifest in made)
+    assert list(lifted["seed_index"]) == made[0].facts["starts"] == [0, 1]
+    assert set(lifted["origin"]) == {"lifted"}
+    assert grown["seed_index"][0] == 2
+    assert made[0].facts["takes"] == ["one"]
+    with pytest.raises(ValueError, match="at least one seed"):
+        SeedsParameters(num_seeds=0)
+
+
 def test_more_starts_than_grown_seeds_are_refused() -> None:
     with pytest.raises(ValueError, match="only 3 are grown"):
         SeedsParameters(num_grown=3, num_starts=4)

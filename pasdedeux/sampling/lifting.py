@@ -1,0 +1,200 @@
+"""Pairs lifted from 2D alone: seeds for sampling where nothing in 3D is known of the takes.
+
+Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some.  The
+torso is lifted with the torso basis; what remains is discrete: either twin of each torso, towards or away from the
+camera for each limb bone, and the relative depth of the people.  Joint limits choose among the 256 ways of a person's
+limbs, the estimated view and penetration among twins and depths.  A lifted pair is right to 8-11 cm on captured
+dancers; growth (`growth.grow`) then finds what the others have in common.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import TORSO_INDICES, TorsoBasis, angle_between_directions, lift_torsos, pair_frame
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.growth_kernels import place_bones
+from pasdedeux.sampling.likelihood import AnnotatedPairs
+from pasdedeux.sampling.parameters import gauge_fix
+from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["LiftedSeeds", "apparent_bone_lengths", "lift_pair", "lift_seeds"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+LENGTH_PERCENTILE = 70.0
+"""Percentile of a bone's length in the image that counts as its length: foreshortening makes it too short, noise and
+errors of scale too long; on captured dancers it is right to 5 % with 1 cm of noise and to 3 % without."""
+VIEW_DEVIATION_RAD = 0.15
+"""Error of an estimated view, radians."""
+FORWARD_PER_M = 3.0
+"""What a hand or foot that ends in front of its shoulder or hip is preferred by, per metre, in log probability."""
+PENETRATION_SHARE = 0.05
+"""Share of eq. 2's penetration that counts between depths: in full it would outvote the view in every embrace."""
+TIGHTNESS = 0.16
+"""Weight of a squared error in depth against one in the image when bones are placed."""
+
+_DEPTHS_M = np.linspace(-0.9, 0.9, 19)
+_NUM_WEIGHED = 12
+_NUM_TRIES = 8
+_ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
+_LIMBS = [
+    PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
+    for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+    for side in ("left", "right")
+]
+_PELVIS, _SPINE, _CHEST, _NECK, _HEAD = PAIR17.indices(("pelvis", "spine", "chest", "neck", "head"))
+_SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2 * len(_LIMBS))))
+
+
+@dataclass(frozen=True)
+class LiftedSeeds:
+    """Seeds lifted from annotations.
+
+    Args:
+        pairs_m: Pairs (seed, person=2, joint=17, 3), metres, gauge-fixed; upright as far as the camera was level.
+        entry: Entry of the annotated pairs that each was lifted from, (seed,).
+        log_prior: Log of eq. 2 (Yin et al. 2018), (seed,).
+    """
+
+    pairs_m: Array
+    entry: Indices
+    log_prior: Array
+
+
+def apparent_bone_lengths(points_m: Array) -> Array:
+    """Give bone lengths (person=2, joint=17), metres, from images (n, person=2, joint=17, 2), metres, of many views.
+
+    Left and right get the mean of the two; a root's length is 0.
+    """
+    flat = np.linalg.norm(points_m - points_m[:, :, _PARENTS], axis=-1)
+    lengths = np.percentile(flat, LENGTH_PERCENTILE, axis=0)
+    lengths = 0.5 * (lengths + lengths[:, list(PAIR17.mirror)])
+    lengths[:, PAIR17.root] = 0.0
+    return np.asarray(lengths)
+
+
+def lift_pair(
+    image_m: Array, direction: Array, lengths_m: Array, limits: JointLimits, basis: TorsoBasis
+) -> Array | None:
+    """Give the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
+
+    Args:
+        image_m: Image points (person=2, joint=17, 2), metres, x right, y up.
+        direction: Estimated view in the pair's local frame, (3,).
+        lengths_m: Bone lengths (person=2, joint=17), metres.
+        limits: Joint limits.
+        basis: Torso basis, of other takes.
+    """
+    torsos = lift_torsos(image_m[:, TORSO_INDICES] * np.array([1.0, -1.0]), basis)
+    if not torsos.is_lifted.all():
+        return None
+    people = [
+        [_lift_person(image_m[person], torsos.torso_m[person, twin], lengths_m[person], limits) for twin in range(2)]
+        for person in range(2)
+    ]
+    pairs, costs = [], []
+    for first, second in itertools.product(*people):
+        placed = np.stack([np.broadcast_to(first.pose_m, (len(_DEPTHS_M), 17, 3))] * 2, axis=1)
+        placed[:, 1] = second.pose_m
+        placed[:, 1, :, 2] += _DEPTHS_M[:, None]
+        pairs.append(placed)
+        costs.append(np.full(len(placed), first.cost + second.cost))
+    pair, cost = np.concatenate(pairs), np.concatenate(costs)
+    seen = pair_frame(pair).coordinates(np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(pair), 3)))
+    cost = cost + 0.5 * (angle_between_directions(seen, direction) / VIEW_DEVIATION_RAD) ** 2
+    likeliest = np.argsort(cost, kind="stable")[:_NUM_WEIGHED]
+    weighed = cost[likeliest] - PENETRATION_SHARE * seed_quality(pair[likeliest], limits).log_prior
+    return np.asarray(pair[likeliest[int(np.argmin(weighed))]])
+
+
+def lift_seeds(
+    annotated: AnnotatedPairs,
+    weights: Array,
+    limits: JointLimits,
+    basis: TorsoBasis,
+    *,
+    num_seeds: int,
+    max_annotations: int = 500,
+) -> LiftedSeeds:
+    """Lift annotations that cover all of them: the medoids of `num_seeds` groups under d_I.
+
+    Args:
+        annotated: Annotated pairs.
+        weights: Weight of each entry, (entry,): an annotation is lifted by its heaviest hypothesis.
+        limits: Joint limits.
+        basis: Torso basis, of other takes.
+        num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.
+        max_annotations: Annotations that are grouped, evenly spread over all.
+
+    Raises:
+        InputError: There are fewer annotations than seeds, or too few that give a possible pair.
+    """
+    heaviest = np.lexsort((-weights, annotated.annotation_index))
+    _, first = np.unique(annotated.annotation_index[heaviest], return_index=True)
+    entries = heaviest[first]
+    lengths = apparent_bone_lengths(annotated.points_m[entries])
+    if len(entries) < num_seeds:
+        raise InputError(f"{num_seeds} seeds were to be lifted, but there are only {len(entries)} annotated pairs")
+    most = max(max_annotations, num_seeds)
+    shown = entries[np.unique(np.linspace(0, len(entries) - 1, min(most, len(entries))).round().astype(int))]
+    matrix = dissimilarity_matrix(annotated.points_m[shown].reshape(len(shown), -1, 2))
+    found: list[Array] = []
+    used: list[int] = []
+    for medoid in choose_medoids(matrix, num_seeds):
+        near = [int(index) for index in np.argsort(matrix[medoid], kind="stable") if index not in used]
+        for index in near[:_NUM_TRIES]:
+            entry = int(shown[index])
+            pair = lift_pair(annotated.points_m[entry], annotated.directions[entry], lengths, limits, basis)
+            if pair is not None and seed_quality(pair[None], limits).is_possible[0]:
+                found.append(gauge_fix(pair))
+                used.append(index)
+                break
+    if len(found) < num_seeds:
+        raise InputError(
+            f"{num_seeds} seeds were to be lifted, but near {num_seeds - len(found)} of the chosen annotations no pair "
+            "keeps the joint limits"
+        )
+    pairs = np.array(found)
+    return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits).log_prior)
+
+
+@dataclass(frozen=True)
+class _Person:
+    pose_m: Array
+    cost: float
+
+
+def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits) -> _Person:
+    """Give the likeliest of the 256 ways a person's limbs can point, (17, 3), pelvis at depth 0, with its cost."""
+    up = normalise(torso_m[1] - torso_m[0])
+    across = torso_m[2] - torso_m[3]
+    forward = np.cross(normalise(across - (across @ up) * up), up)
+    depth = np.zeros((len(_SIGNS), PAIR17.num_joints))
+    depth[:, TORSO_INDICES] = torso_m[:, 2] - torso_m[0, 2]
+    along = np.cumsum(lengths_m[[_SPINE, _CHEST, _NECK]])
+    depth[:, [_SPINE, _CHEST]] = along[:2] / max(float(along[2]), 1e-9) * depth[:, [_NECK]]
+    depth[:, _HEAD] = depth[:, _NECK] + lengths_m[_HEAD] * up[2]
+    flat = np.linalg.norm(image_m - image_m[_PARENTS], axis=-1)
+    reach = np.sqrt(np.maximum(lengths_m**2 - flat**2, 0.0))
+    for limb, (root, middle, end) in enumerate(_LIMBS):
+        depth[:, middle] = depth[:, root] + _SIGNS[:, 2 * limb] * reach[middle]
+        depth[:, end] = depth[:, middle] + _SIGNS[:, 2 * limb + 1] * reach[end]
+    poses = np.empty((len(_SIGNS), PAIR17.num_joints, 3))
+    images = np.ascontiguousarray(np.broadcast_to(image_m, (len(_SIGNS), *image_m.shape)))
+    lengths = np.ascontiguousarray(np.broadcast_to(lengths_m, depth.shape))
+    place_bones(images, depth, lengths, _ORDER, _PARENTS, TIGHTNESS, poses)
+    cost = limits.nearest_valid(poses).squared_distance_m2 / (2.0 * SIGMA_P_M**2)
+    for root, _, end in _LIMBS:
+        cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)
+    best = int(np.argmin(cost))
+    return _Person(pose_m=poses[best], cost=float(cost[best]))

@@ -1,0 +1,83 @@
+"""Medoids under d_I, and seeds lifted from 2D alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import default_torso_basis, project_pair
+from pasdedeux.errors import InputError
+from pasdedeux.interaction import cartesian_dissimilarity, interaction_dissimilarity
+from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling import AnnotatedPairs, lift_seeds
+from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.skeletons import PAIR17
+from tests.unit.test_views import dancers
+
+LIMITS, BASIS = JointLimits.published(), default_torso_basis()
+
+
+def annotated(count: int) -> tuple[np.ndarray, AnnotatedPairs]:
+    pairs = dancers(3, count)
+    rng = np.random.default_rng(1)
+    directions = normalise(rng.normal(size=(count, 3)) * [1.0, 0.2, 1.0])
+    return pairs, AnnotatedPairs(project_pair(pairs, directions), directions, np.arange(count))
+
+
+def test_the_matrix_is_the_dissimilarity_by_definition() -> None:
+    _, entries = annotated(6)
+    points = entries.points_m.reshape(6, 34, 2)
+    matrix = dissimilarity_matrix(points)
+    for a in range(6):
+        for b in range(6):
+            assert matrix[a, b] == pytest.approx(interaction_dissimilarity(points[a], points[b]), abs=1e-9)
+
+
+def test_medoids_of_separate_groups_are_one_of_each_and_local_optima() -> None:
+    rng = np.random.default_rng(2)
+    place = np.concatenate([centre + rng.normal(scale=0.1, size=20) for centre in (0.0, 5.0, 9.0)])
+    matrix = np.abs(place[:, None] - place)
+    medoids = choose_medoids(matrix, 3)
+    assert sorted(medoids // 20) == [0, 1, 2]
+    for group, medoid in enumerate(sorted(medoids)):
+        members = np.arange(20 * group, 20 * group + 20)
+        costs = matrix[np.ix_(members, members)].sum(axis=1)
+        assert costs[medoid % 20] == costs.min()
+    np.testing.assert_array_equal(np.sort(choose_medoids(matrix[:4, :4], 4)), np.arange(4))
+    assert len(np.unique(choose_medoids(np.zeros((5, 5)), 3))) == 3
+    with pytest.raises(InputError, match="between 1 and 4"):
+        choose_medoids(matrix[:4, :4], 5)
+
+
+def test_bone_lengths_are_read_off_many_views() -> None:
+    pairs, entries = annotated(300)
+    got = apparent_bone_lengths(entries.points_m)
+    expected = bone_lengths(PAIR17, pairs[0])
+    np.testing.assert_allclose(got[:, 1:], expected[:, 1:], rtol=0.1)
+    np.testing.assert_array_equal(got, got[:, list(PAIR17.mirror)])
+
+
+def test_lifted_seeds_are_close_to_the_pairs_that_were_seen() -> None:
+    pairs, entries = annotated(120)
+    seeds = lift_seeds(entries, np.ones(120), LIMITS, BASIS, num_seeds=8)
+    error = cartesian_dissimilarity(seeds.pairs_m.reshape(-1, 34, 3), pairs[seeds.entry].reshape(-1, 34, 3))
+    assert len(np.unique(seeds.entry)) == 8
+    assert np.median(error) < 0.1
+    expected = np.broadcast_to(apparent_bone_lengths(entries.points_m), (8, 2, 17))
+    np.testing.assert_allclose(bone_lengths(PAIR17, seeds.pairs_m), expected, atol=1e-9)
+    again = lift_seeds(entries, np.ones(120), LIMITS, BASIS, num_seeds=8)
+    np.testing.assert_array_equal(again.pairs_m, seeds.pairs_m)
+
+
+def test_lifting_says_what_it_cannot_do() -> None:
+    _, entries = annotated(5)
+    with pytest.raises(InputError, match="only 5 annotated pairs"):
+        lift_seeds(entries, np.ones(5), LIMITS, BASIS, num_seeds=6)
+    narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
+    with pytest.raises(InputError, match="no pair keeps the joint limits"):
+        lift_seeds(entries, np.ones(5), narrow, BASIS, num_seeds=1)
+    lengths = apparent_bone_lengths(entries.points_m)
+    assert lift_pair(np.zeros((2, 17, 2)), entries.directions[0], lengths, LIMITS, BASIS) is None

@@ -5,8 +5,12 @@ from __future__ import annotations
 import os
 import signal
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from tests.real_study import BuiltStudy
 
 
 def pytest_configure() -> None:
@@ -32,3 +36,17 @@ def data_dir() -> Path:
 def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a folder in which Prefect keeps its database: one cold start of its server for all tests."""
     return tmp_path_factory.mktemp("prefect")
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory: pytest.TempPathFactory, prefect_home: Path) -> BuiltStudy:
+    """Give the small study as two workers built it with one command; nothing may be computed in its store again."""
+    from tests.real_study import SMALL, BuiltStudy, RealRun
+
+    folder = tmp_path_factory.mktemp("small")
+    study, store = folder / "small.toml", folder / "store"
+    study.write_text(SMALL)
+    run = RealRun("run", study, "--store", store, "--workers", "2", prefect_home=prefect_home)
+    answer = run.finish()
+    assert answer.code == 0, answer.err
+    return BuiltStudy(study, store, answer)

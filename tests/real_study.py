@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from tests.toy_runs import ROOT, run_toys, wait_until
 __all__ = [
     "SMALL",
     "Answer",
+    "BuiltStudy",
     "RealRun",
     "build_here",
     "call_in_process",
@@ -32,6 +34,7 @@ __all__ = [
     "digests",
     "graph",
     "never_begun",
+    "wait_until_gone",
 ]
 
 SMALL = """
@@ -121,6 +124,19 @@ def call_in_process(capsys: Any, *arguments: str | Path) -> Answer:
     code = run_command_line([str(argument) for argument in arguments], graph=graph())
     found = capsys.readouterr()
     return Answer(code, found.out, found.err)
+
+
+@dataclass(frozen=True)
+class BuiltStudy:
+    """A study that was built: its file, its store, and what the command said."""
+
+    study: Path
+    store: Path
+    answer: Answer
+
+    def copy_store(self, folder: Path) -> Path:
+        """Give a copy of the store to compute in: an artifact's place is not in its key."""
+        return Path(shutil.copytree(self.store, folder / "copy"))
 
 
 class RealRun:

@@ -1,51 +1,27 @@
-"""The whole program on a small study: every stage, once with two workers, once with one, and a second time."""
+"""The main job on a small study: one command, two workers, every stage; what it leaves and what can be done with it."""
 
 from __future__ import annotations
 
+import base64
+import csv
+import io
 import json
-import os
-import resource
-import subprocess
-import sys
+from collections import Counter
+from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
-from storage_schema import Store, open_table, read_latest
-from tests.toy_runs import ROOT
+from pasdedeux.formats import read_bvh
+from pasdedeux.kinematics import Motion
+from pasdedeux.skeletons import BODY22, OP14, Skeleton
+from storage_schema import TABLES, Store, open_table, read_latest
+from tests.real_study import BuiltStudy, RealRun, call_in_process
 
 pytestmark = pytest.mark.slow
 
-STUDY = """
-[study]
-name = "small"
-title = "Two short duets"
-seed = 3
-
-[ingest]
-rate_hz = 15.0
-duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 2.0 }]
-held_out = ["hug"]
-virtual_video = { num_random_views = 20 }
-
-[seeds]
-num_seeds = 1
-
-[chains]
-densities = ["ic", "prior_only"]
-num_chains = 2
-num_draws = 40
-segment_draws = 20
-num_candidates = 20
-num_views = 4
-
-[augmentation]
-scales = [0.75, 0.95, 1.05, 1.25]
-
-[evaluation]
-num_truth_pairs = 20
-clip_seconds = 1.0
-"""
 STAGES = {
     "ingest",
     "priors",
@@ -58,106 +34,308 @@ STAGES = {
     "training",
     "evaluation",
 }
-MOST_CPU_S = 3.0
+TOPICS = {"takes", "views", "chains", "coverage", "reconstruction", "augmentation", "models"}
+SECTIONS = {
+    "Takes",
+    "Sequences",
+    "Views",
+    "Chains",
+    "Coverage",
+    "Reconstruction",
+    "Augmentation",
+    "Models",
+    "Left out, and why",
+    "Sources and licences",
+}
+FILLED = set(TABLES) - {"pose_prior", "codebook"}
+RATE_HZ = 12.0
 
 
-def command(*arguments: str, prefect_home: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PREFECT_HOME": str(prefect_home)}
-    environment.pop("PREFECT_API_URL", None)
-    return subprocess.run(
-        [sys.executable, "-m", "flows.console", *arguments],
-        cwd=ROOT,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+class Page(HTMLParser):
+    """What a page shows and what it would fetch."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: Counter[str] = Counter()
+        self.targets: list[str] = []
+        self.headings: list[str] = []
+        self._is_heading = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags[tag] += 1
+        self.targets += [value or "" for name, value in attrs if name in {"src", "href", "data", "action", "srcset"}]
+        self._is_heading = tag == "h2"
+
+    def handle_data(self, data: str) -> None:
+        if self._is_heading:
+            self.headings.append(data.strip())
+        self._is_heading = False
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the study, and in `store` what two workers made of it."""
-    folder = tmp_path_factory.mktemp("small")
-    (folder / "small.toml").write_text(STUDY)
-    found = command(
-        "run", str(folder / "small.toml"), "--store", str(folder / "store"), "--workers", "2", prefect_home=folder
-    )
-    assert found.returncode == 0, found.stderr
-    assert "report.html" in found.stdout
+def report_folder(small: BuiltStudy) -> Path:
+    (folder,) = (small.store / "runs").glob("*/report")
     return folder
 
 
-def digests(store: Path) -> dict[str, list[str]]:
-    latest = read_latest(Store(store), "small")
+def test_every_stage_and_every_table_is_there(small: BuiltStudy) -> None:
+    latest = read_latest(Store(small.store), "small")
     assert latest is not None
-    return {stage: [ref.content_digest for ref in latest.refs(stage)] for stage in latest.stages}
+    assert {stage for stage in latest.stages if latest.refs(stage)} == STAGES
+    tables = {
+        name for stage in STAGES for ref in latest.refs(stage) for name in Store(small.store).manifest(ref).tables
+    }
+    assert tables >= FILLED - {"pose_prior", "codebook"}
+    for name in tables:
+        assert open_table(f"{name}:small", small.store).num_rows > 0, name
 
 
-def test_every_stage_leaves_something(folder: Path) -> None:
-    made = digests(folder / "store")
-    assert set(made) == STAGES
-    assert all(made.values()), made
+def test_the_command_says_how_it_went_and_where_the_report_is(small: BuiltStudy) -> None:
+    assert f"report: {report_folder(small) / 'report.html'}" in small.answer.out
+    assert "shards computed" in small.answer.out
+    assert "\x1b" not in small.answer.out + small.answer.err, "plain lines where nobody sits at a terminal"
 
 
-def test_the_report_stands_alone_and_the_card_credits_the_sources(folder: Path) -> None:
-    report = next((folder / "store" / "runs").glob("*/report/report.html"))
-    page = report.read_text(encoding="utf-8")
-    assert 'src="http' not in page
-    assert 'href="http' not in page.replace('href="https://', "")
-    assert "data:image/png;base64," in page
-    assert "Apache-2.0" in (report.parent / "card.md").read_text(encoding="utf-8")
+def test_the_report_needs_no_other_file_and_has_a_section_for_everything(small: BuiltStudy) -> None:
+    text = (report_folder(small) / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert set(page.headings) == SECTIONS
+    assert not page.tags["script"] + page.tags["link"] + page.tags["iframe"] + page.tags["object"]
+    assert all(target.startswith(("#", "data:image/")) for target in page.targets)
+    assert "url(" not in text
+    assert "@import" not in text
+    assert page.tags["table"] >= 7
+    pictures = [target for target in page.targets if target.startswith("data:")]
+    assert len(pictures) >= 12
+    for picture in pictures:
+        content = base64.b64decode(picture.partition(",")[2], validate=True)
+        with Image.open(io.BytesIO(content)) as image:
+            image.load()
+            assert min(image.size) > 50
+            assert len(set(image.convert("L").tobytes())) > 4, "an empty picture"
 
 
-def test_tables_open_by_name(folder: Path) -> None:
-    draws = open_table("draws:small", folder / "store")
-    assert draws["pair17_m"].shape[1:] == (2, 17, 3)
-    assert open_table("scores:small", folder / "store").num_rows > 0
+def test_the_card_names_licence_and_credit_of_each_source_and_the_held_out_take(small: BuiltStudy) -> None:
+    card = (report_folder(small) / "card.md").read_text(encoding="utf-8")
+    sources = {source for manifest in Store(small.store).artifacts() for source in manifest.sources}
+    assert sources
+    for source in sources:
+        assert source.name in card
+        assert source.licence in card
+        assert source.credit in card
+    assert "- hug (held out for evaluation)" in card
+    assert "- waltz\n" in card
+    for table in FILLED - {"scores"}:
+        assert f"| {table} | {open_table(f'{table}:small', small.store).num_rows:,} |" in card
 
 
-def test_a_second_run_is_quick_and_computes_nothing(folder: Path) -> None:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    found = command(
-        "run", str(folder / "small.toml"), "--store", str(folder / "store"), "--json", prefect_home=folder / "unused"
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert found.returncode == 0, found.stderr
-    assert json.loads(found.stdout)["num_computed"] == 0
-    assert not (folder / "unused").exists(), "Prefect was started"
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert spent < MOST_CPU_S, f"{spent:.1f} s of processor time; wall time is as long as other work allows"
+def test_every_topic_has_scores_beside_a_baseline_and_each_only_once(small: BuiltStudy) -> None:
+    scores = open_table("scores:small", small.store)
+    is_baseline: dict[str, set[bool]] = {}
+    for topic, found in zip(scores["topic"], scores["is_baseline"], strict=True):
+        is_baseline.setdefault(topic, set()).add(bool(found))
+    assert set(is_baseline) == TOPICS
+    assert {topic for topic, found in is_baseline.items() if found == {True, False}} == TOPICS - {"takes"}
+    columns = ("topic", "metric", "method", "split", "item", "at")
+    rows = Counter(zip(*(map(str, scores[name]) for name in columns), strict=True))
+    assert [row for row, count in rows.items() if count > 1] == []
+    assert not np.isinf(scores["value"]).any()
 
 
-def test_one_worker_gives_the_same_bytes_as_two(folder: Path) -> None:
-    store = folder / "one"
-    found = command("run", str(folder / "small.toml"), "--store", str(store), "--workers", "1", prefect_home=folder)
-    assert found.returncode == 0, found.stderr
-    assert digests(store) == digests(folder / "store")
+def test_what_is_held_out_was_learned_from_by_nothing(small: BuiltStudy) -> None:
+    learned = ("torso_basis", "joint_limits", "seeds", "draws", "projections", "models")
+    for manifest in Store(small.store).artifacts():
+        if set(learned) & set(manifest.tables):
+            assert "hug" not in manifest.facts["takes"], (manifest.ref.stage, manifest.partition, manifest.name)
+    assert "hug" not in set(open_table("projections:small", small.store)["take_id"])
+    assert set(open_table("motions:small", small.store)["sequence_id"]) == {"hug.video00"}
 
 
-def test_one_changed_parameter_rebuilds_what_depends_on_it(folder: Path) -> None:
-    arguments = [str(folder / "small.toml"), "--store", str(folder / "store"), "--set", "training.models=['copy']"]
-    planned = json.loads(command("plan", *arguments, "--json", prefect_home=folder).stdout)
-    assert {stage["stage"] for stage in planned["stages"] if stage["state"] != "fresh"} == {"training", "evaluation"}
+def test_every_video_has_a_moving_clip(small: BuiltStudy) -> None:
+    videos = {name for name in open_table("cameras:small", small.store)["sequence_id"] if ".video" in name}
+    clips = {
+        path.name.removeprefix("clip-").removesuffix(".webp"): path for path in report_folder(small).glob("clip-*")
+    }
+    assert set(clips) == videos == {"waltz.video00", "hug.video00"}
+    for path in clips.values():
+        with Image.open(path) as image:
+            assert getattr(image, "n_frames", 1) > 3
+            first = np.asarray(image.convert("RGB"), dtype=int)
+            image.seek(3)
+            assert np.abs(np.asarray(image.convert("RGB"), dtype=int) - first).max() > 50
 
 
-def test_motion_goes_out_as_bvh_with_its_credits(folder: Path) -> None:
-    for table in ("poses", "variants", "motions"):
-        out = folder / "out" / table
-        found = command(
-            "export",
-            f"{table}:small",
-            "--format",
-            "bvh",
-            "--out",
-            str(out),
-            "--store",
-            str(folder / "store"),
-            prefect_home=folder,
-        )
-        assert found.returncode == 0, found.stderr
-        assert list(out.glob("*.bvh"))
-        assert "Apache-2.0" in (out / "CREDITS.txt").read_text()
+@pytest.mark.parametrize("table", sorted(FILLED))
+def test_every_table_can_be_shown(small: BuiltStudy, capsys: pytest.CaptureFixture[str], table: str) -> None:
+    found = call_in_process(capsys, "show", f"{table}:small", "--store", small.store, "--json")
+    assert found.code == 0, found.err
+    shown = found.json
+    assert [column["name"] for column in shown["columns"]] == [column.name for column in TABLES[table].columns]
+    assert shown["num_rows"] == open_table(f"{table}:small", small.store).num_rows
+    assert {step["stage"] for step in shown["lineage"]} <= STAGES
+    assert shown["sources"] or table == "models"
+    assert call_in_process(capsys, "show", f"{table}:small#0", "--store", small.store).code == 0
 
 
-def test_the_store_is_as_its_manifests_say(folder: Path) -> None:
-    assert command("verify", "--store", str(folder / "store"), prefect_home=folder).returncode == 0
+def test_the_lineage_of_scores_reaches_every_take(small: BuiltStudy, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = call_in_process(capsys, "show", "scores:small", "--store", small.store, "--json").json
+    steps = {(step["stage"], step["partition"], step["name"]) for step in shown["lineage"]}
+    assert {("ingest", "waltz", "take"), ("ingest", "hug", "take")} <= steps
+    assert {stage for stage, _, _ in steps} == STAGES
+
+
+def test_status_and_verify_find_everything_in_place(small: BuiltStudy, capsys: pytest.CaptureFixture[str]) -> None:
+    status = call_in_process(capsys, "status", "--store", small.store, "--json").json
+    (study,) = [study for study in status["studies"] if study["study"] == "small"]
+    assert {stage["stage"] for stage in study["stages"]} == STAGES
+    assert all(stage["num_shards"] == stage["num_there"] for stage in study["stages"])
+    assert [run["status"] for run in status["runs"]] == ["finished"]
+    verified = call_in_process(capsys, "verify", "--store", small.store, "--json")
+    assert verified.code == 0
+    assert verified.json["num_artifacts"] == len(list(Store(small.store).artifacts()))
+
+
+def test_verify_finds_one_flipped_byte(small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = small.copy_store(tmp_path)
+    path = sorted(store.glob("augmentation/*/*/variants.parquet"))[0]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    found = call_in_process(capsys, "verify", "--store", store)
+    assert found.code == 1
+    assert "variants.parquet" in found.out
+
+
+def test_poses_go_out_as_bvh_that_our_reader_reads_back(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(small, capsys, "poses:small", "bvh", tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.bvh")} == {"waltz_0", "waltz_1", "hug_0", "hug_1"}
+    poses = open_table("poses:small", small.store)
+    for take in ("waltz", "hug"):
+        for person in (0, 1):
+            rows = (poses["take_id"] == take) & (poses["person"] == person)
+            source = read_bvh((tmp_path / f"{take}_{person}.bvh").read_bytes())
+            assert source.rate_hz == RATE_HZ
+            motion = source.to_motion(metres_per_unit=0.01, rate_hz=source.rate_hz)
+            found = joints_of(motion, BODY22)
+            np.testing.assert_allclose(found, poses["body22_m"][rows], atol=1e-5)
+
+
+def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    export(small, capsys, "variants:small/waltz", "bvh", tmp_path / "variants")
+    variants = open_table("variants:small/waltz", small.store)
+    names = sorted(set(variants["variant_id"]))
+    assert len(names) == 4
+    for name in names:
+        for person, letter in enumerate("AB"):
+            source = read_bvh((tmp_path / "variants" / f"waltz_{name}_{letter}.bvh").read_bytes())
+            assert source.rate_hz == RATE_HZ
+            found = joints_of(source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ), BODY22)
+            expected = variants["body22_m"][variants["variant_id"] == name][:, person]
+            # BVH holds the children of a joint rigid; a variant's pelvis and girdle give a little (see the bound).
+            assert np.linalg.norm(found - expected, axis=-1).max() < 0.03
+
+    export(small, capsys, "motions:small", "bvh", tmp_path / "motions")
+    motions = open_table("motions:small", small.store)
+    methods = list(dict.fromkeys(motions["method"]))
+    for person in (0, 1):
+        for method in methods:
+            source = read_bvh((tmp_path / "motions" / f"hug.video00_{person}_{method}.bvh").read_bytes())
+            assert source.rate_hz == RATE_HZ
+            rows = (motions["person_id"] == person) & (motions["method"] == method)
+            assert source.num_frames == int(rows.sum()) == 18
+            motion = source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ)
+            found = joints_of(motion, OP14)
+            assert np.linalg.norm(found - motions["op14_m"][rows], axis=-1).max() < 0.03
+
+
+def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:
+    """Give the world positions (frame, joint, 3) of a motion in the order of a working skeleton."""
+    positions, _ = motion.world()
+    return np.asarray(positions[:, [motion.skeleton.index(name) for name in skeleton.joint_names]])
+
+
+@pytest.mark.parametrize("table", ["poses", "variants", "motions"])
+def test_tables_go_out_as_npz_and_csv_row_by_row(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str
+) -> None:
+    rows = open_table(f"{table}:small", small.store)
+    column = {"poses": "pair17_m", "variants": "body22_m", "motions": "op14_m"}[table]
+    export(small, capsys, f"{table}:small", "npz", tmp_path)
+    with np.load(tmp_path / f"{table}.npz", allow_pickle=False) as arrays:
+        np.testing.assert_array_equal(arrays[column], rows[column])
+        assert {name for name in arrays if not name.endswith("_offsets")} == set(rows.column_names)
+    export(small, capsys, f"{table}:small", "csv", tmp_path)
+    with (tmp_path / f"{table}.csv").open(newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == rows.num_rows
+    names = [name for name in lines[0] if name.startswith(f"{column}.")]
+    found = np.array([[float(line[name]) for name in names] for line in lines])
+    np.testing.assert_allclose(found, rows[column].reshape(rows.num_rows, -1), rtol=1e-6)
+    assert [int(line["frame"]) for line in lines] == rows["frame"].tolist()
+
+
+def export(small: BuiltStudy, capsys: pytest.CaptureFixture[str], reference: str, file_format: str, out: Path) -> None:
+    found = call_in_process(capsys, "export", reference, "--format", file_format, "--out", out, "--store", small.store)
+    assert found.code == 0, found.err
+    assert all(Path(line).is_file() for line in found.out.splitlines())
+    assert "Apache-2.0" in (out / "CREDITS.txt").read_text(encoding="utf-8")
+
+
+def test_a_dataset_is_made_named_and_read(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = small.copy_store(tmp_path)
+    arguments = ("dataset", "create", "duets", "--study", "small", "--store", store)
+    made = call_in_process(capsys, *arguments, "--json")
+    assert made.code == 0, made.err
+    assert (made.json["name"], made.json["version"]) == ("duets", "1")
+    assert made.json["num_artifacts"] == len(list(Store(store).artifacts()))
+    assert (Path(made.json["folder"]) / "card.md").is_file()
+    assert "is this already" in call_in_process(capsys, *arguments).out
+    again, first = (open_table(name, store) for name in ("draws:duets@1", "draws:small"))
+    np.testing.assert_array_equal(again["pair17_m"], first["pair17_m"])
+    assert call_in_process(capsys, "verify", "--store", store).code == 0
+
+
+def test_a_plan_says_that_everything_is_fresh(small: BuiltStudy, capsys: pytest.CaptureFixture[str]) -> None:
+    planned = call_in_process(capsys, "plan", small.study, "--store", small.store, "--json").json
+    assert {stage["stage"]: stage["state"] for stage in planned["stages"]} == dict.fromkeys(STAGES, "fresh")
+
+
+MODULES = """
+import json, sys
+from flows.console import main
+try:
+    main(sys.argv[1:])
+finally:
+    print(json.dumps(sorted(sys.modules)), file=sys.stderr)
+"""
+HEAVY = {
+    "prefect",
+    "distributed",
+    "dask",
+    "cv2",
+    "matplotlib.pyplot",
+    "scipy.signal",
+    "sklearn",
+    "arviz",
+    "pandas",
+    "uvicorn",
+    "fastapi",
+}
+
+
+def test_a_second_run_computes_nothing_and_loads_neither_prefect_nor_dask(small: BuiltStudy, tmp_path: Path) -> None:
+    before = sorted(path for path in small.store.rglob("*"))
+    arguments = ("run", small.study, "--store", small.store, "--json")
+    found = RealRun(*arguments, prefect_home=tmp_path / "prefect", program=("-c", MODULES)).finish()
+    assert found.code == 0, found.err
+    assert found.json["num_computed"] == 0
+    assert found.json["report"] == str(report_folder(small))
+    assert HEAVY & set(json.loads(found.err.splitlines()[-1])) == set()
+    assert not (tmp_path / "prefect").exists(), "Prefect was started"
+    assert sorted(path for path in small.store.rglob("*")) == before

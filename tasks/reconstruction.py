@@ -13,7 +13,9 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.motion_out import upright_motion
 from pasdedeux.projections.reconstruct import (
@@ -45,12 +47,15 @@ class ReconstructionParameters(Parameters):
     methods: tuple[Method, ...] = Field(
         (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
-        description="Methods, each gives a motion; the last one is written as BVH",
+        description="Methods, each gives a motion; the last one is cleaned up and written as BVH",
     )
     identities: Literal["auto", "follow", "given"] = Field(
         "auto",
         description="Who is who: followed by pose and motion, as given, or followed where detectors number people anew "
         "in every frame (OpenPose)",
+    )
+    has_repair: bool = Field(
+        True, description="Swapped sides, exchanged limbs and wild keypoints are put right or left out"
     )
     num_yaws: int = Field(30, ge=1, le=360, description="Yaw steps of the database over a full turn")
     pitches_deg: tuple[float, ...] = Field(
@@ -65,6 +70,11 @@ class ReconstructionParameters(Parameters):
     )
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
+    has_clean_up: bool = Field(
+        True,
+        description="The last method gives one more motion, `<method>_clean`: planted feet still, nothing below the "
+        "floor",
+    )
 
 
 def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
@@ -151,7 +161,7 @@ def _read_tracks(
         is_kept = followed.track_id >= 0
         frame, time_s, person_id = frame[is_kept], time_s[is_kept], followed.track_id[is_kept]
         points, confidence = followed.keypoints_px[is_kept], followed.confidence[is_kept]
-    return tracks_from_rows(
+    people = tracks_from_rows(
         frame,
         person_id,
         time_s,
@@ -160,6 +170,9 @@ def _read_tracks(
         width_px=None if is_unknown else int(table["image_width_px"][rows[0]]),
         height_px=None if is_unknown else int(table["image_height_px"][rows[0]]),
     )
+    if parameters.has_repair:
+        people, facts["num_repaired_joints"] = repair_tracks(people)
+    return people
 
 
 def _reconstruct(
@@ -206,11 +219,19 @@ def _reconstruct(
             for person, matches in matched
         ]
         origin = floor_offset([one for _, one in found], camera)
+        rows += [_rows_of(sequence_id, person, method.value, one, origin, take_ids, frames) for person, one in found]
+        if method is not parameters.methods[-1]:
+            continue
+        if parameters.has_clean_up:
+            found = [
+                (person, clean_reconstruction(one, origin, camera, rate_hz=person.track.rate_hz))
+                for person, one in found
+            ]
+            name = f"{method.value}_clean"
+            rows += [_rows_of(sequence_id, person, name, one, origin, take_ids, frames) for person, one in found]
         for person, one in found:
-            rows.append(_rows_of(sequence_id, person, method, one, origin, take_ids, frames))
-            if method is parameters.methods[-1]:
-                motion = upright_motion(one.positions_m - origin, camera, rate_hz=person.track.rate_hz)
-                attachments[f"{sequence_id}_{person.person_id}.bvh"] = write_bvh(motion).encode()
+            motion = upright_motion(one.positions_m - origin, camera, rate_hz=person.track.rate_hz)
+            attachments[f"{sequence_id}_{person.person_id}.bvh"] = write_bvh(motion).encode()
     return rows, attachments
 
 
@@ -230,7 +251,7 @@ def _read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarra
 def _rows_of(
     sequence_id: str,
     person: PersonTrack,
-    method: Method,
+    method: str,
     found: Reconstruction,
     origin: np.ndarray,
     take_ids: np.ndarray,
@@ -244,7 +265,7 @@ def _rows_of(
         "person_id": np.full(count, person.person_id),
         "frame": person.frames,
         "time_s": person.times_s,
-        "method": [method.value] * count,
+        "method": [method] * count,
         "op14_m": found.positions_m - origin,
         "op14_unitquat": found.bone_unitquat,
         "root_translation_m": found.root_m - origin,

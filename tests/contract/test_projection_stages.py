@@ -211,9 +211,9 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     video, truth = put_video(store, "film", ["held"])
     (ref,) = reconstruct(store, [video], built)
     table = open_table(ref, store)
-    assert table.num_rows == 3 * 2 * 40
+    assert table.num_rows == 4 * 2 * 40
     method, person = np.array(table["method"]), np.asarray(table["person_id"])
-    for name in ("nearest", "viterbi", "fit"):
+    for name in ("nearest", "viterbi", "fit", "fit_clean"):
         for one in (0, 1):
             chosen = (method == name) & (person == one)
             assert np.asarray(table["frame"])[chosen].tolist() == list(range(40))
@@ -271,7 +271,9 @@ def test_people_listed_in_any_order_are_followed_when_asked(store: Store) -> Non
     mixed = put(store, "ingest", "mixed", {"annotations": table}, {**video.facts, "format": "openpose"})
     found = {}
     for choice in ("given", "auto"):
-        (ref,) = reconstruct(store, [mixed], built, methods=("viterbi",), identities=choice)
+        (ref,) = reconstruct(
+            store, [mixed], built, methods=("viterbi",), identities=choice, has_repair=False, has_clean_up=False
+        )
         motions = open_table(ref, store)
         steps = [
             np.linalg.norm(

@@ -1,0 +1,261 @@
+"""Clean-up of a reconstructed motion: planted feet stand still, nobody sinks into the floor, bones keep their length.
+
+One camera sees the depth of a person badly, so reconstructed people glide.  Feet on the floor tell how the body really
+moved: first the way of the whole body is corrected (poses stay as they are) so that planted feet move least, then what
+is left is taken up by the legs: hips and feet are given, and the knee keeps the plane it bends in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solveh_banded
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.reconstruct import Reconstruction
+from pasdedeux.projections.retarget import mid_hip, retarget_proportions
+from pasdedeux.skeletons import OP14
+
+__all__ = ["CleanUpOptions", "CleanedMotion", "bend_leg", "clean_reconstruction", "clean_up", "find_contacts"]
+
+Array = npt.NDArray[np.float64]
+Booleans = npt.NDArray[np.bool_]
+
+_LEGS = tuple(
+    tuple(OP14.indices([f"{side}_{name}" for name in ("hip", "knee", "ankle")])) for side in ("left", "right")
+)
+_ANKLES = np.array([leg[2] for leg in _LEGS])
+_UP = 1
+_FLOOR_QUANTILE = 0.1
+_STRAIGHT = 1.0 - 1e-6
+"""A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
+
+_LEAST_BEND_M = 1e-4
+
+
+@dataclass(frozen=True)
+class CleanUpOptions:
+    """What counts as a planted foot, and how far a motion may be changed.
+
+    Args:
+        contact_speed_m_s: Feet slower than this may be planted.
+        contact_height_m: Feet lower than this over the lower foot and, twice this, over the floor may be planted.
+        least_contact_s: Shorter contacts are none.
+        blend_s: A foot comes into its lock and out of it over this time.
+        most_bend_m: The legs move a foot by at most this.
+        way_stiffness: Cost of a second difference of the correction of the way, against 1 for a planted foot's step.
+        way_hold: Cost of the correction itself.
+        floor_pull: Cost of the height of a planted foot over the floor.
+    """
+
+    contact_speed_m_s: float = 0.45
+    contact_height_m: float = 0.05
+    least_contact_s: float = 0.1
+    blend_s: float = 0.12
+    most_bend_m: float = 0.04
+    way_stiffness: float = 1.0
+    way_hold: float = 1e-4
+    floor_pull: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse values without meaning."""
+        if min(self.contact_speed_m_s, self.contact_height_m, self.way_stiffness, self.way_hold, self.floor_pull) <= 0:
+            raise InputError(f"clean-up: speeds, heights and costs must be positive: {self}")
+        if min(self.least_contact_s, self.blend_s, self.most_bend_m) < 0:
+            raise InputError(f"clean-up: times and ways must not be negative: {self}")
+
+
+@dataclass(frozen=True)
+class CleanedMotion:
+    """A motion after clean-up.
+
+    Args:
+        positions_m: (frame, 14, 3), upright axes, metres.
+        is_planted: Left and right foot on the floor (frame, 2).
+        shift_m: What the body's way was corrected by (frame, 3).
+        floor_m: Height of ankles that stand.
+    """
+
+    positions_m: Array
+    is_planted: Booleans
+    shift_m: Array
+    floor_m: float
+
+
+def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | None = None) -> CleanedMotion:
+    """Clean a motion up.
+
+    Args:
+        positions_m: op14 positions (frame, 14, 3), upright axes (y up), metres.
+        rate_hz: Frames per second.
+        options: How.
+
+    Raises:
+        InputError: Positions that are not finite or of another shape, or a rate that is not positive.
+    """
+    options = options or CleanUpOptions()
+    if positions_m.ndim != 3 or positions_m.shape[1:] != (14, 3) or len(positions_m) == 0:
+        raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, 14, 3)")
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"clean-up: the frame rate is {rate_hz}, it must be positive")
+    lengths = np.median(bone_lengths(OP14, positions_m), axis=0)
+    positions = retarget_proportions(positions_m, lengths)
+    floor = float(np.quantile(positions[:, _ANKLES, _UP].min(axis=1), _FLOOR_QUANTILE))
+    is_planted = find_contacts(positions, floor, rate_hz=rate_hz, options=options)
+    shift = _correct_way(positions[:, _ANKLES], is_planted, floor, options)
+    positions = positions + shift[:, None]
+    for side, (hip, knee, ankle) in enumerate(_LEGS):
+        target = _targets(positions[:, ankle], is_planted[:, side], floor, rate_hz, options)
+        positions[:, knee], positions[:, ankle] = bend_leg(
+            positions[:, hip], positions[:, knee], positions[:, ankle], target, fallback=_forward(positions)
+        )
+    return CleanedMotion(positions, is_planted, shift, floor)
+
+
+def find_contacts(positions_m: Array, floor_m: float, *, rate_hz: float, options: CleanUpOptions) -> Booleans:
+    """Tell which feet are planted (frame, 2): slow, low over the floor, and not much higher than the other foot."""
+    ankles = positions_m[:, _ANKLES]
+    if len(ankles) < 3:
+        return np.zeros(ankles.shape[:2], dtype=bool)
+    speed = np.linalg.norm(np.gradient(ankles, axis=0), axis=-1) * rate_hz
+    height = ankles[..., _UP]
+    is_low = height < height.min(axis=1, keepdims=True) + options.contact_height_m
+    is_near = height < floor_m + 2.0 * options.contact_height_m
+    planted = (speed < options.contact_speed_m_s) & is_low & is_near
+    least = max(2, round(options.least_contact_s * rate_hz))
+    for side in range(2):
+        for first, last in _runs(planted[:, side]):
+            if last - first < least:
+                planted[first:last, side] = False
+    return planted
+
+
+def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fallback: Array) -> tuple[Array, Array]:
+    """Give knee and ankle (frame, 3) of legs with the ankle at its target and the same lengths of thigh and shank.
+
+    The knee stays in the plane of hip, knee and ankle, on its side of the line between them.  A target that is out of
+    reach is approached along its line.  A leg that is straight bends towards `fallback` (frame, 3).
+    """
+    thigh = np.linalg.norm(knee_m - hip_m, axis=-1, keepdims=True)
+    shank = np.linalg.norm(ankle_m - knee_m, axis=-1, keepdims=True)
+    old_line = normalise(ankle_m - hip_m, fallback=np.array([0.0, -1.0, 0.0]))
+    line = normalise(target_m - hip_m, fallback=np.array([0.0, -1.0, 0.0]))
+    reach = np.linalg.norm(target_m - hip_m, axis=-1, keepdims=True)
+    reach = np.clip(reach, np.abs(thigh - shank) + _LEAST_BEND_M, _STRAIGHT * (thigh + shank))
+    bend = (knee_m - hip_m) - np.sum((knee_m - hip_m) * old_line, axis=-1, keepdims=True) * old_line
+    is_bent = np.linalg.norm(bend, axis=-1, keepdims=True) > _LEAST_BEND_M
+    pole = np.where(is_bent, bend, fallback)
+    pole = normalise(pole - np.sum(pole * line, axis=-1, keepdims=True) * line, fallback=np.array([0.0, 0.0, 1.0]))
+    along = (thigh**2 - shank**2 + reach**2) / (2.0 * reach)
+    aside = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
+    return hip_m + along * line + aside * pole, hip_m + reach * line
+
+
+def _forward(positions: Array) -> Array:
+    """Give where the body faces (frame, 3)."""
+    left, right = (positions[:, leg[0]] for leg in _LEGS)
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), left.shape)
+    return normalise(np.cross(left - right, up), fallback=np.array([0.0, 0.0, 1.0]))
+
+
+def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: CleanUpOptions) -> Array:
+    """Give the correction of the way (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
+
+    Upwards, planted feet are also drawn to the floor.
+    """
+    frames = len(ankles)
+    shift = np.zeros((frames, 3))
+    if frames < 3 or not is_planted.any():
+        return shift
+    stays = (is_planted[1:] & is_planted[:-1]).astype(np.float64)  # (frame - 1, foot)
+    steps = np.diff(ankles, axis=0)
+    for axis in range(3):
+        # Upper bands of the symmetric pentadiagonal normal matrix, as solveh_banded takes them.
+        bands = np.zeros((3, frames))
+        bands[2] += options.way_hold
+        rhs = np.zeros(frames)
+        weight = stays.sum(axis=1)
+        bands[2, :-1] += weight
+        bands[2, 1:] += weight
+        bands[1, 1:] -= weight
+        pull = (stays * steps[..., axis]).sum(axis=1)
+        rhs[:-1] += pull
+        rhs[1:] -= pull
+        stiff = options.way_stiffness
+        bands[2, :-2] += stiff
+        bands[2, 1:-1] += 4.0 * stiff
+        bands[2, 2:] += stiff
+        bands[1, 1:-1] -= 2.0 * stiff
+        bands[1, 2:] -= 2.0 * stiff
+        bands[0, 2:] += stiff
+        if axis == _UP:
+            planted = is_planted.astype(np.float64)
+            bands[2] += options.floor_pull * planted.sum(axis=1)
+            rhs += options.floor_pull * (planted * (floor - ankles[..., _UP])).sum(axis=1)
+        shift[:, axis] = solveh_banded(bands, rhs)
+    return shift
+
+
+def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, options: CleanUpOptions) -> Array:
+    """Give where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
+    frames = len(ankle)
+    blend = max(1, round(options.blend_s * rate_hz))
+    move, weight = np.zeros(ankle.shape), np.zeros((frames, 1))
+    for first, last in _runs(is_planted):
+        place = ankle[first:last].mean(axis=0)
+        place[_UP] = max(place[_UP], floor)
+        own = np.zeros(ankle.shape)
+        share = np.zeros(frames)
+        own[first:last] = place - ankle[first:last]
+        share[first:last] = 1.0
+        for step in range(1, blend):
+            fade = 0.5 + 0.5 * np.cos(np.pi * step / blend)
+            if first - step >= 0:
+                own[first - step], share[first - step] = fade * own[first], fade
+            if last - 1 + step < frames:
+                own[last - 1 + step], share[last - 1 + step] = fade * own[last - 1], fade
+        # Where blends of two contacts meet, each counts by its share.
+        move += share[:, None] * own
+        weight += share[:, None]
+    move = move / np.maximum(weight, 1.0)
+    length = np.linalg.norm(move, axis=-1, keepdims=True)
+    move *= np.minimum(1.0, options.most_bend_m / np.maximum(length, 1e-12))
+    target = ankle + move
+    target[:, _UP] = np.maximum(target[:, _UP], floor)
+    return np.asarray(target)
+
+
+def _runs(values: Booleans) -> list[tuple[int, int]]:
+    """Give first and last + 1 of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def clean_reconstruction(
+    found: Reconstruction,
+    origin_m: Array,
+    camera: OrthographicCamera,
+    *,
+    rate_hz: float,
+    options: CleanUpOptions | None = None,
+) -> Reconstruction:
+    """Give a reconstruction after clean-up, standing ankles at the height of the floor.
+
+    Args:
+        found: Reconstruction, camera axes.
+        origin_m: Origin of the sequence's frame, see `floor_offset`; its height is the floor (3,), camera axes.
+        camera: The database's camera, whose pitch says where up is.
+        rate_hz: Frames per second.
+        options: How.
+    """
+    upright = np.asarray(camera.camera_from_upright_rotmat)
+    cleaned = clean_up((found.positions_m - origin_m) @ upright, rate_hz=rate_hz, options=options)
+    standing = cleaned.positions_m - np.array([0.0, cleaned.floor_m, 0.0])
+    positions = standing @ upright.T + origin_m
+    return replace(found, positions_m=positions, bone_unitquat=bone_rotations(positions), root_m=mid_hip(positions))

@@ -1,0 +1,333 @@
+"""Faults of 2D detectors in close contact: sides swapped, limbs given to the wrong person, wild keypoints.
+
+All are told by continuity: a label that is wrong makes joints jump, and back again when it is right again.
+
+- *Swapped sides* (arms, legs, or all of the body) and *exchanged limbs* (a limb of one person given to the other and
+  the reverse) keep all keypoints and only their labels are wrong.  For every frame the labelling is chosen by Viterbi
+  over pairs of frames, so that the second difference of the joints over time is least; wrong labels are put right.
+- *Wild keypoints* (a limb found on the other person only, a merged person's mixture) are places no relabelling
+  explains.  Per joint the frames that can be reached from one another at a plausible speed are kept; the others, and
+  ends of limbs whose bone is longer than it ever is, are masked with confidence 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.identity import body_size_px
+from pasdedeux.projections.tracks import PersonTrack
+from pasdedeux.skeletons import OP14
+
+__all__ = [
+    "FaultOptions",
+    "RepairedCrowd",
+    "repair_exchanges",
+    "repair_faults",
+    "repair_sides",
+    "repair_tracks",
+    "wild_joints",
+]
+
+Array = npt.NDArray[np.float64]
+Booleans = npt.NDArray[np.bool_]
+Integers = npt.NDArray[np.int64]
+
+_ARMS = OP14.indices(["left_shoulder", "left_elbow", "left_wrist"])
+_LEGS = OP14.indices(["left_hip", "left_knee", "left_ankle"])
+_EXCHANGED_LIMBS: tuple[tuple[int, ...], ...] = tuple(
+    tuple(OP14.indices(names))
+    for names in (
+        ("left_elbow", "left_wrist"),
+        ("right_elbow", "right_wrist"),
+        ("left_knee", "left_ankle"),
+        ("right_knee", "right_ankle"),
+    )
+)
+_MIRROR = np.array(OP14.mirror)
+_SIDE_STATES = 4
+_MEMORY_S = 0.2
+"""Joints not seen for longer than this say nothing about continuity."""
+
+_USUAL_QUANTILE = 0.95
+
+
+@dataclass(frozen=True)
+class FaultOptions:
+    """What counts as a fault.  Lengths are shares of the size of the body in the image (about its height).
+
+    Args:
+        relabel_cost: Cost of a frame with changed labels, in second differences (mean over the joints concerned).
+        switch_cost: Cost of a change of the labelling between two frames.
+        speed_per_s: Speed up to which a joint's way between two frames costs nothing, ...
+        usual_speeds: ... but at most this many times what the joint's speed usually is at most.
+        mask_cost: Cost of masking a joint in one frame, against 1 for a jump as long as the body's size.
+        longest_wild_s: A joint that is elsewhere for longer than this is taken to be there.
+        bone_excess: A bone this many times as long as it usually is at most cannot be that bone.
+    """
+
+    relabel_cost: float = 0.004
+    switch_cost: float = 0.02
+    speed_per_s: float = 3.0
+    usual_speeds: float = 2.0
+    mask_cost: float = 0.012
+    longest_wild_s: float = 0.4
+    bone_excess: float = 1.4
+
+    def __post_init__(self) -> None:
+        """Refuse costs without meaning."""
+        if (
+            min(self.relabel_cost, self.switch_cost, self.mask_cost) <= 0
+            or min(self.speed_per_s, self.bone_excess) <= 0
+        ):
+            raise InputError(f"faults: costs and bounds must be positive: {self}")
+
+
+@dataclass(frozen=True)
+class RepairedCrowd:
+    """Keypoints of people after repair, over the same frames.
+
+    Args:
+        keypoints_px: (person, frame, 14, 2); masked joints are NaN.
+        confidence: (person, frame, 14); 0 where masked.
+        is_swapped: Joints whose label was put right within their person (person, frame, 14).
+        is_exchanged: Joints that were given back to the person they belong to (person, frame, 14).
+        is_masked: Joints masked as wild (person, frame, 14).
+    """
+
+    keypoints_px: Array
+    confidence: Array
+    is_swapped: Booleans
+    is_exchanged: Booleans
+    is_masked: Booleans
+
+
+def repair_faults(
+    keypoints_px: Array, confidence: Array, *, rate_hz: float, options: FaultOptions | None = None
+) -> RepairedCrowd:
+    """Repair or mask the faults of people seen together.
+
+    Args:
+        keypoints_px: (person, frame, 14, 2), people whose identities are settled; NaN where not seen.
+        confidence: (person, frame, 14), 0 where not seen.
+        rate_hz: Frames per second.
+        options: What counts as a fault.
+
+    Returns:
+        The repaired keypoints.  Fewer than three frames are left as they are.
+
+    Raises:
+        InputError: Shapes that do not fit, or a rate that is not positive.
+    """
+    options = options or FaultOptions()
+    people = len(keypoints_px)
+    if keypoints_px.ndim != 4 or keypoints_px.shape[2:] != (14, 2) or confidence.shape != keypoints_px.shape[:3]:
+        raise InputError(
+            f"faults: keypoints {keypoints_px.shape} and confidences {confidence.shape}; expected "
+            "(people, frames, 14, 2) and (people, frames, 14)"
+        )
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"faults: the frame rate is {rate_hz}, it must be positive")
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (np.nan_to_num(confidence) > 0)
+    points = np.where(is_seen[..., None], keypoints_px, np.nan)
+    weight = np.where(is_seen, confidence, 0.0)
+    is_swapped = np.zeros(is_seen.shape, dtype=bool)
+    is_exchanged = np.zeros(is_seen.shape, dtype=bool)
+    is_masked = np.zeros(is_seen.shape, dtype=bool)
+    if keypoints_px.shape[1] < 3:
+        return RepairedCrowd(points, weight, is_swapped, is_exchanged, is_masked)
+    for person in range(people):
+        source = repair_sides(points[person], rate_hz=rate_hz, options=options)
+        points[person] = np.take_along_axis(points[person], source[..., None], axis=1)
+        weight[person] = np.take_along_axis(weight[person], source, axis=1)
+        is_swapped[person] = source != np.arange(14)
+    for first in range(people):
+        for second in range(first + 1, people):
+            both = np.array([first, second])
+            exchanged = repair_exchanges(points[both], rate_hz=rate_hz, options=options)
+            points[both] = np.where(exchanged[None, ..., None], points[both[::-1]], points[both])
+            weight[both] = np.where(exchanged[None], weight[both[::-1]], weight[both])
+            is_exchanged[both] |= exchanged
+    for person in range(people):
+        is_masked[person] = wild_joints(points[person], weight[person], rate_hz=rate_hz, options=options)
+    points = np.where(is_masked[..., None], np.nan, points)
+    return RepairedCrowd(points, np.where(is_masked, 0.0, weight), is_swapped, is_exchanged, is_masked)
+
+
+def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Integers:
+    """Give for each frame and joint of a person the joint whose keypoint it really is (frame, 14).
+
+    The four labellings of a frame: as given, arms swapped, legs swapped, both.
+    """
+    options = options or FaultOptions()
+    sources = np.tile(np.arange(14), (_SIDE_STATES, 1))
+    for state in range(_SIDE_STATES):
+        for bit, side in ((1, _ARMS), (2, _LEGS)):
+            if state & bit:
+                joints = np.concatenate([side, _MIRROR[np.array(side)]])
+                sources[state, joints] = _MIRROR[joints]
+    used = np.concatenate([_ARMS, _MIRROR[np.array(_ARMS)], _LEGS, _MIRROR[np.array(_LEGS)]])
+    states = keypoints_px[:, sources][:, :, used]
+    changed = np.array([np.count_nonzero(source != np.arange(14)) for source in sources]) / len(used)
+    path = _smoothest(states, changed, _size(keypoints_px), rate_hz, options)
+    return np.asarray(sources[path], dtype=np.int64)
+
+
+def repair_exchanges(pair_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Booleans:
+    """Tell which joints of two people (2, frame, 14, 2) were given to the wrong one (frame, 14), limb by limb."""
+    options = options or FaultOptions()
+    exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
+    size = np.nanmax([_size(pair_px[0]), _size(pair_px[1])], axis=0)
+    for limb in _EXCHANGED_LIMBS:
+        own = pair_px[:, :, np.array(limb)]
+        given = np.concatenate([own[0], own[1]], axis=1)
+        other = np.concatenate([own[1], own[0]], axis=1)
+        path = _smoothest(np.stack([given, other], axis=1), np.array([0.0, 1.0]), size, rate_hz, options)
+        # Exchange needs both limbs; with one missing it may be the partner's or one's own, so masking decides.
+        is_complete = np.isfinite(given).all(axis=(-1, -2))
+        exchanged[:, np.array(limb)] = ((path == 1) & is_complete)[:, None]
+    return exchanged
+
+
+def wild_joints(
+    keypoints_px: Array, confidence: Array, *, rate_hz: float, options: FaultOptions | None = None
+) -> Booleans:
+    """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone of impossible length.
+
+    Per joint the cheapest chain of kept frames: dropping a frame costs `mask_cost`, going from one kept frame to the
+    next costs the way beyond what the speed allows.
+    """
+    options = options or FaultOptions()
+    size = _size(keypoints_px)
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
+    is_wild = np.zeros(is_seen.shape, dtype=bool)
+    reach = max(2, round(options.longest_wild_s * rate_hz))
+    for joint in range(14):
+        frames = np.flatnonzero(is_seen[:, joint])
+        if len(frames) < 3:
+            continue
+        places = keypoints_px[frames, joint] / size[frames, None]
+        speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(frames) * rate_hz
+        usual = options.usual_speeds * float(np.quantile(speed, _USUAL_QUANTILE))
+        kept = _kept(frames, places, min(usual, options.speed_per_s) / rate_hz, reach, options)
+        is_wild[frames[~kept], joint] = True
+    for parent, child in OP14.bones:
+        both = is_seen[:, parent] & is_seen[:, child] & ~is_wild[:, parent] & ~is_wild[:, child]
+        if both.sum() < 10:
+            continue
+        length = np.linalg.norm(keypoints_px[:, child] - keypoints_px[:, parent], axis=-1) / size
+        usual = float(np.quantile(length[both], _USUAL_QUANTILE))
+        is_wild[:, child] |= both & (length > options.bone_excess * usual)
+    return is_wild
+
+
+def _size(keypoints_px: Array) -> Array:
+    """Give the size of a person over the frames (frame,), by the median over the track."""
+    size = body_size_px(keypoints_px, np.isfinite(keypoints_px).all(axis=-1).astype(float))
+    known = size[np.isfinite(size)]
+    return np.full(len(size), float(np.median(known)) if len(known) else 1.0)
+
+
+def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float, options: FaultOptions) -> Integers:
+    """Give the labelling of each frame (frame,) with the least second differences.
+
+    Viterbi over pairs of labellings of neighbouring frames.  Where a joint was not seen its last place stands for
+    it for a short while and then it says nothing.
+
+    Args:
+        states: Joints under each labelling (frame, state, joint, 2), NaN where not seen.
+        changed: Share of the joints that each labelling changes (state,).
+        size: Size of the body (frame,).
+        rate_hz: Frames per second.
+        options: Costs.
+    """
+    frames, count = states.shape[:2]
+    scaled = _hold(states, round(_MEMORY_S * rate_hz)) / size[:, None, None, None]
+    unary = options.relabel_cost * changed
+    switch = options.switch_cost * (1.0 - np.eye(count))
+    cost = unary[:, None] + unary[None, :] + switch  # (state of frame 0, state of frame 1)
+    back = np.zeros((frames, count, count), dtype=np.int64)
+    for frame in range(2, frames):
+        before, last, this = scaled[frame - 2], scaled[frame - 1], scaled[frame]
+        second = this[None, None] - 2.0 * last[None, :, None] + before[:, None, None]
+        away = np.sqrt(np.sum(second**2, axis=-1))
+        known = np.isfinite(away)
+        bend = np.where(known, away, 0.0).sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
+        total = cost[:, :, None] + bend + switch[None] + unary[None, None, :]
+        back[frame] = np.argmin(total, axis=0)
+        cost = np.min(total, axis=0)
+    path = np.zeros(frames, dtype=np.int64)
+    path[-2], path[-1] = np.unravel_index(int(np.argmin(cost)), cost.shape)
+    for frame in range(frames - 1, 1, -1):
+        path[frame - 2] = back[frame, path[frame - 1], path[frame]]
+    return path
+
+
+def _hold(states: Array, longest: int) -> Array:
+    """Let the last place of a joint stand for up to `longest` frames in which it was not seen."""
+    held = np.array(states)
+    age = np.zeros(states.shape[1:-1], dtype=np.int64)
+    for frame in range(1, len(states)):
+        is_missing = ~np.isfinite(states[frame]).all(axis=-1)
+        age = np.where(is_missing, age + 1, 0)
+        held[frame] = np.where((is_missing & (age <= longest))[..., None], held[frame - 1], held[frame])
+    return held
+
+
+def _kept(frames: Integers, places: Array, free_way: float, reach: int, options: FaultOptions) -> Booleans:
+    """Give which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
+    count = len(frames)
+    cost = np.zeros(count)
+    back = np.full(count, -1, dtype=np.int64)
+    for index in range(count):
+        start = max(0, index - reach)
+        cost[index] = options.mask_cost * index if index <= reach else np.inf
+        if start == index:
+            continue
+        others = np.arange(start, index)
+        way = np.linalg.norm(places[index] - places[others], axis=-1)
+        excess = np.maximum(way - free_way * (frames[index] - frames[others]), 0.0)
+        total = cost[others] + excess + options.mask_cost * (index - others - 1)
+        best = int(np.argmin(total))
+        if total[best] < cost[index]:
+            cost[index], back[index] = total[best], int(others[best])
+    tail = np.arange(max(0, count - 1 - reach), count)
+    at = int(tail[np.argmin(cost[tail] + options.mask_cost * (count - 1 - tail))])
+    kept = np.zeros(count, dtype=bool)
+    while at >= 0:
+        kept[at] = True
+        at = int(back[at])
+    return kept
+
+
+def repair_tracks(tracks: Sequence[PersonTrack], options: FaultOptions | None = None) -> tuple[list[PersonTrack], int]:
+    """Give the tracks of a sequence with their faults repaired or masked, and how many joints were touched.
+
+    A track of which nothing would be left is given back as it was.
+    """
+    if not tracks:
+        return [], 0
+    first = min(one.first_frame for one in tracks)
+    last = max(one.first_frame + len(one.track.confidence) for one in tracks)
+    points = np.full((len(tracks), last - first, 14, 2), np.nan)
+    confidence = np.zeros(points.shape[:-1])
+    for person, one in enumerate(tracks):
+        own = slice(one.first_frame - first, one.first_frame - first + len(one.track.confidence))
+        points[person, own], confidence[person, own] = one.track.keypoints_px, one.track.confidence
+    found = repair_faults(points, confidence, rate_hz=tracks[0].track.rate_hz, options=options)
+    repaired, num_touched = [], 0
+    for person, one in enumerate(tracks):
+        own = slice(one.first_frame - first, one.first_frame - first + len(one.track.confidence))
+        if not (found.confidence[person, own] > 0).any():
+            repaired.append(one)
+            continue
+        num_touched += int((found.is_swapped | found.is_exchanged | found.is_masked)[person, own].sum())
+        track = replace(
+            one.track, keypoints_px=found.keypoints_px[person, own], confidence=found.confidence[person, own]
+        )
+        repaired.append(replace(one, track=track))
+    return repaired, num_touched

@@ -1,0 +1,88 @@
+"""Detector faults put into clean keypoints, and how well a repair finds them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.projections.faults import RepairedCrowd
+from pasdedeux.projections.identity import body_size_px
+from pasdedeux.skeletons import OP14
+from tests.crowds import Detections
+
+__all__ = ["KINDS", "Faulty", "inject", "people_of", "score"]
+
+Array = npt.NDArray[np.float64]
+
+KINDS = ("body", "arms", "legs", "exchanged", "stolen", "merged")
+"""Sides of the whole body, of arms, of legs swapped; a limb exchanged with the partner's; a limb found on the partner
+only; a person whose every joint is now and then the partner's."""
+
+_MIRROR = np.array(OP14.mirror)
+_ARMS = np.array(OP14.indices([f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbow", "wrist")]))
+_LEGS = np.array(OP14.indices([f"{s}_{j}" for s in ("left", "right") for j in ("hip", "knee", "ankle")]))
+_LIMBS = [
+    np.array(OP14.indices([f"{side}_{joint}" for joint in joints]))
+    for side in ("left", "right")
+    for joints in (("elbow", "wrist"), ("knee", "ankle"))
+]
+_VISIBLE = 0.06
+"""A fault that moves a joint by less than this share of the body's height cannot be seen, and does no harm."""
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """Keypoints (person, frame, 14, 2), confidences, and which joints are visibly wrong (person, frame, 14)."""
+
+    keypoints_px: Array
+    confidence: Array
+    is_wrong: npt.NDArray[np.bool_]
+
+
+def people_of(seen: Detections) -> tuple[Array, Array]:
+    """Give keypoints (person, frame, 14, 2) and confidences in true order."""
+    order = np.lexsort([seen.frame, seen.true_id])
+    people = int(seen.true_id.max()) + 1
+    return seen.keypoints_px[order].reshape(people, -1, 14, 2), seen.confidence[order].reshape(people, -1, 14)
+
+
+def inject(
+    rng: np.random.Generator, keypoints_px: Array, confidence: Array, kind: str, *, every: int = 40, longest: int = 6
+) -> Faulty:
+    """Put a fault of 1 to `longest` frames into every stretch of `every` frames, of one of the people."""
+    points, people = keypoints_px.copy(), len(keypoints_px)
+    for start in range(5, keypoints_px.shape[1] - longest - 5, every):
+        first = start + int(rng.integers(0, every - longest - 5))
+        frames = slice(first, first + int(rng.integers(1, longest + 1)))
+        person = int(rng.integers(people))
+        own, other = points[person, frames], points[1 - person, frames].copy()
+        limb = _LIMBS[int(rng.integers(4))]
+        if kind in {"body", "arms", "legs"}:
+            joints = {"body": np.concatenate([_ARMS, _LEGS]), "arms": _ARMS, "legs": _LEGS}[kind]
+            own[:, joints] = own[:, _MIRROR[joints]]
+        elif kind == "exchanged":
+            points[1 - person, frames][:, limb] = own[:, limb]
+            own[:, limb] = other[:, limb]
+        elif kind == "stolen":
+            own[:, limb] = other[:, limb]
+        else:
+            joints = np.flatnonzero(rng.random(14) < 0.5)
+            own[:, joints] = other[:, joints]
+    moved = np.linalg.norm(points - keypoints_px, axis=-1)
+    return Faulty(points, confidence, moved > _VISIBLE * np.nanmedian(body_size_px(keypoints_px, confidence)))
+
+
+def score(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> Array:
+    """Give counts of joints: wrong; wrong and changed; changed at all; wrong and now right; wrong and left so."""
+    is_changed = found.is_swapped | found.is_exchanged | found.is_masked
+    # Joints that a repair moved by less than can be seen are neither found nor falsely accused.
+    moved = np.linalg.norm(found.keypoints_px - faulty.keypoints_px, axis=-1)
+    size = np.nanmedian(body_size_px(true_px, np.ones(true_px.shape[:-1])))
+    is_changed &= found.is_masked | (moved > _VISIBLE * size)
+    off = np.linalg.norm(found.keypoints_px - true_px, axis=-1)
+    is_right = off < 0.5 * _VISIBLE * size
+    wrong = faulty.is_wrong
+    counts = [wrong, wrong & is_changed, is_changed, wrong & is_right, wrong & ~is_right & ~found.is_masked]
+    return np.array([np.count_nonzero(one) for one in counts], dtype=float)

@@ -1,0 +1,105 @@
+"""Clean-up stills planted feet, keeps the floor and the bones, and leaves poses nearly as they were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.projections.cleanup import CleanUpOptions, bend_leg, clean_up
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.skeletons import OP14
+from tests.crowds import duet_couple
+
+ANKLES = OP14.indices(["left_ankle", "right_ankle"])
+
+
+@pytest.fixture(scope="module")
+def dancer() -> np.ndarray:
+    return duet_couple("waltz", duration_s=8.0)[:, 0]
+
+
+def gliding(true: np.ndarray, seed: int = 0) -> np.ndarray:
+    """The same poses on a way as one camera sees it: smooth errors of some centimetres in depth and height."""
+    rng = np.random.default_rng(seed)
+    window = np.hanning(25)
+    error = np.stack([np.convolve(rng.normal(0, 1, len(true) + 24), window / window.sum(), "valid") for _ in range(3)])
+    return np.asarray(true + (error.T * np.array([0.06, 0.06, 0.2]))[:, None])
+
+
+def planted_step(positions: np.ndarray, is_planted: np.ndarray) -> float:
+    stays = is_planted[1:] & is_planted[:-1]
+    return float(np.linalg.norm(np.diff(positions[:, ANKLES], axis=0), axis=-1)[stays].mean())
+
+
+def test_planted_feet_stand_still_and_the_error_does_not_rise(dancer: np.ndarray) -> None:
+    seen = gliding(dancer)
+    found = clean_up(seen, rate_hz=30.0)
+    assert found.is_planted.mean() > 0.3
+    assert planted_step(found.positions_m, found.is_planted) < 0.1 * planted_step(seen, found.is_planted)
+    before, after = (root_centred_error_m(one, dancer).mean() for one in (seen, found.positions_m))
+    assert after < before + 0.005
+    assert jitter_m(found.positions_m) < jitter_m(dancer) + 0.002
+    # The feet say how the body moved, so its way comes nearer to the truth.
+    off = [np.diff(mid_hip(one) - mid_hip(dancer), axis=0) for one in (seen, found.positions_m)]
+    assert np.abs(off[1]).mean() < 0.7 * np.abs(off[0]).mean()
+
+
+def test_bones_keep_their_length_and_nobody_sinks_into_the_floor(dancer: np.ndarray) -> None:
+    rng = np.random.default_rng(1)
+    seen = gliding(dancer) + rng.normal(0, 0.004, dancer.shape)
+    found = clean_up(seen, rate_hz=30.0)
+    lengths = bone_lengths(OP14, found.positions_m)
+    np.testing.assert_allclose(lengths, np.broadcast_to(np.median(bone_lengths(OP14, seen), axis=0), lengths.shape))
+    assert found.positions_m[:, ANKLES, 1].min() > found.floor_m - 1e-6
+
+
+def test_a_motion_that_is_right_stays_as_it_is(dancer: np.ndarray) -> None:
+    found = clean_up(dancer, rate_hz=30.0)
+    assert root_centred_error_m(found.positions_m, dancer).mean() < 0.005
+    assert np.abs(found.shift_m).max() < 0.03
+
+
+def test_without_contact_the_way_is_not_touched(dancer: np.ndarray) -> None:
+    flying = dancer + np.linspace(0, 30.0, len(dancer))[:, None, None]
+    found = clean_up(flying, rate_hz=30.0)
+    assert not found.is_planted.any()
+    np.testing.assert_array_equal(found.shift_m, 0.0)
+
+
+def test_legs_reach_their_target_or_as_far_as_they_go() -> None:
+    rng = np.random.default_rng(2)
+    hip = rng.normal(0, 0.1, (50, 3))
+    knee = hip + np.array([0.0, -0.4, 0.1]) + rng.normal(0, 0.03, (50, 3))
+    ankle = knee + np.array([0.0, -0.4, -0.1]) + rng.normal(0, 0.03, (50, 3))
+    forward = np.broadcast_to(np.array([0.0, 0.0, 1.0]), hip.shape)
+    target = ankle + rng.normal(0, 0.03, ankle.shape)
+    target[:5] = hip[:5] + np.array([0.0, -3.0, 0.0])
+    new_knee, new_ankle = bend_leg(hip, knee, ankle, target, fallback=forward)
+    for parent, child, new_parent, new_child in ((hip, knee, hip, new_knee), (knee, ankle, new_knee, new_ankle)):
+        np.testing.assert_allclose(
+            np.linalg.norm(new_child - new_parent, axis=-1), np.linalg.norm(child - parent, axis=-1)
+        )
+    reach = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
+    near = np.linalg.norm(target - hip, axis=-1) < reach - 1e-5
+    assert near.sum() > 20
+    np.testing.assert_allclose(new_ankle[near], target[near], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(new_ankle[:5] - hip[:5], axis=-1), reach[:5], rtol=1e-5)
+    same_knee, same_ankle = bend_leg(hip, knee, ankle, ankle, fallback=forward)
+    np.testing.assert_allclose(same_ankle, ankle, atol=1e-5)
+    assert np.abs(same_knee - knee).max() < 0.01
+
+
+def test_short_motions_and_bad_input_have_defined_answers(dancer: np.ndarray) -> None:
+    for count in (1, 2, 3):
+        assert clean_up(dancer[:count], rate_hz=30.0).positions_m.shape == (count, 14, 3)
+    with pytest.raises(InputError, match="shape"):
+        clean_up(dancer[:, :5], rate_hz=30.0)
+    with pytest.raises(InputError, match="rate"):
+        clean_up(dancer, rate_hz=float("nan"))
+    with pytest.raises(InputError, match="finite"):
+        clean_up(np.full((4, 14, 3), np.nan), rate_hz=30.0)
+    with pytest.raises(InputError, match="positive"):
+        CleanUpOptions(way_hold=0.0)

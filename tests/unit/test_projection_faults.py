@@ -1,0 +1,116 @@
+"""Faults of detectors are found by continuity: repaired where only labels are wrong, masked where places are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
+from pasdedeux.projections.reconstruct import Lens, Track
+from pasdedeux.projections.tracks import PersonTrack
+from pasdedeux.skeletons import OP14
+from tests.crowds import SALSA_TAKES, duet_couple, film, salsa_couple
+from tests.faulty import KINDS, Faulty, inject, people_of, score
+
+LEAST_RECALL = {"stolen": 0.6, "merged": 0.6}
+"""Places that are the partner's cannot be told where the partner's limb is nearly there."""
+
+
+def filmed(name: str, noise_px: float) -> tuple[np.ndarray, np.ndarray]:
+    couple = duet_couple(name, duration_s=5.0)
+    return people_of(film(np.random.default_rng([len(name), 1]), couple, noise_px=noise_px))
+
+
+def repaired(faulty: Faulty) -> RepairedCrowd:
+    return repair_faults(faulty.keypoints_px, faulty.confidence, rate_hz=30.0)
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 5.0])
+@pytest.mark.parametrize("name", ["waltz", "judo"])
+def test_clean_keypoints_are_left_alone(name: str, noise_px: float) -> None:
+    points, confidence = filmed(name, noise_px)
+    found = repair_faults(points, confidence, rate_hz=30.0)
+    touched = found.is_swapped | found.is_exchanged | found.is_masked
+    assert touched.mean() < 0.002
+    np.testing.assert_array_equal(found.keypoints_px[~touched], points[~touched])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_injected_faults_are_found_and_little_else(kind: str) -> None:
+    total = np.zeros(5)
+    for name in ("waltz", "push_hands"):
+        points, confidence = filmed(name, 3.0)
+        faulty = inject(np.random.default_rng(len(kind)), points, confidence, kind)
+        total += score(faulty, points, repaired(faulty))
+    wrong, hit, changed, right, _ = total
+    assert wrong > 20
+    assert hit / wrong > LEAST_RECALL.get(kind, 0.95)
+    assert hit / changed > 0.8
+    if kind not in LEAST_RECALL:
+        assert right / wrong > 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_injected_faults_are_found_in_salsa(data_dir: Path, kind: str) -> None:
+    total = np.zeros(5)
+    for take in SALSA_TAKES[::4]:
+        seen = film(np.random.default_rng([int(take), 1]), salsa_couple(data_dir, take), noise_px=5.0)
+        points, confidence = people_of(seen)
+        faulty = inject(np.random.default_rng(int(take)), points, confidence, kind)
+        total += score(faulty, points, repaired(faulty))
+    wrong, hit, changed, *_ = total
+    assert hit / wrong > LEAST_RECALL.get(kind, 0.95)
+    assert hit / changed > 0.65
+
+
+def test_missing_joints_stay_missing_and_are_no_fault() -> None:
+    points, confidence = filmed("waltz", 2.0)
+    hidden = np.random.default_rng(0).random(confidence.shape) < 0.3
+    points[hidden], confidence[hidden] = np.nan, 0.0
+    found = repair_faults(points, confidence, rate_hz=30.0)
+    assert (found.is_swapped | found.is_exchanged | found.is_masked).mean() < 0.01
+    assert (found.confidence[hidden] == 0).all()
+
+
+def test_a_swap_for_one_frame_at_either_end_is_put_right() -> None:
+    points, confidence = filmed("push_hands", 0.0)
+    mirror = np.array(OP14.mirror)
+    for frame in (1, -1):
+        wrong = points.copy()
+        wrong[0, frame] = wrong[0, frame, mirror]
+        np.testing.assert_array_equal(repair_faults(wrong, confidence, rate_hz=30.0).keypoints_px, points)
+
+
+def test_tracks_that_begin_at_different_frames_keep_their_frames() -> None:
+    points, confidence = filmed("waltz", 0.0)
+    lens = Lens(1000.0, (960.0, 540.0))
+    tracks = [
+        PersonTrack(
+            person, first, first / 30.0, Track(points[person, first:].copy(), confidence[person, first:], 30.0, lens)
+        )
+        for person, first in ((0, 0), (1, 60))
+    ]
+    tracks[0].track.keypoints_px[30] = tracks[0].track.keypoints_px[30, np.array(OP14.mirror)]
+    found, num_touched = repair_tracks(tracks)
+    assert [one.first_frame for one in found] == [0, 60]
+    assert [len(one.track.confidence) for one in found] == [150, 90]
+    assert num_touched >= 8
+    np.testing.assert_array_equal(found[0].track.keypoints_px[30], points[0, 30])
+    assert repair_tracks([]) == ([], 0)
+
+
+def test_scraps_are_left_as_they_are_and_bad_input_is_named() -> None:
+    short = repair_faults(np.zeros((1, 2, 14, 2)), np.ones((1, 2, 14)), rate_hz=30.0)
+    assert not short.is_masked.any()
+    blind = repair_faults(np.full((2, 9, 14, 2), np.nan), np.zeros((2, 9, 14)), rate_hz=30.0)
+    assert not (blind.is_swapped | blind.is_masked | blind.is_exchanged).any()
+    with pytest.raises(InputError, match="expected"):
+        repair_faults(np.zeros((5, 14, 2)), np.ones((5, 14)), rate_hz=30.0)
+    with pytest.raises(InputError, match="rate"):
+        repair_faults(np.zeros((1, 5, 14, 2)), np.ones((1, 5, 14)), rate_hz=-1.0)
+    with pytest.raises(InputError, match="positive"):
+        FaultOptions(mask_cost=0.0)

@@ -57,7 +57,7 @@ class SeedsParameters(Parameters):
         0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, spread over all, from which chains start too")
-    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
+    num_hypotheses: int = Field(1, ge=1, description="Likeliest view hypotheses of an annotation; more brought nothing")
     image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
     depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
     farthest_m: float = Field(

@@ -22,7 +22,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
 from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
-from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import seed_quality
@@ -186,6 +186,22 @@ def spread(pairs_m: Array, count: int) -> Indices:
     return np.array(chosen, dtype=np.int64)
 
 
+class _Views:
+    """Images and views of some entries, ready for the residuals of any pair."""
+
+    def __init__(self, images: Array, directions: Array) -> None:
+        self._images, self._directions = np.ascontiguousarray(images), np.ascontiguousarray(directions)
+        self._squares = (images**2).sum(axis=(1, 2))
+
+    def residuals(self, pair_m: Array) -> Array:
+        points = pair_m.reshape(_NUM_POINTS, 3)
+        points = np.ascontiguousarray((points - points.mean(axis=0)).T)
+        axes = np.ascontiguousarray(pair_frame(pair_m).axes)
+        residual = np.empty(len(self._images))
+        fill_residuals(points, points @ points.T, axes, self._directions, self._images, self._squares, residual)
+        return residual
+
+
 class _Limiter:
     """Tells whether the prior of a pair (2, 17, 3) is above 0."""
 
@@ -209,6 +225,7 @@ class _Frontier:
         self.options = options
         self.images = np.ascontiguousarray(np.swapaxes(points, 1, 2))
         self.directions = annotated.directions
+        self._views = _Views(self.images, self.directions)
         self.annotation = annotated.annotation_index
         self.is_done = np.zeros(len(points), dtype=bool)
         self.distance_m, self.which = self._nobody(len(points))
@@ -229,7 +246,7 @@ class _Frontier:
         self.parents.append(parent)
         self.gaps.append(gap_m)
         self.lengths.append(bone_lengths(PAIR17, pair) if parent < 0 else self.lengths[parent])
-        residual = view_residuals(pair, self.images, self.directions)
+        residual = self._views.residuals(pair)
         keep_nearest(residual, len(self.pairs) - 1, self.distance_m, self.which)
 
     def nearest(self) -> int:
@@ -267,9 +284,9 @@ class _Frontier:
         if not len(entries) or len(self.pairs) < 2:
             return
         distance_m, which = self._nobody(len(entries))
-        images, directions = np.ascontiguousarray(self.images[entries]), self.directions[entries]
+        views = _Views(self.images[entries], self.directions[entries])
         for index, pair in enumerate(self.pairs):
-            residual = view_residuals(pair, images, directions)
+            residual = views.residuals(pair)
             if index >= num_seeds:
                 residual[index - num_seeds] = np.inf
             keep_nearest(residual, index, distance_m, which)

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["keep_nearest", "place_bones"]
+__all__ = ["fill_residuals", "keep_nearest", "place_bones"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -67,6 +67,50 @@ def place_bones(
             out[person, j, 0] = out[person, p, 0] + scale * x
             out[person, j, 1] = out[person, p, 1] + scale * y
             out[person, j, 2] = out[person, p, 2] + scale * z
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def fill_residuals(
+    points: Array, spread: Array, axes: Array, directions: Array, images: Array, squares: Array, residual: Array
+) -> None:
+    """Write `growth.view_residuals` of one pair.
+
+    Args:
+        points: Centred joints of both people, coordinate before joint, (3, n), metres.
+        spread: points points', (3, 3).
+        axes: Columns i, j, k of the pair's local frame, (3, 3).
+        directions: Views (entry, 3) in that frame.
+        images: Centred images (entry, 2, n), metres.
+        squares: Sum of squares of each image, (entry,).
+        residual: Result (entry,), metres.
+    """
+    num_points = points.shape[1]
+    trace = spread[0, 0] + spread[1, 1] + spread[2, 2]
+    for entry in range(images.shape[0]):
+        a, b, c = directions[entry, 0], directions[entry, 1], directions[entry, 2]
+        x = axes[0, 0] * a + axes[0, 1] * b + axes[0, 2] * c
+        y = axes[1, 0] * a + axes[1, 1] * b + axes[1, 2] * c
+        z = axes[2, 0] * a + axes[2, 1] * b + axes[2, 2] * c
+        length = max(math.sqrt(x * x + y * y + z * z), 1e-300)
+        x, y, z = x / length, y / length, z / length
+        ux = uy = uz = vx = vy = vz = 0.0
+        for k in range(num_points):
+            u, v = images[entry, 0, k], images[entry, 1, k]
+            px, py, pz = points[0, k], points[1, k], points[2, k]
+            ux += u * px
+            uy += u * py
+            uz += u * pz
+            vx += v * px
+            vy += v * py
+            vz += v * pz
+        best = ux * ux + uy * uy + uz * uz - (ux * x + uy * y + uz * z) ** 2
+        best += vx * vx + vy * vy + vz * vz - (vx * x + vy * y + vz * z) ** 2
+        best += 2.0 * (x * (uy * vz - uz * vy) + y * (uz * vx - ux * vz) + z * (ux * vy - uy * vx))
+        sx = spread[0, 0] * x + spread[0, 1] * y + spread[0, 2] * z
+        sy = spread[1, 0] * x + spread[1, 1] * y + spread[1, 2] * z
+        sz = spread[2, 0] * x + spread[2, 1] * y + spread[2, 2] * z
+        squared = trace - (x * sx + y * sy + z * sz) + squares[entry] - 2.0 * math.sqrt(max(best, 0.0))
+        residual[entry] = math.sqrt(max(squared, 0.0) / num_points)
 
 
 @numba.njit(cache=True, nogil=True)

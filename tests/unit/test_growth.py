@@ -14,7 +14,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow, spread
-from pasdedeux.sampling.growth import view_residuals
+from pasdedeux.sampling.growth import _Views, view_residuals
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.skeletons import PAIR17
@@ -44,8 +44,10 @@ def test_view_residuals_are_those_of_projected_images() -> None:
     for pair in pairs:
         seen = project_pair(pair, entries.directions).reshape(40, 34, 2)
         expected = np.sqrt(plane_residual(seen, images) / 34)
-        got = view_residuals(pair, np.ascontiguousarray(np.swapaxes(images, 1, 2)), entries.directions)
-        np.testing.assert_allclose(got, expected, atol=1e-7)
+        across = np.ascontiguousarray(np.swapaxes(images, 1, 2))
+        plain = view_residuals(pair, across, entries.directions)
+        np.testing.assert_allclose(plain, expected, atol=1e-7)
+        np.testing.assert_allclose(_Views(across, entries.directions).residuals(pair), plain, atol=1e-7)
 
 
 def placed(image: np.ndarray, depth: np.ndarray, lengths: np.ndarray, tightness: float) -> np.ndarray:

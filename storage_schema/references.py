@@ -68,7 +68,7 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
 
     Raises:
         UnknownReference: It names nothing, or a key prefix names more than one artifact; says what is there.
-        MissingArtifact: A recorded artifact is no longer in the store.
+        MissingArtifact: A recorded artifact of the stage that writes the table is no longer whole in the store.
     """
     if isinstance(reference, str):
         reference = parse_reference(reference)
@@ -199,10 +199,13 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
         raise UnknownReference(
             f"study '{reference.study}' has no partition '{reference.partition}'; it has: {', '.join(partitions)}"
         )
+    whole = {ref: manifest for ref in refs if (manifest := store.find(ref.stage, ref.key)) is not None}
+    # One stage writes a table: what is missing of other stages does not keep anybody from reading it.
+    stages = {ref.stage for ref, manifest in whole.items() if reference.table in manifest.tables}
     for ref in refs:
-        if store.find(ref.stage, ref.key) is None:
+        if ref not in whole and (ref.stage in stages or not stages):
             raise MissingArtifact(
                 f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' is not whole in the store "
                 f"{store.root}; run the study again"
             )
-    return refs
+    return list(whole)

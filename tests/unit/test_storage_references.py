@@ -160,6 +160,16 @@ def test_a_recorded_artifact_that_is_gone_is_said(store: Store, refs: list[Artif
         open_table("poses:duets/waltz", store)
 
 
+def test_a_table_is_read_whatever_other_stages_have_lost(store: Store, refs: list[ArtifactRef]) -> None:
+    lost = store.commit(**{**about("f" * 64), "stage": "chains"}, tables={"draws": random_columns("draws", 1)})
+    records = {ref.stage: [ShardRecord.of(store.manifest(ref), store)] for ref in (refs[0], lost)}
+    record_latest(store, "both", "run-1", records)
+    store.discard(lost)
+    assert resolve("poses:both", store) == [refs[0]]
+    with pytest.raises(MissingArtifact, match="chains@ffffffffffff of study 'both' is not whole"):
+        resolve("draws:both", store)
+
+
 def test_the_default_store_is_named_by_the_environment(
     store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-__all__ = ["CardSource", "DatasetCard", "render_card"]
+from pasdedeux.evaluation.report import TextTable
+
+__all__ = ["CardSource", "DatasetCard", "card_tables", "render_card"]
 
 
 @dataclass(frozen=True)
@@ -55,3 +57,29 @@ def render_card(card: DatasetCard) -> str:
     lines += ["", "## Know before you use it", ""]
     lines += [f"- {sentence}" for sentence in card.cautions]
     return "\n".join(lines) + "\n"
+
+
+def card_tables(card: DatasetCard) -> tuple[TextTable, ...]:
+    """Give the card as tables for the report: sources, takes, contents, cautions; what was left out is not repeated."""
+    return (
+        TextTable(
+            caption="Dataset card: sources, licences and credits",
+            headings=("source", "licence", "credit"),
+            rows=tuple((source.name, source.licence, source.credit) for source in card.sources),
+        ),
+        TextTable(
+            caption="Dataset card: takes",
+            headings=("take", "use"),
+            rows=tuple((take, "held out for evaluation" if take in card.held_out else "") for take in card.takes),
+        ),
+        TextTable(
+            caption="Dataset card: contents",
+            headings=("table", "rows"),
+            rows=tuple((name, f"{count:,}") for name, count in sorted(card.rows.items())),
+        ),
+        TextTable(
+            caption="Dataset card: know before you use it",
+            headings=("caution",),
+            rows=tuple((sentence,) for sentence in card.cautions),
+        ),
+    )

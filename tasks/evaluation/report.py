@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pasdedeux.evaluation.card import CardSource, DatasetCard, render_card
+from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.report import Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score
@@ -81,13 +81,10 @@ def run(shard: Shard, store: Store) -> TopicResult:
     inputs = [store.manifest(ref) for ref in shard.inputs]
     scores = {topic: _scores(store, found, topic) for topic in _SECTIONS}
     skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
-    card = render_card(_card(shard, inputs, skipped))
+    card = _card(shard, inputs, skipped)
     sections = [_section(store, found, topic, scores[topic]) for topic in _SECTIONS]
     closing = Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",))
-    sources = Section(
-        heading="Sources and licences",
-        paragraphs=tuple(f"{source.name}: {source.licence}. {source.credit}" for source in _sources(inputs)),
-    )
+    sources = Section(heading="Sources and licences", tables=card_tables(card))
     page = render_report(
         Report(
             title=shard.parameters["title"],
@@ -96,7 +93,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         )
     )
     return TopicResult(
-        pictures={"report.html": page.encode(), "card.md": card.encode()},
+        pictures={"report.html": page.encode(), "card.md": render_card(card).encode()},
         captions={"report.html": "The report", "card.md": "The dataset card"},
     )
 

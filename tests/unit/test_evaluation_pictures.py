@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.card import CardSource, DatasetCard, render_card
+from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.overlay import overlay_clip
 from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
@@ -117,6 +117,14 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         "**CMU** - free for all uses. mocap.cs.cmu.edu",
     ):
         assert part in text
+    shown = [row for table in card_tables(card) for row in table.rows]
+    for row in (
+        ("CMU", "free for all uses", "mocap.cs.cmu.edu"),
+        ("hug", "held out for evaluation"),
+        ("poses", "1,200"),
+        ("synthetic",),
+    ):
+        assert row in shown
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:

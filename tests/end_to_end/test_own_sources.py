@@ -1,0 +1,227 @@
+"""A user's own sources go through every stage: a walk of one person, and a duet filmed and detected in 2D."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.skeletons import OP14
+from storage_schema import Store, open_table, read_latest
+from tests.own_sources import FilmedDuet, film_duet, write_coco, write_csv, write_openpose, write_walk
+from tests.real_study import build_here, call_in_process
+
+pytestmark = pytest.mark.slow
+
+STUDY = """
+[study]
+name = "own"
+seed = 5
+
+[ingest]
+rate_hz = 12.0
+duets = [{ name = "waltz", duration_s = 2.0 }, { name = "hug", duration_s = 1.0 }]
+takes = [{ id = "walk", files = ["90_01.amc"] }]
+held_out = ["hug"]
+virtual_video = { num_random_views = 8 }
+annotations = [
+    { id = "detected", path = "detected", rate_hz = 12, on_unreadable = "skip", credit = "Filmed by us" },
+    { id = "known", path = "known", rate_hz = 12, take_id = "hug", licence = "CC0-1.0" },
+    { id = "labelled", path = "labelled.json", rate_hz = 12 },
+    { id = "table", path = "table.csv" },
+]
+
+[seeds]
+num_seeds = 1
+
+[chains]
+num_chains = 1
+num_draws = 4
+segment_draws = 4
+num_candidates = 8
+num_views = 2
+
+[augmentation]
+scales = [0.9, 0.95, 1.05, 1.2]
+
+[reconstruction]
+pitches_deg = [0.0, 10.0]
+
+[evaluation]
+num_truth_pairs = 8
+clip_seconds = 0.5
+"""
+GIVEN = ("detected", "known", "labelled", "table")
+UNREADABLE = "detected_000000000005_keypoints.json"
+
+
+@dataclass(frozen=True)
+class Own:
+    """The study, its store, its report and the truth behind the 2D poses."""
+
+    study: Path
+    store: Path
+    report: str
+    card: str
+    duet: FilmedDuet
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Own:
+    """Build the study in this process."""
+    folder = tmp_path_factory.mktemp("own")
+    duet = film_duet("hug", duration_s=1.5, rate_hz=12.0)
+    write_walk(folder)
+    write_openpose(folder / "detected", duet, "body25")
+    (folder / "detected" / UNREADABLE).write_text('{"people": [')
+    write_openpose(folder / "known", duet, "coco18")
+    write_coco(folder / "labelled.json", duet)
+    write_csv(folder / "table.csv", duet)
+    study, store = folder / "own.toml", folder / "store"
+    study.write_text(STUDY)
+    build_here(study, store)
+    (report,) = (store / "runs").glob("*/report")
+    return Own(study, store, (report / "report.html").read_text(), (report / "card.md").read_text(), duet)
+
+
+def test_a_walk_of_one_person_stands_upright_and_moves_at_its_true_size(own: Own) -> None:
+    takes = open_table("takes:own/walk", own.store)
+    assert (takes.num_rows, list(takes["layout"]), list(takes["source_format"])) == (1, ["cmu_asf"], ["asf_amc"])
+    np.testing.assert_allclose(takes["source_rate_hz"], 120.0)
+    poses = open_table("poses:own/walk", own.store)
+    op14 = poses["op14_m"]
+    assert len(op14) == 12
+    head, left, right = (op14[:, OP14.index(name)] for name in ("head", "left_ankle", "right_ankle"))
+    assert np.all(head[:, 1] > 1.4)
+    assert np.all(head[:, 1] < 1.8)
+    assert np.all(np.minimum(left[:, 1], right[:, 1]) < 0.35)
+    assert poses["op14_m"][-1, 0, 2] - poses["op14_m"][0, 0, 2] == pytest.approx(1.2 * 11 / 12, abs=0.05)
+    assert np.all(op14[:, OP14.index("left_shoulder"), 0] > op14[:, OP14.index("right_shoulder"), 0])
+
+
+def test_stages_that_need_pairs_skip_the_walk_and_the_report_says_so(own: Own) -> None:
+    latest = read_latest(Store(own.store), "own")
+    assert latest is not None
+    for stage in ("augmentation", "seeds", "chains"):
+        takes = {take for ref in latest.refs(stage) for take in Store(own.store).manifest(ref).facts["takes"]}
+        assert "walk" not in takes - set(prior_takes(own)), stage
+    assert "walk" not in set(open_table("variants:own", own.store)["take_id"])
+    assert "walk" in set(open_table("projections:own", own.store)["take_id"])
+    assert "Take walk: one person" in own.report
+    assert "Take walk: one person" in own.card
+    assert "walk.video00: 12 frames skipped, 1 person is annotated, not two" in own.report
+
+
+def prior_takes(own: Own) -> list[str]:
+    (priors,) = Store(own.store).artifacts("priors")
+    return list(priors.facts["takes"])
+
+
+def test_what_was_unreadable_or_not_reconstructed_is_said(own: Own) -> None:
+    for text in (own.report, own.card):
+        assert UNREADABLE in text
+        assert "table, person 2: " in text
+
+
+@pytest.mark.parametrize("sequence", GIVEN)
+def test_given_2d_poses_become_upright_motions_near_the_truth_and_not_mirrored(own: Own, sequence: str) -> None:
+    motions = open_table(f"motions:own/{sequence}", own.store)
+    assert set(motions["person_id"]) == {0, 1}
+    last = list(dict.fromkeys(motions["method"]))[-1]
+    for person in (0, 1):
+        rows = (motions["person_id"] == person) & (motions["method"] == last)
+        found = motions["op14_m"][rows].astype(np.float64)
+        frames = motions["frame"][rows]
+        assert frames.tolist() == list(range(18))
+        np.testing.assert_allclose(motions["time_s"][rows], frames / 12.0, atol=1e-6)
+        truth = own.duet.op14_m[frames, person] @ own.duet.camera.camera_from_world_rotmat.T
+        error = {side: error_m(found, points) for side, points in (("true", truth), ("mirrored", mirrored(truth)))}
+        assert error["true"] < 0.2, error
+        assert error["true"] < error["mirrored"], error
+        assert np.all(found[:, OP14.index("head"), 1] > found[:, OP14.index("left_ankle"), 1] + 0.8)
+
+
+def error_m(found: np.ndarray, truth: np.ndarray) -> float:
+    """Give the mean distance over frames and joints, mid-hips laid on each other."""
+    hips = OP14.indices(["left_hip", "right_hip"])
+    centred = [points - points[:, hips].mean(axis=1, keepdims=True) for points in (found, truth)]
+    return float(np.linalg.norm(centred[0] - centred[1], axis=-1).mean())
+
+
+def mirrored(points: np.ndarray) -> np.ndarray:
+    """Give what an exchange of left and right would make of the points."""
+    names = [name.replace("left", "?").replace("right", "left").replace("?", "right") for name in OP14.joint_names]
+    return points[:, OP14.indices(names)]
+
+
+def test_nothing_learned_from_a_take_that_a_video_is_known_to_show(own: Own) -> None:
+    (motions,) = [m for m in Store(own.store).artifacts("reconstruction") if m.partition == "known"]
+    assert motions.facts["sequence_takes"] == ["hug"]
+    assert "hug" not in motions.facts["database_takes"]
+    for manifest in Store(own.store).artifacts("chains"):
+        assert "hug" not in manifest.facts["takes"]
+
+
+def test_every_given_sequence_has_a_clip_and_every_source_a_line_in_the_card(own: Own) -> None:
+    (report,) = (own.store / "runs").glob("*/report")
+    clips = {path.stem for path in report.glob("clip-*.webp")}
+    assert {f"clip-{name}" for name in GIVEN} <= clips
+    assert "clip-walk.video00" in clips
+    for line in ("CMU Graphics Lab", "Filmed by us", "CC0-1.0", "NSF EIA-0196217", "pasdedeux built-in duets"):
+        assert line in own.card, line
+
+
+def test_the_lineage_ends_at_the_source_files(own: Own, capsys: pytest.CaptureFixture[str]) -> None:
+    shown = call_in_process(capsys, "show", "motions:own", "--store", own.store, "--json").json
+    names = {file["name"] for file in shown["files"]}
+    assert {"90_01.amc", "90.asf", "labelled.json", "table.csv"} <= names
+    assert len([name for name in names if name.startswith("detected_")]) == 18
+    assert all(len(file["sha256"]) == 64 for file in shown["files"])
+
+
+def test_one_changed_source_file_is_named_and_rebuilds_what_rests_on_it(
+    own: Own, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = Path(shutil.copytree(own.store, tmp_path / "store"))
+    path = own.study.with_name("labelled.json")
+    before = path.read_text()
+    path.write_text(before.replace('"track_id": 0', '"track_id": 7'))
+    try:
+        found = call_in_process(capsys, "plan", own.study, "--store", store, "--json")
+        computed = build_here(own.study, store)
+    finally:
+        path.write_text(before)
+    stages = {stage["stage"]: stage for stage in found.json["stages"]}
+    unfinished = [shard for shard in stages["ingest"]["shards"] if shard["state"] != "fresh"]
+    assert [(shard["partition"], shard["state"], shard["reason"]) for shard in unfinished] == [
+        ("labelled", "stale", "file labelled.json changed")
+    ]
+    assert {stage["state"] for name, stage in stages.items() if name != "ingest"} == {"pending"}
+    assert (computed["ingest"], computed["views"], computed["reconstruction"]) == (1, 1, 1)
+    assert computed["chains"] == 2, "a segment and a summary of the density that looks at annotations"
+    untouched = ("priors", "seeds", "projections", "augmentation", "training")
+    assert {name: computed[name] for name in untouched} == dict.fromkeys(untouched, 0)
+
+
+def test_a_study_of_2d_poses_alone_goes_as_far_as_it_can(own: Own, tmp_path: Path) -> None:
+    study = tmp_path / "video.toml"
+    study.write_text(
+        f"""
+[study]
+name = "video"
+
+[ingest]
+annotations = [{{ id = "detected", path = "{own.study.with_name("known")}" }}]
+"""
+    )
+    computed = build_here(study, tmp_path / "store")
+    assert computed["ingest"] == 1
+    assert computed["views"] == 1
+    assert computed["reconstruction"] == 1
+    assert (computed["seeds"], computed["chains"], computed["augmentation"], computed["training"]) == (0, 0, 0, 0)
+    (page,) = (tmp_path / "store" / "runs").glob("*/report/report.html")
+    assert "detected: there is no projection database without the sequence" in page.read_text()
+    assert open_table("views:video", tmp_path / "store").num_rows > 0

@@ -8,7 +8,7 @@ say what search, choice over time and fit are worth by themselves; what users ha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,11 @@ _PIXELS_PER_METRE = 1000.0
 _FAR_PX = 1e9
 """Focal length of a lens whose rays are parallel to one part in a million."""
 
-_KNOWN_BODY = ReconstructionOptions(has_own_proportions=False, fit=ObservedFitSettings(least_noise_m=0.002))
+_KNOWN_BODY = ReconstructionOptions(
+    has_own_proportions=False,
+    metres_per_pixel=1.0 / _PIXELS_PER_METRE,
+    fit=ObservedFitSettings(least_noise_m=0.002),
+)
 """Proportions, scale and lens are right, so the image is believed to 2 mm."""
 
 
@@ -52,17 +56,25 @@ class Condition:
         name: For the tables.
         noise: Standard deviation of each coordinate's noise, as a part of the length of the torso.
         missing: Share of the joints hidden, each on its own.
+        has_scale: Metres per pixel are known; estimated from the track otherwise.
     """
 
     name: str
     noise: float = 0.0
     missing: float = 0.0
+    has_scale: bool = True
+
+    @property
+    def options(self) -> ReconstructionOptions:
+        """How its tracks are reconstructed."""
+        return _KNOWN_BODY if self.has_scale else replace(_KNOWN_BODY, metres_per_pixel=None)
 
 
 CONDITIONS = (
     Condition("clean"),
     Condition("noise 3 % of the torso", noise=0.03),
     Condition("30 % of the joints missing", missing=0.3),
+    Condition("clean, scale estimated", has_scale=False),
 )
 
 
@@ -120,10 +132,10 @@ def parallel_view_scores(
         for view, yaw in enumerate(yaws_deg):
             truth = np.asarray(body @ yaw_rotmat(np.deg2rad(yaw)).T)
             track = parallel_track(truth, rate_hz, condition, stream(number, view))
-            found = match_track(searcher, track, _KNOWN_BODY)
+            found = match_track(searcher, track, condition.options)
             results = {BEST_MARK: best_candidates(searcher, found, truth)}
             for method in Method:
-                one = reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found)
+                one = reconstruct_track(searcher, track, method, condition.options, matches=found)
                 results[method.value] = one.positions_m - one.root_m[:, None]
             for method_name, positions in results.items():
                 scores += _errors(method_name, positions, truth, condition.name, f"{item} at {yaw:g} degrees")

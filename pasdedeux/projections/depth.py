@@ -45,7 +45,7 @@ class DepthSettings:
     """
 
     misfit_m: float = 0.02
-    kernel_m: float = 0.07
+    kernel_m: float = 0.04
     speed_m_s: float = 0.7
     floor: float = 1e-4
 

@@ -36,6 +36,7 @@ __all__ = [
     "floor_offset",
     "match_track",
     "reconstruct_track",
+    "straighten_rays",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -145,6 +146,7 @@ class ReconstructionOptions:
         smoothing_s: Length of the smoothing window; 0 for none.
         scale_window_s: Length of the window that a track's scale is the median of.
         has_own_proportions: Bone lengths are estimated per track; the reference body's otherwise.
+        metres_per_pixel: Scale of the image at the person where it is known (a measured camera); estimated otherwise.
         depth: How candidates vote on depth (method `fit`).
         fit: What the fit believes of image and time (method `fit`).
     """
@@ -156,13 +158,16 @@ class ReconstructionOptions:
     smoothing_s: float = 0.375
     scale_window_s: float = 1.5
     has_own_proportions: bool = True
+    metres_per_pixel: float | None = None
     depth: DepthSettings = field(default_factory=DepthSettings)
     fit: ObservedFitSettings = field(default_factory=lambda: ObservedFitSettings(least_noise_m=_MODEL_ERROR_M))
 
     def __post_init__(self) -> None:
-        """Refuse counts below one."""
+        """Refuse counts below one and a scale that is not positive."""
         if min(self.num_candidates, self.num_placements, self.min_joints) < 1:
             raise InputError(f"reconstruction: candidates, placements and least joints must be at least 1: {self}")
+        if self.metres_per_pixel is not None and not (np.isfinite(self.metres_per_pixel) and self.metres_per_pixel > 0):
+            raise InputError(f"reconstruction: metres per pixel must be positive, found {self.metres_per_pixel}")
 
 
 @dataclass(frozen=True)
@@ -251,9 +256,10 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
             f"no frame of the track shows {options.min_joints} joints of the person; nothing to search for"
         )
     window = max(3, round(options.scale_window_s * track.rate_hz)) | 1
-    first = place_track(centred, weights, searcher.reference, window=window)
-    straight, towards = _straighten(centred, first.mid_hip_px, track.lens.focal_px)
-    placement = place_track(straight, weights, searcher.reference, window=window)
+    scale = options.metres_per_pixel
+    first = place_track(centred, weights, searcher.reference, window=window, metres_per_pixel=scale)
+    straight, towards = straighten_rays(centred, first.mid_hip_px, track.lens.focal_px)
+    placement = place_track(straight, weights, searcher.reference, window=window, metres_per_pixel=scale)
     proportions = np.ones(OP14.num_joints)
     for round_number in range(options.num_placements):
         own = placement.to_metres(straight)
@@ -267,7 +273,9 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
                 proportions = estimate_proportions(own, weights, matched)
                 # Dividing by the inverse stretches the match to the person, so that scale is judged like by like.
                 matched = retarget_image(matched, 1.0 / proportions)
-            placement = refine_placement(straight, weights, matched, window=window, previous=placement)
+            placement = refine_placement(
+                straight, weights, matched, window=window, previous=placement, metres_per_pixel=scale
+            )
     query = np.where(weights[..., None] > 0, own, np.nan)
     return Matches(neighbours, query, weights, placement, towards, proportions)
 
@@ -488,7 +496,7 @@ def _projection_of(database: Database, neighbours: Neighbours) -> Array:
     return projected
 
 
-def _straighten(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
+def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
     """Give keypoints as a camera turned towards the mid-hip sees them, and the direction (frame, 3) back to the camera.
 
     Rays behind the turned camera's horizon cannot be seen and come out as NaN.

@@ -76,7 +76,14 @@ class Placement:
         return (keypoints_px - self.mid_hip_px[:, None]) * self.metres_per_pixel[:, None, None]
 
 
-def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, *, window: int = 31) -> Placement:
+def place_track(
+    keypoints_px: Array,
+    weights: Array,
+    reference: ScaleReference,
+    *,
+    window: int = 31,
+    metres_per_pixel: float | None = None,
+) -> Placement:
     """Give a first scale and place of a track, from bone lengths and from where joints are on average.
 
     A bone's image is at most its length, and some bones of a frame show nearly all of it; so the upper quartile over
@@ -88,6 +95,7 @@ def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, 
         weights: Weights (frame, 14); 0 where not seen.
         reference: What the database looks like.
         window: Frames of the running median.
+        metres_per_pixel: The scale where it is known; only the place is then estimated.
 
     Returns:
         The placement; frames with fewer than three bones take the scale of the frames about them.
@@ -99,6 +107,8 @@ def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, 
     if not np.isfinite(pixels_per_metre).any():
         raise InputError("no frame of the track shows three bones of a person; its size cannot be told")
     scale = 1.0 / running_median(pixels_per_metre, window)
+    if metres_per_pixel is not None:
+        scale = np.full(len(scale), metres_per_pixel)
     joint_weight = np.where(weights > 0, weights, 0.0) / reference.variance_m2
     has_any = joint_weight.sum(axis=1) > 0
     joint_weight[~has_any] = 1.0
@@ -112,7 +122,13 @@ def place_track(keypoints_px: Array, weights: Array, reference: ScaleReference, 
 
 
 def refine_placement(
-    keypoints_px: Array, weights: Array, matched_m: Array, *, window: int = 31, previous: Placement
+    keypoints_px: Array,
+    weights: Array,
+    matched_m: Array,
+    *,
+    window: int = 31,
+    previous: Placement,
+    metres_per_pixel: float | None = None,
 ) -> Placement:
     """Give scale and place anew from the projections (frame, 14, 2) matched to a track with the previous ones.
 
@@ -133,7 +149,7 @@ def refine_placement(
         ratio = np.where(is_usable, np.sqrt(spread_m / spread_px), np.nan)
     ratio[~np.isfinite(ratio) | (ratio <= 0)] = np.nan
     scale = running_median(ratio, window) if np.isfinite(ratio).any() else previous.metres_per_pixel
-    scale = _soften(scale, window)
+    scale = _soften(scale, window) if metres_per_pixel is None else np.full(len(scale), metres_per_pixel)
     place = np.where(is_usable[:, None], mean_px - mean_m / scale[:, None], previous.mid_hip_px)
     return Placement(scale, _smooth_way(place, window))
 

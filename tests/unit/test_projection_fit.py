@@ -204,3 +204,14 @@ def test_the_fit_refuses_what_does_not_fit_together() -> None:
         fit_observed(OP14, REFERENCE_LENGTHS_M, pose, pose[:4, :, :2], **good)
     with pytest.raises(InputError, match="positive"):
         ObservedFitSettings(least_noise_m=0.0)
+
+
+def test_a_known_scale_is_kept_and_brings_the_fit_nearer(searcher: Searcher) -> None:
+    track, truth = parallel_track(walk(80, seed=11))
+    known = ReconstructionOptions(has_own_proportions=False, metres_per_pixel=1.0 / 300.0)
+    matches = match_track(searcher, track, known)
+    np.testing.assert_allclose(matches.placement.metres_per_pixel, 1.0 / 300.0)
+    fitted = reconstruct_track(searcher, track, Method.FIT, known, matches=matches)
+    assert errors(fitted.positions_m, truth) < 0.03
+    with pytest.raises(InputError, match="metres per pixel"):
+        ReconstructionOptions(metres_per_pixel=0.0)

@@ -37,7 +37,6 @@ __all__ = [
     "match_track",
     "reconstruct_track",
     "straighten_rays",
-    "straighten_rays",
 ]
 
 Array = npt.NDArray[np.float64]

@@ -1,0 +1,139 @@
+"""Live reconstruction: fixed lag, bounded delay, the same choice as offline when the lag is long."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import look_at_camera
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.live import FixedLagViterbi, LiveOptions, LivePeople, LivePose
+from pasdedeux.projections.reconstruct import Searcher
+from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.projections.temporal import choose_viterbi
+from tests.walkers import walk
+
+RATE_HZ = 30.0
+
+
+@pytest.fixture(scope="module")
+def searcher() -> Searcher:
+    motions = [centre_and_face(walk(120, seed=seed)).poses_m for seed in range(6)]
+    starts = np.zeros(sum(map(len, motions)), dtype=bool)
+    starts[:: len(motions[0])] = True
+    return Searcher.of(Database(np.concatenate(motions), starts))
+
+
+def video(num_frames: int, *, noise_px: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Keypoints (frame, 2, 14, 2) of two walkers, and the truth in camera axes."""
+    worlds = np.stack(
+        [walk(num_frames, seed=30 + i, rate_hz=RATE_HZ) + np.array([1.3 * i, 0, 0]) for i in (0, 1)], axis=1
+    )
+    camera = look_at_camera(
+        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=0.4, pitch_rad=0.0, focal_px=1400.0
+    )
+    px = camera.project(worlds).px + np.random.default_rng(0).normal(0, noise_px, (*worlds.shape[:-1], 2))
+    return px, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
+
+
+def run(people: LivePeople, px: np.ndarray) -> list[LivePose]:
+    rng = np.random.default_rng(1)
+    poses: list[LivePose] = []
+    for frame, points in enumerate(px):
+        poses += people.push(frame, points[rng.permutation(len(points))], np.ones(points.shape[:-1]))
+    return poses + people.finish()
+
+
+def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near(searcher: Searcher) -> None:
+    px, _ = video(40)
+    metres = (px[:, 0] - mid_hip(px[:, 0])[:, None]) * np.array([1.0, -1.0]) * 5.0 / 1400.0
+    found = searcher.index.search(metres, np.ones(metres.shape[:-1]), num_neighbours=12)
+    whole = choose_viterbi(searcher.database, found, rate_hz=RATE_HZ)
+    for lag, least_same in ((100, 1.0), (6, 0.8)):
+        live = FixedLagViterbi(searcher.database, rate_hz=RATE_HZ, lag=lag)
+        decided = []
+        for frame in range(40):
+            new = live.push(frame, found.row[frame], found.yaw_index[frame], found.distance_m[frame])
+            assert [one.frame for one in new] == ([frame - lag] if frame >= lag else [])
+            decided += new
+        decided += live.decide_until(39)
+        assert [one.frame for one in decided] == list(range(40))
+        assert np.mean([one.rank == whole[one.frame] for one in decided]) >= least_same
+    assert live.decide_until(39) == []
+
+
+def test_two_people_in_any_order_come_out_near_the_truth_with_bounded_delay(searcher: Searcher) -> None:
+    px, truth = video(60)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=LiveOptions(lag=5))
+    poses = run(people, px)
+    for person in (0, 1):
+        own = [pose for pose in poses if pose.person_id == person]
+        assert [pose.frame for pose in own] == list(range(60))
+        found = np.stack([pose.positions_m for pose in own])
+        error = min(root_centred_error_m(found, truth[:, other]).mean() for other in (0, 1))
+        assert error < 0.15
+        np.testing.assert_allclose(mid_hip(found), np.stack([pose.root_m for pose in own]), atol=1e-9)
+
+
+def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(
+    searcher: Searcher,
+) -> None:
+    px, _ = video(30)
+    options = LiveOptions(lag=4)
+    first = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+    second = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+    early = []
+    for frame in range(20):
+        new = first.push(frame, px[frame], np.ones((2, 14)))
+        assert {pose.frame for pose in new} == ({frame - 4} if frame >= 4 else set())
+        early += new
+    for frame in range(30):
+        points = px[frame] if frame < 20 else px[frame] + 50.0
+        for pose in second.push(frame, points, np.ones((2, 14))):
+            same = [one for one in early if (one.frame, one.person_id) == (pose.frame, pose.person_id)]
+            if same:
+                np.testing.assert_array_equal(pose.positions_m, same[0].positions_m)
+
+
+def test_people_who_leave_are_given_out_within_the_lag_and_gaps_are_bridged_over(searcher: Searcher) -> None:
+    px, _ = video(50)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4))
+    due = []
+    for frame in range(50):
+        if 20 < frame < 26:
+            continue
+        seen = px[frame, :1] if frame > 10 else px[frame]
+        for pose in people.push(frame, seen, np.ones(seen.shape[:-1])):
+            due.append((frame, pose.frame, pose.person_id))
+    lost = [(at, frame) for at, frame, person in due if person == 1]
+    assert max(frame for _, frame in lost) == 10
+    assert max(at for at, _ in lost) == 14
+    kept = [frame for _, frame, person in due if person == 0]
+    assert kept == [frame for frame in range(46) if not 20 < frame < 26]
+
+
+def test_frames_with_little_or_nothing_seen_give_no_pose(searcher: Searcher) -> None:
+    px, _ = video(12)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=0))
+    assert people.push(0, np.zeros((0, 14, 2)), np.zeros((0, 14))) == []
+    assert people.push(1, np.full((1, 14, 2), np.nan), np.zeros((1, 14))) == []
+    scraps = np.zeros((2, 14))
+    scraps[:, :3] = 1.0
+    assert people.push(2, px[2], scraps) == []
+    assert [pose.frame for pose in people.push(3, px[3], np.ones((2, 14)))] == [3, 3]
+
+
+def test_bad_input_is_named(searcher: Searcher) -> None:
+    px, _ = video(3)
+    people = LivePeople(searcher, rate_hz=RATE_HZ)
+    people.push(2, px[2], np.ones((2, 14)))
+    with pytest.raises(InputError, match="frame 1 comes after frame 2"):
+        people.push(1, px[1], np.ones((2, 14)))
+    with pytest.raises(InputError, match="rate"):
+        LivePeople(searcher, rate_hz=0.0)
+    with pytest.raises(InputError, match="lag"):
+        replace(LiveOptions(), lag=-1)

@@ -1,0 +1,144 @@
+"""Two seconds of real salsa through every stage: people stand where they belong, nothing is mirrored or leaks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.skeletons import BODY22, OP14
+from storage_schema import Store, open_table, verify
+from tests.real_study import build_here, committed
+
+pytestmark = [pytest.mark.slow, pytest.mark.data]
+
+STUDY = """
+[study]
+name = "slice"
+seed = 1
+
+[ingest]
+rate_hz = 15.0
+held_out = ["salsa_03"]
+virtual_video = {{ num_random_views = 16 }}
+
+[ingest.pairs.salsa]
+folder = "{folder}"
+subjects = ["60", "61"]
+takes = ["01", "03"]
+id = "salsa_{{take}}"
+frames = [1440, 1560]
+rate_hz = 60
+persons = [{{ metres_per_unit = 1.263 }}, {{ metres_per_unit = 1.191 }}]
+
+[seeds]
+num_seeds = 1
+
+[chains]
+num_chains = 1
+num_draws = 8
+segment_draws = 8
+num_candidates = 16
+num_views = 4
+
+[augmentation]
+scales = [0.85, 0.95, 1.05, 1.15]
+
+[reconstruction]
+pitches_deg = [0.0, 10.0, 20.0]
+
+[evaluation]
+num_truth_pairs = 16
+clip_seconds = 0.5
+"""
+NUM_FRAMES = 30
+TAKES = ("salsa_01", "salsa_03")
+
+
+@pytest.fixture(scope="module")
+def store(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the study in this process."""
+    folder = tmp_path_factory.mktemp("salsa")
+    study = folder / "slice.toml"
+    study.write_text(STUDY.format(folder=data_dir / "cmu_salsa_bvh"))
+    build_here(study, folder / "store")
+    return folder / "store"
+
+
+def pairs(store: Path, take: str) -> np.ndarray:
+    """Give the positions (frame, person, 22, 3) of a take."""
+    poses = open_table(f"poses:slice/{take}", store)
+    return poses["body22_m"].astype(np.float64).reshape(2, NUM_FRAMES, 22, 3).swapaxes(0, 1)
+
+
+@pytest.mark.parametrize("take", TAKES)
+def test_two_adults_dance_within_reach_with_their_feet_on_the_floor(store: Path, take: str) -> None:
+    people = pairs(store, take)
+    head, pelvis = BODY22.index("head"), BODY22.index("pelvis")
+    feet = BODY22.indices(["left_toe", "right_toe", "left_ankle", "right_ankle"])
+    assert np.all((people[:, :, head, 1] > 1.2) & (people[:, :, head, 1] < 1.95))
+    lowest = people[:, :, feet, 1].min(axis=-1)
+    assert np.all(lowest > -0.1)
+    assert np.all(np.median(lowest, axis=0) < 0.15)
+    apart = np.linalg.norm(people[:, 0, pelvis] - people[:, 1, pelvis], axis=-1)
+    assert np.all((apart > 0.2) & (apart < 2.6))
+    # At the true rate of 60 Hz nobody's hips are faster than a few metres a second; read as 120 Hz all would be double.
+    speed = np.linalg.norm(np.diff(people[:, :, pelvis], axis=0), axis=-1) * 15.0
+    assert speed.max() < 3.0
+
+
+@pytest.mark.parametrize("take", TAKES)
+def test_no_limb_is_mirrored(store: Path, take: str) -> None:
+    """Toes point where the chest faces, and the left side is on the left of that."""
+    people = pairs(store, take)
+    left, right = (people[:, :, BODY22.index(f"{side}_hip")] for side in ("left", "right"))
+    to_left = left - right
+    forward = np.cross(to_left, [0.0, 1.0, 0.0])
+    toes = sum(
+        people[:, :, BODY22.index(f"{side}_toe")] - people[:, :, BODY22.index(f"{side}_ankle")]
+        for side in ("left", "right")
+    )
+    assert np.mean((toes * forward).sum(-1) > 0) > 0.9
+    shoulders = people[:, :, BODY22.index("left_shoulder")] - people[:, :, BODY22.index("right_shoulder")]
+    assert np.mean((shoulders * to_left).sum(-1) > 0) > 0.9
+
+
+def test_nothing_saw_the_held_out_take(store: Path) -> None:
+    learned = {"torso_basis", "joint_limits", "seeds", "draws", "projections", "models"}
+    for manifest in Store(store).artifacts():
+        if learned & set(manifest.tables):
+            assert "salsa_03" not in manifest.facts["takes"], (manifest.ref.stage, manifest.name)
+
+
+def test_the_held_out_dancers_are_reconstructed_the_right_way_round(store: Path) -> None:
+    motions = open_table("motions:slice", store)
+    assert set(motions["sequence_id"]) == {"salsa_03.video00"}
+    assert set(motions["person_id"]) == {0, 1}
+    scores = open_table("scores:slice", store)
+    is_error = (scores["topic"] == "reconstruction") & (scores["metric"] == "error_root_kept")
+    last = list(dict.fromkeys(motions["method"]))[-1]
+    errors = scores["value"][is_error & (scores["method"] == last)]
+    assert len(errors) == 2
+    assert np.all(errors < 0.35)
+    rows = motions["method"] == last
+    found = motions["op14_m"][rows]
+    assert np.mean(found[:, OP14.index("head"), 1] > found[:, OP14.index("left_ankle"), 1] + 0.8) > 0.95
+
+
+def test_variants_keep_contacts_better_than_plain_kinematics(store: Path) -> None:
+    quality = open_table("variant_quality:slice", store)
+    assert quality.num_rows == 8
+    assert quality["bone_error_m"].max() < 1e-4
+    is_touching = np.isfinite(quality["contact_drift_m"]) & (quality["num_contact_pairs"] > 0)
+    assert is_touching.any()
+    assert np.all(quality["contact_drift_m"][is_touching] < quality["contact_drift_fk_m"][is_touching])
+
+
+def test_the_report_credits_the_database_and_the_store_is_sound(store: Path) -> None:
+    (report,) = (store / "runs").glob("*/report")
+    assert "NSF EIA-0196217" in (report / "card.md").read_text()
+    assert "salsa_03 (held out for evaluation)" in (report / "card.md").read_text()
+    assert {path.stem for path in report.glob("clip-*")} == {f"clip-{take}.video00" for take in TAKES}
+    assert verify(Store(store)).is_ok
+    assert {stage for stage, _, _ in committed(store)} >= {"chains", "training", "evaluation"}

@@ -203,7 +203,10 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
         lines.append("# layout: its joints fit no known layout; write one under [ingest.mappings]")
     else:
         lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
-    lines.append(f"up_axis = {_quoted(first.up_axis)}         # bodies stand along it: {_words(first.up_sureness)}")
+    # One of two may lie on the floor; they were captured together, so the clearer one decides for both.
+    clearest = max((one.guess for one in people if one.guess is not None), key=lambda guess: guess.up_sureness)
+    up_axis, sureness = _quoted(clearest.up_axis), _words(clearest.up_sureness)
+    lines.append(f"up_axis = {up_axis}         # bodies stand along it: {sureness}")
     known_rate = known_source(people[0].path.name, first.layout or "").rate_hz
     if known_rate is not None:
         lines.append(f"rate_hz = {known_rate:g}         # known of CMU's files{_against(first.rate_hz, known_rate)}")

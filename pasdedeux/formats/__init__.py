@@ -13,6 +13,7 @@ from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.coco import read_coco
 from pasdedeux.formats.guess import (
     MotionGuess,
+    guess_common_up_axis,
     guess_format,
     guess_metres_per_unit,
     guess_motion,
@@ -43,6 +44,7 @@ __all__ = [
     "check_layout",
     "count_amc_frames",
     "derive_working_poses",
+    "guess_common_up_axis",
     "guess_format",
     "guess_metres_per_unit",
     "guess_motion",

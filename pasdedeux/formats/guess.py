@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.npz import is_npz, read_npz
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
@@ -137,6 +138,23 @@ def guess_up_axis(source: SourceMotion) -> tuple[str, float]:
     axis = int(np.argmax(np.abs(mean)))
     sureness = float(np.abs(mean[axis]))
     return (UP_AXES[axis], sureness) if sureness > 0.7 else ("y", min(sureness, 0.3))
+
+
+def guess_common_up_axis(sources: Sequence[SourceMotion]) -> str:
+    """Give the up axis of people who were captured together: that of the one for whom it is clearest, y among equals.
+
+    One of two may lie on the floor all the time, as wrestlers do; alone that body would be taken to stand along it.
+    Sureness that differs by less than a tenth decides nothing: most files are y-up.
+
+    Raises:
+        InputError: There is nobody.
+    """
+    if not sources:
+        raise InputError("the up axis of nobody was asked for")
+    guesses = [guess_up_axis(source) for source in sources]
+    clear = max(sureness for _, sureness in guesses) - 0.1
+    axes = [axis for axis, sureness in sorted(guesses, key=lambda guess: -guess[1]) if sureness > clear]
+    return "y" if "y" in axes else axes[0]
 
 
 def guess_metres_per_unit(source: SourceMotion) -> tuple[float, float, str, float]:

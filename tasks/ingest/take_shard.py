@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
-from pasdedeux.formats import WorkingPoses, derive_working_poses, guess_up_axis
+from pasdedeux.formats import SourceMotion, WorkingPoses, derive_working_poses, guess_common_up_axis
 from pasdedeux.formats.placement import floor_shift, place_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
@@ -35,6 +36,16 @@ class _Person:
     source_rate_hz: float
     metres_per_unit: float
     up_axis: str
+
+
+@dataclass(frozen=True)
+class _Read:
+    """One person's motion as its file says it, with what the plan knows of the file."""
+
+    options: Mapping[str, Any]
+    source: SourceMotion
+    layout: Layout
+    sha256: str
 
 
 def run_take(shard: Shard, store: Store) -> ArtifactRef:
@@ -96,8 +107,9 @@ def _duet(parameters: Any) -> list[_Person]:
 
 
 def _files(shard: Shard) -> list[_Person]:
-    people, files = [], list(shard.files)
+    files = list(shard.files)
     num_frames = int(shard.parameters["num_frames"])
+    read: list[_Read] = []
     for options in shard.parameters["persons"]:
         own = [files.pop(0) for _ in range(options["num_files"])]
         data = [Path(file.path).read_bytes() for file in own]
@@ -107,11 +119,17 @@ def _files(shard: Shard) -> list[_Person]:
         try:
             source = read_person(options["format"], data[0], data[1] if len(data) > 1 else None)
             source = source.frames(options["first_frame"], options["first_frame"] + num_frames)
-            up_axis = guess_up_axis(source)[0] if options["up_axis"] == "auto" else options["up_axis"]
             layout = layout_named(options["layout"], source.skeleton.joint_names, shard.parameters["mappings"])
         except InputError as error:
             raise type(error)(f"take {shard.parameters['take_id']}: {options['source_name']}: {error}") from None
-        motion = source.to_motion(
+        read.append(_Read(options, source, layout, own[0].sha256))
+    guessed = [one.source for one in read if one.options["up_axis"] == "auto"]
+    common_up_axis = guess_common_up_axis(guessed) if guessed else ""
+    people = []
+    for one in read:
+        options = one.options
+        up_axis = common_up_axis if options["up_axis"] == "auto" else options["up_axis"]
+        motion = one.source.to_motion(
             metres_per_unit=options["metres_per_unit"], rate_hz=options["rate_hz"], up_axis=up_axis
         ).resample(float(shard.parameters["rate_hz"]))
         people.append(
@@ -119,9 +137,9 @@ def _files(shard: Shard) -> list[_Person]:
                 motion=place_motion(
                     motion, translation_m=options["translation_m"], yaw_rad=float(np.deg2rad(options["yaw_deg"]))
                 ),
-                layout=layout,
+                layout=one.layout,
                 source_name=options["source_name"],
-                source_sha256=own[0].sha256,
+                source_sha256=one.sha256,
                 source_format=options["format"],
                 source_rate_hz=options["rate_hz"],
                 metres_per_unit=options["metres_per_unit"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from pydantic import ValidationError
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import write_bvh
 from pasdedeux.formats.placement import place_motion
+from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.ingest import STAGE, IngestParameters
@@ -38,6 +40,21 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
     first.write_text(write_bvh(motion))
     second.write_text(write_bvh(place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)))
     return first, second
+
+
+def test_one_of_a_pair_may_lie_on_the_floor_all_the_time(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    motion = figure_motion(num_frames=40, rate_hz=60.0)
+    lying = motion.local_unitquat.copy()
+    onto_x = np.array([0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)])
+    lying[:, motion.skeleton.root] = multiply(onto_x, lying[:, motion.skeleton.root])
+    pair[0].write_text(write_bvh(dataclasses.replace(motion, local_unitquat=lying)))
+    store = Store(tmp_path / "store")
+    shards = planned(takes=[{"id": "pin", "files": list(pair)}], rate_hz=60.0, virtual_video={"num_videos": 0})
+    manifest = run(store, shards[:1])["pin", "take"]
+    assert list(store.read(manifest.ref, "takes")["up_axis"]) == ["y", "y"]
+    body = store.read(manifest.ref, "poses")["body22_m"].reshape(2, 40, 22, 3)
+    trunk = body[..., BODY22.index("neck"), :] - body[..., BODY22.root, :]
+    assert (np.argmax(np.abs(trunk), axis=-1) == np.array([[0], [1]])).all(), "the first lies along x, the other stands"
 
 
 def test_a_pair_becomes_takes_poses_annotations_and_cameras(tmp_path: Path, pair: tuple[Path, Path]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.working_poses import motion_from_positions
 from pasdedeux.kinematics import Motion
+from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from storage_schema import (
     TABLES,
@@ -70,12 +72,15 @@ def _motions(store: Store, reference: Reference, refs: list[ArtifactRef]) -> Ite
                         positions = rows["body22_m"][part][:, person]
                         yield f"{take}_{variant}_{letter}", _from_positions(BODY22, positions, rows["time_s"][part])
             else:
+                camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
                 for sequence, person, method in _groups(rows, "sequence_id", "person_id", "method"):
                     part = np.array(
                         (rows["sequence_id"] == sequence) & (rows["person_id"] == person) & (rows["method"] == method)
                     )
                     name = f"{sequence}_{person}_{method}"
-                    yield name, _from_positions(OP14, rows["op14_m"][part], rows["time_s"][part])
+                    # From the axes of a camera that looks down to a world in which people stand upright.
+                    upright_m = rows["op14_m"][part] @ camera.camera_from_upright_rotmat
+                    yield name, _from_positions(OP14, upright_m, rows["time_s"][part])
 
 
 def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:

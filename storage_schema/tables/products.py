@@ -78,7 +78,7 @@ VARIANT_QUALITY = Table(
         ),
         float64(
             "self_penetration_m",
-            "The same within each person, beyond the source's and that of plain forward kinematics with the new lengths",
+            "The same within each person, beyond the source's and beyond plain forward kinematics with the new lengths",
             unit="m",
             is_nullable=True,
         ),
@@ -127,11 +127,11 @@ SCORES = Table(
     meaning="One row per measured figure: what was measured, of which method, on what.",
     sorted_by=("topic", "metric", "method", "split", "item", "at"),
     columns=(
-        text("topic", "coverage, views, chains, reconstruction, augmentation or models"),
+        text("topic", "takes, views, chains, coverage, reconstruction, parallel_views, augmentation or models"),
         text("metric", "Name of the measure"),
         text("method", "Method or density measured"),
         boolean("is_baseline", "The method is a trivial baseline shown for comparison"),
-        text("split", "Split or part of the data: annotated, held_out, cross-scale train, ..."),
+        text("split", "Part of the data: all, annotated, unannotated, held_out, or of a split, e.g. cross_scale test"),
         text("item", "Take, sequence, variant or model the figure is of; all where it is over everything"),
         float64("at", "Position on a curve (number of draws, scale); NaN for a single figure"),
         float64("value", "The figure"),

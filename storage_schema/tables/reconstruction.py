@@ -11,7 +11,7 @@ __all__ = ["CODEBOOK", "MOTIONS", "PROJECTIONS"]
 PROJECTIONS = Table(
     name="projections",
     meaning="One row per pose; its projections at every yaw step are numbered row * num_yaws + yaw index.",
-    sorted_by=("origin", "take_id", "person", "frame"),
+    sorted_by=("origin", "take_id"),
     columns=(
         text("origin", "take, draw or variant"),
         text("take_id", "Take the pose comes from; for a draw the take of its seed"),
@@ -63,14 +63,14 @@ CODEBOOK = Table(
 
 MOTIONS = Table(
     name="motions",
-    meaning="One row per sequence, person and frame: the reconstructed motion.",
-    sorted_by=("sequence_id", "method", "person_id", "frame"),
+    meaning="One row per sequence, method, person and frame: the reconstructed motions.",
+    sorted_by=("sequence_id",),
     columns=(
         text("sequence_id", "Annotated sequence"),
         integer("person_id", "Person in the sequence"),
         integer("frame", "Frame of the sequence"),
         float64("time_s", "Time from the start of the sequence", unit="s"),
-        text("method", "nearest, viterbi, ... ; the last step of the chain that was run"),
+        text("method", "How the motion was found: nearest, window, viterbi or fit"),
         array(
             "op14_m",
             "Positions, camera axes (x right, y up, z towards the camera); the origin lies under the people of the "

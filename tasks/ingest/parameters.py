@@ -148,7 +148,10 @@ class VirtualVideoOptions(Parameters):
         description="Annotated pairs from random views, for each take of two people that is not held out",
     )
     distance_m: float = Field(
-        default=4.0, gt=0.5, le=100, description="Distance from the camera to the middle of the pair"
+        default=4.0,
+        gt=0.5,
+        le=100,
+        description="Distance from the camera to the middle of the pair; tell views.distance_m when it is changed",
     )
     yaw_range_deg: tuple[float, float] = Field(default=(-180.0, 180.0), description="Azimuth of the cameras, uniform")
     pitch_mean_deg: float = Field(default=10.0, ge=-89, le=89, description="Mean elevation of the cameras")

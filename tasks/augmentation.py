@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from pasdedeux.augmentation import (
     LIMB_GROUPS,
@@ -24,6 +24,7 @@ from pasdedeux.augmentation import (
     Variant,
     Variation,
     Weights,
+    WindowSettings,
     bone_variations,
     drawn_variations,
     group_variations,
@@ -37,7 +38,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, artifact_fields, 
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
-VERSION = 2
+VERSION = 3
 
 Scale = Annotated[float, Field(ge=0.05, le=20.0)]
 PersonName = Literal["A", "B", "AB"]
@@ -67,6 +68,22 @@ class DrawnScales(Parameters):
     count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
     low: Scale = Field(0.75, description="Smallest scale of a bone")
     high: Scale = Field(1.25, description="Greatest scale of a bone")
+
+
+class VariationSet(Parameters):
+    """One set of variations; the scales are those of the stage."""
+
+    kinds: tuple[KindName, ...] = Field(("uniform",), min_length=1, description="uniform, groups, bones or drawn")
+    persons: tuple[PersonName, ...] = Field(("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)")
+    groups: tuple[str, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
+
+    @field_validator("groups")
+    @classmethod
+    def _groups_are_known(cls, groups: tuple[str, ...]) -> tuple[str, ...]:
+        for group in groups:
+            if group not in LIMB_GROUPS:
+                raise ValueError(f"augmentation.groups: '{group}' is not known; known groups: {', '.join(LIMB_GROUPS)}")
+        return groups
 
 
 class WeightParameters(Parameters):
@@ -103,14 +120,12 @@ class LimitParameters(Parameters):
     jerk_ratio: tuple[float, float] = Field((1.2, 2.0), description="Jerk over the source's")
 
 
-class AugmentationParameters(Parameters):
+class AugmentationParameters(VariationSet):
     """Which variants are made, and how."""
 
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
     grid: ScaleGrid | None = Field(None, description="Scales as a grid, in place of the list")
-    persons: tuple[PersonName, ...] = Field(("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)")
-    kinds: tuple[KindName, ...] = Field(("uniform",), min_length=1, description="uniform, groups, bones or drawn")
-    groups: tuple[str, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
+    sets: tuple[VariationSet, ...] = Field((), description="Several sets in place of the one of kinds, persons, groups")
     drawn: DrawnScales = Field(
         default_factory=lambda: DrawnScales.model_validate({}), description="Scales of kind drawn"
     )
@@ -125,14 +140,8 @@ class AugmentationParameters(Parameters):
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time; 0 as published")
     solver: Literal["bulk", "descent"] = Field("bulk", description="bulk (with descent as fallback) or descent alone")
     num_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver")
+    window_s: float = Field(30.0, ge=10, description="Longer takes are solved in overlapping windows of this length")
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
-
-    @model_validator(mode="after")
-    def _groups_are_known(self) -> AugmentationParameters:
-        for group in self.groups:
-            if group not in LIMB_GROUPS:
-                raise ValueError(f"augmentation.groups: '{group}' is not known; known groups: {', '.join(LIMB_GROUPS)}")
-        return self
 
 
 @dataclass(frozen=True)
@@ -190,7 +199,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "num_frames": take.source.num_frames,
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
-        "num_joggled_frames": augmenter.problem.mesh.num_joggled,
         "closest_m": take.source.closest_m,
     }
     verdicts = {"pass": 0, "warn": 0, "fail": 0}
@@ -201,6 +209,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
                 verdicts[variant.verdict] += 1
                 _write(writer, take_id, take, variant)
         writer.facts["verdicts"] = verdicts
+        writer.facts["num_joggled_frames"] = augmenter.num_joggled
         writer.timings["solve_s"] = time.monotonic() - started
     return writer.ref
 
@@ -230,18 +239,19 @@ def _variations(parameters: AugmentationParameters, seed: int, take_id: str) -> 
     grid = parameters.grid
     scales: Sequence[float] = scale_grid(grid.start, grid.stop, grid.step) if grid else parameters.scales
     found: list[Variation] = []
-    for kind in parameters.kinds:
-        if kind == "uniform":
-            found += uniform_variations(scales, parameters.persons)
-        elif kind == "groups":
-            found += group_variations(scales, parameters.persons, parameters.groups)
-        elif kind == "bones":
-            found += bone_variations(scales, parameters.persons)
-        else:
-            for persons in parameters.persons:
-                drawn = parameters.drawn
-                generator = stream(seed, "augmentation", take_id, persons)
-                found += drawn_variations(generator, drawn.count, low=drawn.low, high=drawn.high, persons=persons)
+    for chosen in parameters.sets or (parameters,):
+        for kind in chosen.kinds:
+            if kind == "uniform":
+                found += uniform_variations(scales, chosen.persons)
+            elif kind == "groups":
+                found += group_variations(scales, chosen.persons, chosen.groups)
+            elif kind == "bones":
+                found += bone_variations(scales, chosen.persons)
+            else:
+                for persons in chosen.persons:
+                    drawn = parameters.drawn
+                    generator = stream(seed, "augmentation", take_id, persons)
+                    found += drawn_variations(generator, drawn.count, low=drawn.low, high=drawn.high, persons=persons)
     return list({variation.variant_id: variation for variation in found}.values())
 
 
@@ -254,6 +264,7 @@ def _settings(parameters: AugmentationParameters) -> AugmentationSettings:
         bulk=BulkSettings(num_iterations=parameters.num_iterations, is_single_precision=True),
         is_bulk=parameters.solver == "bulk",
         mesh_smoothing_s=parameters.mesh_smoothing_s,
+        windows=WindowSettings(longest_s=parameters.window_s),
         fixed_person=None if parameters.fixed_person is None else "AB".index(parameters.fixed_person),
     )
 

@@ -1,6 +1,6 @@
 """Augmentation: a pair's motion for other body proportions, contacts kept and bone lengths exact."""
 
-from pasdedeux.augmentation.augment import AugmentationSettings, Augmenter, Variant
+from pasdedeux.augmentation.augment import Augmenter, Variant
 from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
 from pasdedeux.augmentation.contacts import ContactSettings, UserContact
 from pasdedeux.augmentation.descent import descend
@@ -8,6 +8,7 @@ from pasdedeux.augmentation.energy import energy_terms, total_energy
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
 from pasdedeux.augmentation.quality import Limit, Quality, QualityLimits
 from pasdedeux.augmentation.rotations import variant_rotations
+from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion
 from pasdedeux.augmentation.terms import Problem, Targets, Weights, build_problem, build_targets
 from pasdedeux.augmentation.variations import (
@@ -20,6 +21,7 @@ from pasdedeux.augmentation.variations import (
     scale_grid,
     uniform_variations,
 )
+from pasdedeux.augmentation.windows import WindowSettings
 
 __all__ = [
     "LIMB_GROUPS",
@@ -40,6 +42,7 @@ __all__ = [
     "Variant",
     "Variation",
     "Weights",
+    "WindowSettings",
     "bone_variations",
     "build_mesh",
     "build_problem",

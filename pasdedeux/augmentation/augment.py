@@ -3,58 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
-from pasdedeux.augmentation.contacts import ContactSettings, UserContact
-from pasdedeux.augmentation.descent import descend
-from pasdedeux.augmentation.energy import total_energy
-from pasdedeux.augmentation.quality import Judge, Quality, QualityLimits, Verdict
-from pasdedeux.augmentation.source import Source
-from pasdedeux.augmentation.terms import Targets, Weights, build_problem, build_targets
+from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.contacts import check_contacts
+from pasdedeux.augmentation.quality import Judge, Quality, Verdict
+from pasdedeux.augmentation.settings import AugmentationSettings
+from pasdedeux.augmentation.source import (
+    NUM_POINTS,
+    Source,
+    complete_scales,
+    points_of,
+    reference_motion,
+    scaled_lengths,
+)
 from pasdedeux.augmentation.variations import Variation
-from pasdedeux.fitting import FitSettings
+from pasdedeux.augmentation.window_solver import SOLVERS, SolvedWindow, WindowSolver
+from pasdedeux.augmentation.windows import Window, blend_weights, plan_windows
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["AugmentationSettings", "Augmenter", "Variant"]
+__all__ = ["Augmenter", "Variant"]
 
 Array = npt.NDArray[np.float64]
 
 FAR_APART_M = 1.0
 """People whose joints never come closer than this do not interact; their variants are solved all the same."""
-
-
-@dataclass(frozen=True)
-class AugmentationSettings:
-    """Everything that decides a variant.
-
-    Args:
-        weights: Weights of the terms.
-        contacts: What counts as contact, stance and floor.
-        limits: When a figure is a warning or a failure.
-        bulk: The bulk solver's settings.
-        descent: The guaranteed solver's settings.
-        fallback_residual_m: A variant whose bones the bulk solver leaves further than this from their lengths (root
-            mean square) goes to the guaranteed solver, started from where bulk ended.
-        is_bulk: Use the bulk solver; without it every variant is solved by guaranteed descent.
-        mesh_smoothing_s: Averaging of the mesh weights over time.
-        fixed_person: Person (0 or 1) who keeps the source's motion, or None.
-        user_contacts: Contacts that replace what is found.
-    """
-
-    weights: Weights = field(default_factory=Weights)
-    contacts: ContactSettings = field(default_factory=ContactSettings)
-    limits: QualityLimits = field(default_factory=QualityLimits)
-    bulk: BulkSettings = field(default_factory=lambda: BulkSettings(is_single_precision=True))
-    descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=5e-3))
-    fallback_residual_m: float = 5e-4
-    is_bulk: bool = True
-    mesh_smoothing_s: float = 0.25
-    fixed_person: int | None = None
-    user_contacts: tuple[UserContact, ...] = ()
+_KEPT_WINDOWS = 4
+"""Windows of a take whose factors are kept: some 200 MB for 30 s each."""
 
 
 @dataclass(frozen=True)
@@ -87,21 +65,24 @@ class Variant:
 
 
 class Augmenter:
-    """A take that is ready for any number of variants: mesh, terms and factor are computed once."""
+    """A take that is ready for any number of variants: mesh, terms and factor are computed once.
+
+    A long take is solved in windows; then only the last few windows are kept ready.
+    """
 
     def __init__(self, source: Source, settings: AugmentationSettings | None = None) -> None:
         self.source = source
         self.settings = settings or AugmentationSettings()
-        self.problem = build_problem(
-            source,
-            self.settings.weights,
-            self.settings.contacts,
-            user_contacts=self.settings.user_contacts,
-            fixed_person=self.settings.fixed_person,
-            mesh_smoothing_s=self.settings.mesh_smoothing_s,
-        )
-        self._bulk = BulkSolver(self.problem, self.settings.bulk) if self.settings.is_bulk else None
-        self._judge = Judge(self.problem)
+        self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.windows)
+        check_contacts(source, self.settings.user_contacts)
+        self._judge = Judge(source, self.settings.contacts)
+        self._ready: dict[Window, WindowSolver] = {}
+        self._num_joggled: dict[Window, int] = {}
+
+    @property
+    def num_joggled(self) -> int:
+        """Frames, of those solved so far, whose joints had to be displaced to mesh them; overlaps count twice."""
+        return sum(self._num_joggled.values())
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
         """Solve a batch of variations; a few dozen at a time are fastest.
@@ -111,54 +92,57 @@ class Augmenter:
         """
         if not variations:
             return []
-        problem, settings = self.problem, self.settings
-        targets = build_targets(problem, np.stack([variation.bone_scale for variation in variations]))
-        energy_fk = self._energies(targets, targets.reference)
-        positions = np.array(targets.reference)
-        energy = np.array(energy_fk)
-        solvers = ["descent"] * len(variations)
-        iterations = [0] * len(variations)
-        is_done = np.zeros(len(variations), dtype=bool)
-        if self._bulk is not None:
-            result = self._bulk.solve(targets)
-            with np.errstate(invalid="ignore", over="ignore"):
-                bulk_energy = self._energies(targets, result.positions)
-            is_better = np.isfinite(bulk_energy) & (bulk_energy <= energy_fk)
-            positions[is_better], energy[is_better] = result.positions[is_better], bulk_energy[is_better]
-            is_done = is_better & (result.residual_m <= settings.fallback_residual_m)
-            solvers = ["bulk" if good else "bulk+descent" for good in is_done]
-            iterations = [result.num_iterations] * len(variations)
-        for index in np.flatnonzero(~is_done):
-            descent = descend(problem, targets, int(index), positions[index], settings.descent)
-            if np.isfinite(descent.positions).all():
-                positions[index], energy[index] = descent.positions, descent.energies[-1]
-                iterations[index] += descent.num_iterations
-            elif energy[index] == energy_fk[index]:
-                solvers[index] = "plain_fk"
-        qualities = self._judge.measure(targets, positions)
-        return [
-            self._variant(
-                variation,
-                bone_scale=targets.bone_scale[index],
-                points=positions[index],
-                quality=qualities[index],
-                energy=float(energy[index]),
-                energy_fk=float(energy_fk[index]),
-                solver=solvers[index],
-                num_iterations=iterations[index],
+        bone_scale = complete_scales(self.source, np.stack([variation.bone_scale for variation in variations]))
+        parts: list[SolvedWindow] = []
+        for number, window in enumerate(self._windows):
+            before = None
+            if parts:
+                last = self._windows[number - 1]
+                before = parts[-1].positions[:, window.start - last.start :]
+            parts.append(self._solver(window).solve(bone_scale, before))
+        lengths = scaled_lengths(self.source, bone_scale)
+        shares = blend_weights(self._windows)
+        variants = []
+        for index, variation in enumerate(variations):
+            points = parts[0].positions[index]
+            laplacian = parts[0].squared_residual[index]
+            if len(parts) > 1:
+                points = np.zeros((self.source.num_frames, NUM_POINTS, 3))
+                laplacian = np.zeros(self.source.num_frames)
+                for window, part, share in zip(self._windows, parts, shares, strict=True):
+                    points[window.start : window.stop] += share[:, None, None] * part.positions[index]
+                    laplacian[window.start : window.stop] += share * part.squared_residual[index]
+                points = project_to_bones(points[None], lengths[index : index + 1])[0]
+            quality = self._judge.measure(
+                points,
+                reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
+                lengths_m=lengths[index],
+                laplacian_error_m=float(np.sqrt(laplacian.mean())),
             )
-            for index, variation in enumerate(variations)
-        ]
+            variants.append(
+                self._variant(
+                    variation,
+                    bone_scale=bone_scale[index],
+                    points=points,
+                    quality=quality,
+                    energy=float(sum(part.energy[index] for part in parts)),
+                    energy_fk=float(sum(part.energy_fk[index] for part in parts)),
+                    solver=max((part.solvers[index] for part in parts), key=SOLVERS.index),
+                    num_iterations=max(part.num_iterations[index] for part in parts),
+                )
+            )
+        return variants
 
-    def _energies(self, targets: Targets, positions: Array) -> Array:
-        """Give the energy (variant,), one by one, so that sums round the same in every batch."""
-        chosen = (targets.select([variant]) for variant in range(targets.num_variants))
-        return np.array(
-            [
-                total_energy(self.problem, one, points[None] - one.reference)[0]
-                for one, points in zip(chosen, positions, strict=True)
-            ]
-        )
+    def _solver(self, window: Window) -> WindowSolver:
+        if window not in self._ready:
+            while len(self._ready) >= _KEPT_WINDOWS:
+                self._ready.pop(next(iter(self._ready)))
+            within = (contact.within(window.start, window.stop) for contact in self.settings.user_contacts)
+            user = [contact for contact in within if contact is not None]
+            source = self.source if len(self._windows) == 1 else self.source.slice(window.start, window.stop)
+            self._ready[window] = WindowSolver(source, self.settings, user)
+            self._num_joggled[window] = self._ready[window].problem.mesh.num_joggled
+        return self._ready[window]
 
     def _variant(
         self,

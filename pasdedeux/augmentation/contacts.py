@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -20,6 +20,7 @@ __all__ = [
     "ContactSettings",
     "UserContact",
     "body_parts",
+    "check_contacts",
     "contact_class",
     "contact_distances",
     "contact_weights",
@@ -82,6 +83,11 @@ class UserContact:
     stop_frame: int
     weight: float
 
+    def within(self, start: int, stop: int) -> UserContact | None:
+        """Give the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
+        first, last = max(self.start_frame, start), min(self.stop_frame, stop)
+        return replace(self, start_frame=first - start, stop_frame=last - start) if first < last else None
+
 
 def fade(value: Array, full: float, none: float) -> Array:
     """Give 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
@@ -109,21 +115,32 @@ def contact_distances(positions_m: Array) -> Array:
     return np.asarray(np.sqrt((difference**2).sum(axis=-1)))
 
 
-def contact_weights(source: Source, settings: ContactSettings, user: Sequence[UserContact] = ()) -> Array:
-    """Give how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
+def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
+    """Refuse contacts stated by the user that are not of this take.
 
     Raises:
         InputError: A user's contact names an unknown joint, an empty frame range or a negative weight.
     """
-    weights = fade(contact_distances(source.positions_m), *settings.contact_m)
     for contact in user:
-        at = (BODY22.index(contact.joint_a), BODY22.index(contact.joint_b))
+        BODY22.index(contact.joint_a), BODY22.index(contact.joint_b)
         if not (0 <= contact.start_frame < contact.stop_frame <= source.num_frames) or not contact.weight >= 0:
             raise InputError(
                 f"{source.name}: contact {contact.joint_a}-{contact.joint_b} over frames {contact.start_frame} to "
                 f"{contact.stop_frame} with weight {contact.weight:g}; allowed are frames within 0 to "
                 f"{source.num_frames} and weights from 0"
             )
+
+
+def contact_weights(source: Source, settings: ContactSettings, user: Sequence[UserContact] = ()) -> Array:
+    """Give how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
+
+    Raises:
+        InputError: See `check_contacts`.
+    """
+    check_contacts(source, user)
+    weights = fade(contact_distances(source.positions_m), *settings.contact_m)
+    for contact in user:
+        at = (BODY22.index(contact.joint_a), BODY22.index(contact.joint_b))
         weights[contact.start_frame : contact.stop_frame, *at] = contact.weight
     return _smooth(weights, source, settings)
 
@@ -146,8 +163,7 @@ def _height(source: Source) -> Array:
     """Height above the floor (frame, 2, 22); an ankle's is taken above its own height when standing flat."""
     height = source.positions_m[..., 1] - source.floor_m[:, None]
     ankles = BODY22.indices(["left_ankle", "right_ankle"])
-    flat = np.percentile(height[:, :, ankles].min(axis=-1), 10.0, axis=0)
-    height[:, :, ankles] -= np.maximum(flat, 0.0)[:, None]
+    height[:, :, ankles] -= source.flat_ankle_m[:, None]
     return np.asarray(height)
 
 

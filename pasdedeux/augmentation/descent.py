@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,12 +65,18 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
 
 
 def descend(
-    problem: Problem, targets: Targets, variant: int, start: Array | None = None, settings: FitSettings | None = None
+    problem: Problem,
+    targets: Targets,
+    variant: int,
+    start: Array | None = None,
+    settings: FitSettings | None = None,
+    *,
+    more: Sequence[Term] = (),
 ) -> DescentResult:
-    """Solve one variant, from `start` (T, 44, 3) or from plain forward kinematics."""
+    """Solve one variant, from `start` (T, 44, 3) or from plain forward kinematics; `more` adds to its terms."""
     forest = BoneForest((BODY22, BODY22), targets.lengths_m[variant])
     first = forest.state_of(targets.reference[variant] if start is None else start)
-    result = fit_bones(forest, first, fit_terms(problem, targets, variant), settings)
+    result = fit_bones(forest, first, [*fit_terms(problem, targets, variant), *more], settings)
     return DescentResult(
         positions=result.positions_m,
         energies=result.energies,

@@ -8,10 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.contacts import FEET, contact_class
-from pasdedeux.augmentation.energy import laplacian_residual
-from pasdedeux.augmentation.source import NUM_POINTS
-from pasdedeux.augmentation.terms import Problem, Targets
+from pasdedeux.augmentation.contacts import FEET, ContactSettings, contact_class, stance_weights
+from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import body_height_m, capsule_model, clip_penetration
@@ -106,18 +104,17 @@ class Quality:
 class Judge:
     """Measures variants of one take; what belongs to the source is measured once."""
 
-    def __init__(self, problem: Problem) -> None:
-        source = problem.source
+    def __init__(self, source: Source, contacts: ContactSettings) -> None:
         points = source.positions_m.reshape(-1, NUM_POINTS, 3)
         half = BODY22.num_joints
         squared = ((points[:, :half, None] - points[:, None, half:]) ** 2).sum(axis=-1)
-        self.problem = problem
         self._frames, self._first, self._second = np.nonzero(squared < CONTACT_M**2)
         self._class = contact_class()[self._first, self._second]
         self._distance = np.sqrt(squared[self._frames, self._first, self._second])
         self._jerk = root_mean_square_jerk(points)
         self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
-        self._stands = problem.stance[:, self._feet] > _STANDS * max(problem.stance.max(initial=0.0), 1e-12)
+        standing = stance_weights(source, contacts)
+        self._stands = np.sqrt(standing[1:] * standing[:-1]).reshape(len(standing) - 1, len(self._feet)) > _STANDS
         self._slide = self._foot_steps(points)
         floor = np.repeat(source.floor_m, half)
         self._floor = floor
@@ -127,18 +124,12 @@ class Judge:
         self._penetration = self._penetrate(points)
         self._bends = _spine_bends(points)
 
-    def measure(self, targets: Targets, positions: Array) -> list[Quality]:
-        """Measure variants: positions (variant, T, 44, 3), metres, and the targets they were solved for."""
-        return [self._measure_one(points, targets.select([variant])) for variant, points in enumerate(positions)]
-
-    def _measure_one(self, points: Array, targets: Targets) -> Quality:
-        reference, lengths = targets.reference[0], targets.lengths_m[0]
-        residuals = laplacian_residual(self.problem, targets, (points - reference)[None])
-        laplacian = float(np.sqrt((residuals**2).sum(axis=-1).mean()))
+    def measure(self, points: Array, *, reference: Array, lengths_m: Array, laplacian_error_m: float) -> Quality:
+        """Measure a variant: positions and plain forward kinematics (T, 44, 3), lengths (44,), metres."""
         drift = np.abs(self._contact_distances(points) - self._distance)
         drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         pair = points.reshape(-1, 2, BODY22.num_joints, 3)
-        bone_error = np.abs(bone_lengths(BODY22, pair) - lengths.reshape(2, -1)).max()
+        bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max()
         slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)[self._stands]
         below = np.maximum(self._floor - points[..., 1], 0.0)
         depths = self._penetrate(points)
@@ -154,7 +145,7 @@ class Judge:
             contact_drift_extremity_m=_mean(drift[self._class == 2]),
             contact_drift_mixed_m=_mean(drift[self._class == 1]),
             contact_drift_body_m=_mean(drift[self._class == 0]),
-            laplacian_error_m=laplacian,
+            laplacian_error_m=laplacian_error_m,
             foot_slide_m=_mean(slide) or 0.0,
             floor_penetration_m=float((below - self._below).max()),
             penetration_m=float(np.percentile(np.maximum(extra[:, 2], 0.0), _PERCENTILE)),

@@ -13,7 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["NUM_POINTS", "Source", "complete_scales", "points_of", "reference_motion"]
+__all__ = ["NUM_POINTS", "Source", "complete_scales", "points_of", "reference_motion", "scaled_lengths"]
 
 Array = npt.NDArray[np.float64]
 
@@ -22,6 +22,8 @@ NUM_POINTS = 2 * BODY22.num_joints
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
 _FLOOR_PERCENTILE = 5.0
+_ANKLE_PERCENTILE = 10.0
+_ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _TOES = BODY22.indices(["left_toe", "right_toe"])
 
 
@@ -88,9 +90,18 @@ class Source:
         difference = self.positions_m[:, 0, :, None] - self.positions_m[:, 1, None]
         return float(np.sqrt((difference**2).sum(axis=-1).min()))
 
+    @cached_property
+    def flat_ankle_m(self) -> Array:
+        """Height of each person's ankle above the floor on a flat foot (2,): 10th percentile of the lower ankle."""
+        lower = self.positions_m[:, :, _ANKLES, 1].min(axis=-1) - self.floor_m
+        return np.maximum(np.percentile(lower, _ANKLE_PERCENTILE, axis=0), 0.0)
+
     def slice(self, start: int, stop: int) -> Source:
-        """Give frames `start` to `stop` (exclusive)."""
-        return Source(self.positions_m[start:stop], self.rate_hz, self.name)
+        """Give frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
+        part = Source(self.positions_m[start:stop], self.rate_hz, self.name)
+        # What is measured over the whole take takes the place of the part's own cached properties.
+        part.__dict__.update(lengths_m=self.lengths_m, floor_m=self.floor_m, flat_ankle_m=self.flat_ankle_m)
+        return part
 
 
 def points_of(pair: Array) -> Array:
@@ -129,3 +140,10 @@ def reference_motion(source: Source, bone_scale: Array) -> Array:
     root[..., 1] = source.floor_m + height * bone_scale[:, None, :, BODY22.root]
     lengths = source.lengths_m * bone_scale
     return place_bones(BODY22, root, source.directions[None], lengths[:, None])
+
+
+def scaled_lengths(source: Source, bone_scale: Array) -> Array:
+    """Give the new bone lengths (variant, 44), metres, of scales (variant, 2, 22); 0 for the roots."""
+    lengths = source.lengths_m * bone_scale
+    lengths[..., BODY22.root] = 0.0
+    return np.asarray(lengths.reshape(len(bone_scale), NUM_POINTS))

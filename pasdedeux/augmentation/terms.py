@@ -39,7 +39,14 @@ from pasdedeux.augmentation.contacts import (
     stance_weights,
 )
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.source import NUM_POINTS, Source, complete_scales, points_of, reference_motion
+from pasdedeux.augmentation.source import (
+    NUM_POINTS,
+    Source,
+    complete_scales,
+    points_of,
+    reference_motion,
+    scaled_lengths,
+)
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
@@ -310,14 +317,12 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     points = points_of(reference)
     difference = points_of(source.positions_m)[None] - points
     pairs = points[:, :, GIRDLE_PAIRS]
-    lengths = source.lengths_m * bone_scale
-    lengths[..., BODY22.root] = 0.0
     return Targets(
         bone_scale=bone_scale,
         reference=points,
         difference=difference,
         height=_floor_heights(source, bone_scale, reference),
-        lengths_m=lengths.reshape(len(bone_scale), NUM_POINTS),
+        lengths_m=scaled_lengths(source, bone_scale),
         girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
         clearance_m=clearance_limits(problem.clearance, points),
     )

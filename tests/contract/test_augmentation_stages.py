@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.learning import VariantRequest, load_model
@@ -17,6 +18,7 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation, training
 from tasks.augmentation import AugmentationParameters, read_pair
+from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training import TrainingParameters
 from tests.moving_pairs import standing_person, swaying_pair
@@ -120,6 +122,16 @@ def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
     wanted = source.lengths_m * quality["bone_scale"][0]
     wanted[:, BODY22.root] = 0.0
     np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
+
+
+def test_the_papers_layout_has_thirty_uniform_and_sixty_other_variants_a_take(store: Store) -> None:
+    study, _ = load_study("augmentation_paper", load_graph(), environment={})
+    inputs = StageInputs({"poses": [put_take(store, "pair")]}, seed=1)
+    shards = augmentation.plan(inputs, study.parameters["augmentation"])
+    names = [name for shard in shards for name in shard.parameters["variants"]]
+    assert len(set(names)) == len(names) == 90
+    assert sum("uniform" in name for name in names) == 30
+    assert not any(name.endswith("-1.00") for name in names)
 
 
 def test_stored_rotations_play_the_variant_on_its_own_skeleton(store: Store) -> None:

@@ -1,0 +1,46 @@
+"""Settings of augmentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pasdedeux.augmentation.bulk import BulkSettings
+from pasdedeux.augmentation.contacts import ContactSettings, UserContact
+from pasdedeux.augmentation.quality import QualityLimits
+from pasdedeux.augmentation.terms import Weights
+from pasdedeux.augmentation.windows import WindowSettings
+from pasdedeux.fitting import FitSettings
+
+__all__ = ["AugmentationSettings"]
+
+
+@dataclass(frozen=True)
+class AugmentationSettings:
+    """Everything that decides a variant.
+
+    Args:
+        weights: Weights of the terms.
+        contacts: What counts as contact, stance and floor.
+        limits: When a figure is a warning or a failure.
+        bulk: The bulk solver's settings.
+        descent: The guaranteed solver's settings.
+        fallback_residual_m: A variant whose bones the bulk solver leaves further than this from their lengths (root
+            mean square) goes to the guaranteed solver, started from where bulk ended.
+        is_bulk: Use the bulk solver; without it every variant is solved by guaranteed descent.
+        mesh_smoothing_s: Averaging of the mesh weights over time.
+        fixed_person: Person (0 or 1) who keeps the source's motion, or None.
+        user_contacts: Contacts that replace what is found.
+        windows: How long takes are cut.
+    """
+
+    weights: Weights = field(default_factory=Weights)
+    contacts: ContactSettings = field(default_factory=ContactSettings)
+    limits: QualityLimits = field(default_factory=QualityLimits)
+    bulk: BulkSettings = field(default_factory=lambda: BulkSettings(is_single_precision=True))
+    descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=5e-3))
+    fallback_residual_m: float = 5e-4
+    is_bulk: bool = True
+    mesh_smoothing_s: float = 0.25
+    fixed_person: int | None = None
+    user_contacts: tuple[UserContact, ...] = ()
+    windows: WindowSettings = field(default_factory=WindowSettings)

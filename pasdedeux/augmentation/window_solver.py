@@ -1,0 +1,150 @@
+"""One window of a take: variants solved in bulk, the bad ones again by guaranteed descent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.bulk import BulkSolver
+from pasdedeux.augmentation.contacts import UserContact
+from pasdedeux.augmentation.descent import descend
+from pasdedeux.augmentation.energy import laplacian_residual, total_energy
+from pasdedeux.augmentation.settings import AugmentationSettings
+from pasdedeux.augmentation.source import Source
+from pasdedeux.augmentation.terms import Targets, build_problem, build_targets
+from pasdedeux.fitting import PointTerm, Term
+
+__all__ = ["SOLVERS", "SolvedWindow", "WindowSolver"]
+
+Array = npt.NDArray[np.float64]
+
+SOLVERS = ("bulk", "descent", "bulk+descent", "plain_fk")
+"""Names of what may have given a variant; of several windows the last of these is told."""
+
+_SEAM_M = 0.01
+"""Windows whose bulk solutions are further apart than this settled differently and are not blended."""
+_SEAM_WEIGHT = 30.0
+"""Pull of a descent towards what the window before gave, per square metre, joint and frame."""
+
+
+@dataclass(frozen=True)
+class SolvedWindow:
+    """A batch of variants over one window.
+
+    Args:
+        positions: (variant, T, 44, 3), metres; always finite.
+        energy: Energy (variant,).
+        energy_fk: Energy of plain forward kinematics (variant,), which is never lower.
+        squared_residual: Mean squared Laplacian residual of each frame (variant, T), square metres.
+        solvers: One of `SOLVERS` for each variant.
+        num_iterations: Iterations of each variant.
+    """
+
+    positions: Array
+    energy: Array
+    energy_fk: Array
+    squared_residual: Array
+    solvers: list[str]
+    num_iterations: list[int]
+
+
+class WindowSolver:
+    """A window that is ready for any number of variants."""
+
+    def __init__(self, source: Source, settings: AugmentationSettings, user_contacts: Sequence[UserContact]) -> None:
+        self.settings = settings
+        self.problem = build_problem(
+            source,
+            settings.weights,
+            settings.contacts,
+            user_contacts=user_contacts,
+            fixed_person=settings.fixed_person,
+            mesh_smoothing_s=settings.mesh_smoothing_s,
+        )
+        self._bulk = BulkSolver(self.problem, settings.bulk) if settings.is_bulk else None
+
+    def solve(self, bone_scale: Array, before: Array | None = None) -> SolvedWindow:
+        """Solve variants (variant, 2, 22); what one gets does not depend on the others, to the last bit.
+
+        Args:
+            bone_scale: Scales (variant, 2, 22).
+            before: What the window before gave for the frames it shares with this one (variant, n, 44, 3), metres.
+                Where bulk comes to something else there, a variant is solved by descent and held to it.
+        """
+        problem, settings = self.problem, self.settings
+        targets = build_targets(problem, bone_scale)
+        count = targets.num_variants
+        positions = np.array(targets.reference)
+        energy_fk, squared_residual = self._measure(targets, positions)
+        energy = np.array(energy_fk)
+        solvers, iterations = ["descent"] * count, [0] * count
+        is_done = np.zeros(count, dtype=bool)
+        if self._bulk is not None:
+            result = self._bulk.solve(targets)
+            with np.errstate(invalid="ignore", over="ignore"):
+                found_energy, found_residual = self._measure(targets, result.positions)
+            is_better = np.isfinite(found_energy) & (found_energy <= energy_fk)
+            for mine, found in (
+                (positions, result.positions),
+                (energy, found_energy),
+                (squared_residual, found_residual),
+            ):
+                mine[is_better] = found[is_better]
+            is_done = is_better & (result.residual_m <= settings.fallback_residual_m)
+            if before is not None:
+                is_done &= _farthest(positions, before) <= _SEAM_M
+            solvers = ["bulk" if good else "bulk+descent" for good in is_done]
+            iterations = [result.num_iterations] * count
+        for index in map(int, np.flatnonzero(~is_done)):
+            start, held = positions[index], list[Term]()
+            if before is not None:
+                start, held = _tied(positions[index], before[index])
+            descent = descend(problem, targets, index, start, settings.descent, more=held)
+            if np.isfinite(descent.positions).all():
+                positions[index] = descent.positions
+                one = targets.select([index])
+                energy[index : index + 1], squared_residual[index : index + 1] = self._measure(
+                    one, descent.positions[None]
+                )
+                iterations[index] += descent.num_iterations
+            elif energy[index] == energy_fk[index]:
+                solvers[index] = "plain_fk"
+        return SolvedWindow(
+            positions=positions,
+            energy=energy,
+            energy_fk=energy_fk,
+            squared_residual=squared_residual,
+            solvers=solvers,
+            num_iterations=iterations,
+        )
+
+    def _measure(self, targets: Targets, positions: Array) -> tuple[Array, Array]:
+        """Give energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
+        energies, residuals = [], []
+        for variant, points in enumerate(positions):
+            one = targets.select([variant])
+            offsets = points[None] - one.reference
+            energies.append(total_energy(self.problem, one, offsets)[0])
+            residuals.append((laplacian_residual(self.problem, one, offsets)[0] ** 2).sum(axis=-1).mean(axis=-1))
+        return np.array(energies), np.array(residuals)
+
+
+def _farthest(positions: Array, before: Array) -> Array:
+    """Give how far the middle third of the shared frames is apart at most (variant,), metres."""
+    third = before.shape[1] // 3
+    middle = slice(third, before.shape[1] - third)
+    return np.asarray(np.linalg.norm(positions[:, middle] - before[:, middle], axis=-1).max(axis=(1, 2)))
+
+
+def _tied(points: Array, before: Array) -> tuple[Array, list[Term]]:
+    """Give a start that leaves what the window before gave over the last third of the shared frames, and its pull."""
+    shared = len(before)
+    t = np.clip((np.arange(shared) + 0.5) / shared * 3.0 - 2.0, 0.0, 1.0)
+    hold = np.zeros((len(points), 1, 1))
+    hold[:shared, 0, 0] = 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+    aims = np.array(points)
+    aims[:shared] = before
+    return points + hold * (aims - points), [PointTerm(aims, _SEAM_WEIGHT * hold)]

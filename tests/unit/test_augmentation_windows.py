@@ -1,0 +1,98 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pasdedeux.augmentation import (
+    AugmentationSettings,
+    Augmenter,
+    Source,
+    UserContact,
+    WindowSettings,
+    uniform_variations,
+)
+from pasdedeux.augmentation.windows import blend_weights, plan_windows
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import BODY22
+from tests.moving_pairs import swaying_pair
+
+
+@given(
+    num_frames=st.integers(1, 5000),
+    rate_hz=st.sampled_from([5.0, 24.0, 30.0, 60.0]),
+    longest_s=st.floats(8.0, 40.0),
+    overlap_s=st.floats(0.5, 3.9),
+)
+def test_windows_cover_a_take_with_shares_that_add_up_to_one(
+    num_frames: int, rate_hz: float, longest_s: float, overlap_s: float
+) -> None:
+    windows = plan_windows(num_frames, rate_hz, WindowSettings(longest_s, overlap_s))
+    total = np.zeros(num_frames)
+    for window, share in zip(windows, blend_weights(windows), strict=True):
+        assert window.stop - window.start <= max(longest_s * rate_hz, 4)
+        total[window.start : window.stop] += share
+    np.testing.assert_allclose(total, 1.0, atol=1e-12)
+
+
+def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
+    source = Source(swaying_pair(360), 30.0)
+    variations = uniform_variations([0.75, 1.2], ["A", "AB"])
+    windows = WindowSettings(longest_s=6.5, overlap_s=3.0)
+    whole = Augmenter(source).solve(variations)
+    parts = Augmenter(source, AugmentationSettings(windows=windows)).solve(variations)
+    is_seam = np.zeros(360, dtype=bool)
+    cut = plan_windows(360, 30.0, windows)
+    assert len(cut) == 3
+    for before, after in pairwise(cut):
+        is_seam[after.start : before.stop] = True
+    for one, other in zip(whole, parts, strict=True):
+        jitter_whole, jitter_parts = (
+            np.sqrt((np.diff(variant.positions_m, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=(1, 2)))[is_seam[3:]]
+            for variant in (one, other)
+        )
+        assert (jitter_parts / jitter_whole).max() < 1.15
+        assert np.sqrt((jitter_parts**2).mean() / (jitter_whole**2).mean()) < 1.01
+        np.testing.assert_allclose(other.positions_m, one.positions_m, atol=0.003)
+        assert other.quality.laplacian_error_m == pytest.approx(one.quality.laplacian_error_m, rel=0.02)
+
+
+def test_windows_that_fall_back_to_descent_agree_where_they_meet_and_bones_stay_exact() -> None:
+    source = Source(swaying_pair(72, apart_m=0.5), 10.0)
+    windows = WindowSettings(longest_s=4.5, overlap_s=1.5)
+    settings = AugmentationSettings(windows=windows, fallback_residual_m=0.0)
+    variations = uniform_variations([0.75, 1.25], ["A"])
+    whole = Augmenter(source, AugmentationSettings(fallback_residual_m=0.0)).solve(variations)
+    for variant, same in zip(Augmenter(source, settings).solve(variations), whole, strict=True):
+        assert variant.solver == "bulk+descent"
+        wanted = source.lengths_m * variant.bone_scale
+        wanted[:, BODY22.root] = 0.0
+        lengths = bone_lengths(BODY22, variant.positions_m)
+        np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-9)
+        # Descents stop before they have quite settled, so unlike bulk's their seams can be seen; they may not be steps.
+        assert variant.quality.jerk_ratio < 1.6 * same.quality.jerk_ratio
+        assert variant.energy <= variant.energy_fk
+
+
+def test_a_users_contact_is_cut_to_each_window() -> None:
+    contact = UserContact("head", "head", 10, 30, 1.0)
+    assert contact.within(20, 50) == UserContact("head", "head", 0, 10, 1.0)
+    assert contact.within(5, 15) == UserContact("head", "head", 5, 10, 1.0)
+    assert contact.within(30, 40) is None
+    with pytest.raises(InputError, match="frames within 0 to 20"):
+        Augmenter(Source(swaying_pair(20), 30.0), AugmentationSettings(user_contacts=(contact,)))
+
+
+def test_a_part_of_a_take_has_the_bones_and_the_floor_of_the_whole() -> None:
+    source = Source(swaying_pair(30), 30.0)
+    part = source.slice(10, 20)
+    np.testing.assert_array_equal(part.lengths_m, source.lengths_m)
+    np.testing.assert_array_equal(part.floor_m, source.floor_m)
+    np.testing.assert_array_equal(part.positions_m, source.positions_m[10:20])
+
+
+def test_overlaps_that_leave_nothing_between_them_are_refused() -> None:
+    with pytest.raises(InputError, match="shorter than half a window"):
+        WindowSettings(longest_s=5.0, overlap_s=2.5)

@@ -1,4 +1,7 @@
-"""Stage `projections`: the poses of a projection database, from takes, and from draws and variants when asked."""
+"""Stage `projections`: the poses of a projection database, from takes, and from draws and variants when asked.
+
+For comparison also the codebook of the published search, when asked: clusters of all projections of the takes.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,15 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.errors import InputError
 from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.skeletons import BODY22, PAIR17
-from storage_schema import ArtifactRef, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "plan", "run_shard"]
 
@@ -27,6 +33,14 @@ class ProjectionsParameters(Parameters):
     include_draws: bool = Field(False, description="Poses of the chains' draws enter the database")
     include_variants: bool = Field(False, description="Poses of the variants enter the database")
     densities: tuple[str, ...] = Field(("ic",), description="Densities whose draws enter")
+    num_clusters: int = Field(
+        0,
+        ge=0,
+        le=100_000,
+        description="Clusters of the published search (level orthographic camera, takes only), for comparison with the "
+        "exact one; 0 for none, the paper has 500",
+    )
+    num_cluster_dimensions: int = Field(5, ge=1, le=100, description="Dimensions of the embedding that is clustered")
 
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
@@ -60,11 +74,31 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                     seed=inputs.seed,
                 )
             )
+    taken = [shard for shard in shards if shard.parameters["origin"] == "take"]
+    if parameters.num_clusters and taken:
+        shards.append(
+            Shard(
+                stage="projections",
+                version=VERSION,
+                partition="codebook",
+                name="codebook",
+                parameters={
+                    "origin": "codebook",
+                    "rate_hz": parameters.rate_hz,
+                    "num_clusters": parameters.num_clusters,
+                    "num_dimensions": parameters.num_cluster_dimensions,
+                },
+                after=tuple(shard.key for shard in taken),
+                seed=inputs.seed,
+            )
+        )
     return shards
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
+    if shard.parameters["origin"] == "codebook":
+        return _run_codebook(shard, store)
     (ref,) = shard.inputs
     origin = shard.parameters["origin"]
     rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[origin](shard, store, ref)
@@ -87,6 +121,39 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "rate_hz": shard.parameters["rate_hz"],
     }
     return commit(shard, store, tables={"projections": columns}, facts=facts)
+
+
+def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
+    """Cluster the projections of all takes; members are numbered over the takes in the order of the plan."""
+    parts: list[Manifest] = []
+    for key in shard.after:
+        manifest = store.find("projections", key)
+        if manifest is None:
+            raise InputError("a part of the projection database is not in the store; run the whole stage")
+        parts.append(manifest)
+    tables = [store.read(part.ref, "projections", columns=["op14_m", "is_sequence_start"]) for part in parts]
+    database = Database(
+        np.concatenate([np.asarray(table["op14_m"]) for table in tables]),
+        np.concatenate([np.asarray(table["is_sequence_start"]) for table in tables]),
+        rate_hz=shard.parameters["rate_hz"],
+    )
+    settings = PublishedSettings(
+        num_clusters=shard.parameters["num_clusters"], num_dimensions=shard.parameters["num_dimensions"]
+    )
+    book = build_codebook(database, stream(shard.seed, "projections", "codebook"), settings)
+    columns = {
+        "cluster": np.arange(len(book.members)),
+        "representative_m": book.representatives_m,
+        "members": list(book.members),
+    }
+    facts = {
+        "kind": "codebook",
+        "takes": merge_takes(*parts),
+        "num_clusters": len(book.members),
+        "part_keys": [part.ref.key for part in parts],
+    }
+    sources = [source for part in parts for source in part.sources]
+    return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources)
 
 
 def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
@@ -172,7 +239,7 @@ STAGE = Stage(
     name="projections",
     version=VERSION,
     reads=("poses", "draws", "variants"),
-    writes=("projections",),
+    writes=("projections", "codebook"),
     parameters=ProjectionsParameters,
     plan=plan,
     run_shard=run_shard,

@@ -17,6 +17,7 @@ from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_e
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.projections.published import Codebook, recall, search_published
 from pasdedeux.projections.reconstruct import (
     Lens,
     Matches,
@@ -36,6 +37,7 @@ Array = npt.NDArray[np.float64]
 
 TOPIC = "parallel_views"
 BEST_MARK = "best_of_50"
+AS_PUBLISHED = "as_published"
 _PIXELS_PER_METRE = 1000.0
 _FAR_PX = 1e9
 """Focal length of a lens whose rays are parallel to one part in a million."""
@@ -112,6 +114,7 @@ def parallel_view_scores(
     yaws_deg: Sequence[float],
     stream: Callable[[int, int], np.random.Generator],
     conditions: Sequence[Condition] = CONDITIONS,
+    codebook: Codebook | None = None,
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
@@ -123,6 +126,7 @@ def parallel_view_scores(
         yaws_deg: Directions it is seen from; each later one is also compared with the first.
         stream: Gives the random stream of a (condition, view).
         conditions: What is done to the images.
+        codebook: Clusters of the database: the published search and the window rule are then scored too.
     """
     body = retarget_proportions(world_m)
     body = body - mid_hip(body)[:, None]
@@ -137,6 +141,19 @@ def parallel_view_scores(
             for method in Method:
                 one = reconstruct_track(searcher, track, method, condition.options, matches=found)
                 results[method.value] = one.positions_m - one.root_m[:, None]
+            if codebook is not None:
+                published = search_published(searcher.database, codebook, found.query_m, found.weights)
+                one = reconstruct_track(
+                    searcher, track, Method.WINDOW, condition.options, matches=replace(found, neighbours=published)
+                )
+                results[AS_PUBLISHED] = one.positions_m - one.root_m[:, None]
+                for num_best in (1, 50):
+                    share = recall(published, found.neighbours, num_best=num_best)
+                    label = f"{item} at {yaw:g} degrees"
+                    metric = f"recall_at_{num_best}"
+                    scores.append(
+                        Score(TOPIC, metric, AS_PUBLISHED, share, "", False, condition.name, label, count=len(truth))
+                    )
             for method_name, positions in results.items():
                 scores += _errors(method_name, positions, truth, condition.name, f"{item} at {yaw:g} degrees")
                 made.setdefault(method_name, []).append(positions)
@@ -166,5 +183,5 @@ def _mean(values: Array) -> float:
 
 
 def _score(metric: str, method: str, value: float, split: str, item: str, count: int) -> Score:
-    is_baseline = method in (Method.NEAREST.value, BEST_MARK, "truth")
+    is_baseline = method in (Method.NEAREST.value, BEST_MARK, AS_PUBLISHED, "truth")
     return Score(TOPIC, metric, method, value, "m", is_baseline, split, item, count=count)

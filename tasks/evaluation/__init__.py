@@ -98,6 +98,7 @@ STAGE = Stage(
         "draws",
         "chain_info",
         "projections",
+        "codebook",
         "motions",
         "variants",
         "variant_quality",

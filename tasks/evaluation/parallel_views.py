@@ -8,6 +8,7 @@ import numpy as np
 
 from pasdedeux.evaluation.parallel_views import TOPIC, parallel_view_scores
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.published import Codebook
 from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.sources import resample_positions
 from storage_schema import Store
@@ -27,13 +28,19 @@ def shards(inputs: StageInputs, *, yaws_deg: Sequence[float]) -> list[Shard]:
             continue
         take_id = take.facts["take_id"]
         database = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
+        # A codebook is of use with exactly the parts it numbers.
+        books = [
+            book
+            for book in inputs.of("codebook")
+            if set(book.facts["part_keys"]) == {part.ref.key for part in database}
+        ]
         if database:
             found.append(
                 make_shard(
                     topic=TOPIC,
                     name=take_id,
-                    inputs=[take, *database],
-                    parameters={"yaws_deg": list(yaws_deg)},
+                    inputs=[take, *database, *books],
+                    parameters={"yaws_deg": list(yaws_deg), "num_parts": len(database)},
                     seed=inputs.seed,
                 )
             )
@@ -42,10 +49,14 @@ def shards(inputs: StageInputs, *, yaws_deg: Sequence[float]) -> list[Shard]:
 
 def run(shard: Shard, store: Store) -> TopicResult:
     """Score one take."""
-    take, *parts = shard.inputs
+    take, *others = shard.inputs
+    parts, books = others[: shard.parameters["num_parts"]], others[shard.parameters["num_parts"] :]
     facts = store.manifest(take).facts
     used = [store.manifest(part).facts for part in parts]
     refuse_overlap("the projection database", [name for one in used for name in one["takes"]], [shard.name])
+    if books:
+        by_key = {part.key: part for part in parts}
+        parts = [by_key[key] for key in store.manifest(books[0]).facts["part_keys"]]
     tables = [store.read(part, "projections", columns=["op14_m", "is_sequence_start"]) for part in parts]
     rate_hz = float(used[0]["rate_hz"])
     searcher = Searcher.of(
@@ -55,6 +66,10 @@ def run(shard: Shard, store: Store) -> TopicResult:
             rate_hz=rate_hz,
         )
     )
+    codebook = None
+    if books:
+        table = store.read(books[0], "codebook")
+        codebook = Codebook(np.asarray(table["representative_m"]), tuple(np.asarray(one) for one in table["members"]))
     people = read_people(store, take, "op14_m")
     scores = []
     for person in range(people.shape[1]):
@@ -65,6 +80,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
             rate_hz=rate_hz,
             item=shard.name if people.shape[1] == 1 else f"{shard.name} person {person}",
             yaws_deg=shard.parameters["yaws_deg"],
+            codebook=codebook,
             stream=lambda condition, view, person=person: stream(  # type: ignore[misc]
                 shard.seed, "evaluation", TOPIC, shard.name, person, condition, view
             ),

@@ -55,6 +55,7 @@ def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: 
         "body22_world_unitquat": np.zeros((count, 22, 4)),
     }
     facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
+    facts |= {"num_persons": 2, "num_frames": frames}
     return put(store, "ingest", take_id, {"poses": columns}, facts)
 
 

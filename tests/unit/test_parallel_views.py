@@ -8,6 +8,7 @@ import pytest
 from pasdedeux.evaluation.parallel_views import Condition, best_candidates, parallel_track, parallel_view_scores
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.reconstruct import Searcher, match_track
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from tests.walkers import walk
@@ -29,6 +30,9 @@ def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(se
         yaws_deg=(0.0, 75.0),
         stream=lambda condition, view: np.random.default_rng([condition, view]),
         conditions=(Condition("clean"), Condition("noisy", noise=0.03)),
+        codebook=build_codebook(
+            searcher.database, np.random.default_rng(0), PublishedSettings(num_clusters=40, num_landmarks=80)
+        ),
     )
     assert all(np.isfinite(score.value) for score in scores)
     found = {(s.split, s.metric, s.method, s.item): s.value for s in scores}
@@ -38,6 +42,8 @@ def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(se
             fit, nearest = (found[split, "error_root_kept", method, view] for method in ("fit", "nearest"))
             assert fit < nearest
             assert found[split, "error_root_kept", "best_of_50", view] < nearest
+            assert 0.0 < found[split, "recall_at_1", "as_published", view] <= 1.0
+            assert found[split, "error_root_kept", "as_published", view] > fit
         assert found[split, "two_views_differ", "fit", "walk, views 75 degrees apart"] > 0.0
 
 

@@ -1,0 +1,207 @@
+"""The published search: clusters from an embedding and k-means, a query compared with their representatives only.
+
+Yiannakides et al. (2019, section 4.2) put all projections into few dimensions by multi-dimensional scaling of eq. 1,
+cluster them by k-means and keep the projection nearest to each centroid as its representative; a query takes the 10
+best projections of each of the 5 clusters whose representatives are nearest to it.  It is kept for comparison: the
+exact search (`search`) always finds what this one may miss.
+
+Where we differ: the distances of all pairs (12 hours in the paper) are not needed, because a projection's place follows
+from its distances to a few hundred landmarks (landmark MDS, de Silva and Tenenbaum 2004).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.search import Neighbours, prepare_query
+from pasdedeux.skeletons import OP14
+
+__all__ = ["Codebook", "PublishedSettings", "build_codebook", "recall", "search_published"]
+
+Array = npt.NDArray[np.float64]
+Floats32 = npt.NDArray[np.float32]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class PublishedSettings:
+    """How the clusters are made.
+
+    Args:
+        num_clusters: Clusters; the paper found that the mean distance to the centroid changes little beyond 500.
+        num_dimensions: Dimensions of the embedding; the paper found 2 to 5 equally good.
+        num_landmarks: Projections that all others are placed by.
+        num_rounds: Rounds of k-means at most.
+    """
+
+    num_clusters: int = 500
+    num_dimensions: int = 5
+    num_landmarks: int = 300
+    num_rounds: int = 20
+
+    def __post_init__(self) -> None:
+        """Refuse counts below one."""
+        if min(self.num_clusters, self.num_dimensions, self.num_landmarks, self.num_rounds) < 1:
+            raise InputError(f"codebook: all counts must be at least 1: {self}")
+
+
+@dataclass(frozen=True)
+class Codebook:
+    """Clusters of projections.
+
+    Args:
+        representatives_m: The projection nearest to each cluster's centroid (cluster, 14, 2), metres.
+        members: Projection numbers of each cluster, ascending.
+    """
+
+    representatives_m: Floats32
+    members: tuple[Integers, ...]
+
+
+def build_codebook(database: Database, rng: np.random.Generator, settings: PublishedSettings | None = None) -> Codebook:
+    """Give the clusters of a database's projections; at most as many as there are projections.
+
+    Args:
+        database: Database of n projections.
+        rng: Draws the landmarks and the first centroids.
+        settings: How.
+    """
+    settings = settings or PublishedSettings()
+    count = database.num_projections
+    points = _embed(database, rng, settings)
+    num_clusters = min(settings.num_clusters, count)
+    centroids = points[rng.choice(count, num_clusters, replace=False)]
+    for _ in range(settings.num_rounds):
+        label, _ = _nearest_centroids(points, centroids)
+        sizes = np.bincount(label, minlength=num_clusters)
+        sums = np.stack([np.bincount(label, column, minlength=num_clusters) for column in points.T], axis=-1)
+        moved = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centroids)
+        change = float(np.abs(moved - centroids).max())
+        centroids = moved.astype(np.float32)
+        if change < 1e-4:
+            break
+    label, distance = _nearest_centroids(points, centroids)
+    order = np.lexsort((np.arange(count), label))
+    members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    middles = np.array([one[np.argmin(distance[one])] for one in members])
+    return Codebook(_projections(database, middles), tuple(members))
+
+
+def search_published(
+    database: Database,
+    codebook: Codebook,
+    query_m: npt.ArrayLike,
+    weights: npt.ArrayLike | None = None,
+    *,
+    num_clusters: int = 5,
+    num_each: int = 10,
+) -> Neighbours:
+    """Give the 10 best projections of each of the 5 clusters nearest to each query (frame, 14, 2), best first.
+
+    The metric is that of the exact search: eq. 1 over the joints seen.  Frames without any joint have no neighbours.
+    """
+    query, weight = prepare_query(query_m, weights)
+    query, weight = query.reshape(-1, OP14.num_joints, 2), weight.reshape(-1, OP14.num_joints)
+    count = num_clusters * num_each
+    found = np.full((len(query), count), -1, dtype=np.int64)
+    distance = np.full((len(query), count), np.inf)
+    for frame, (points, joint_weight) in enumerate(zip(query, weight, strict=True)):
+        total = float(joint_weight.sum(dtype=np.float64))
+        if total <= 0:
+            continue
+        nearest = np.argsort(_summed(codebook.representatives_m, points, joint_weight), kind="stable")[:num_clusters]
+        kept, values = [], []
+        for cluster in nearest:
+            members = codebook.members[cluster]
+            summed = _summed(_projections(database, members), points, joint_weight)
+            best = np.argsort(summed, kind="stable")[:num_each]
+            kept.append(members[best])
+            values.append(summed[best])
+        numbers, sums = np.concatenate(kept), np.concatenate(values)
+        order = np.lexsort((numbers, sums))
+        found[frame, : len(order)] = numbers[order]
+        distance[frame, : len(order)] = sums[order].astype(np.float64) / total
+    return Neighbours(found, distance, database.num_yaws)
+
+
+def recall(found: Neighbours, exact: Neighbours, *, num_best: int = 1) -> float:
+    """Give the share of the `num_best` true neighbours of each query that were found; NaN without any query."""
+    hits = [
+        np.isin(true[:num_best], some[some >= 0]).mean()
+        for some, true in zip(found.projection, exact.projection, strict=True)
+        if true[0] >= 0
+    ]
+    return float(np.mean(hits)) if hits else float("nan")
+
+
+def _projections(database: Database, numbers: Integers) -> Floats32:
+    turned = database.turned(numbers // database.num_yaws, numbers % database.num_yaws).astype(np.float32)
+    return np.asarray(database.camera.project(turned), dtype=np.float32)
+
+
+def _summed(projections: Floats32, query: Floats32, weight: Floats32) -> Floats32:
+    """Give the weighted sum of joint distances (n,) of projections (n, 14, 2) to a query (14, 2)."""
+    return np.asarray(np.linalg.norm(projections - query, axis=-1) @ weight)
+
+
+def _parts(database: Database) -> Iterator[Floats32]:
+    """Give all projections, some thousand at a time (n, 14, 2)."""
+    step = max(1, 20_000 // database.num_yaws)
+    for first in range(0, database.num_rows, step):
+        yield database.project(first, first + step).reshape(-1, OP14.num_joints, 2)
+
+
+def _embed(database: Database, rng: np.random.Generator, settings: PublishedSettings) -> Floats32:
+    """Place all projections (n, d) by their distances to landmarks (landmark MDS)."""
+    count = database.num_projections
+    chosen = np.sort(rng.choice(count, min(settings.num_landmarks, count), replace=False))
+    landmarks = _projections(database, chosen)
+    among = _distances_to(landmarks, landmarks).astype(np.float64) ** 2
+    mean = among.mean(axis=0)
+    centred = -0.5 * (among - mean[:, None] - mean[None] + mean.mean())
+    values, vectors = np.linalg.eigh(centred)
+    size = min(settings.num_dimensions, int((values > 1e-9 * max(values[-1], 1e-30)).sum()) or 1)
+    top = slice(len(values) - size, len(values))
+    vectors = vectors[:, top] * np.where(vectors[:, top].sum(axis=0) < 0, -1.0, 1.0)  # a sign for every eigenvector
+    lift = (vectors / np.sqrt(np.maximum(values[top], 1e-12))).T
+    placed = [
+        (-0.5 * (_distances_to(part, landmarks).astype(np.float64) ** 2 - mean) @ lift.T).astype(np.float32)
+        for part in _parts(database)
+    ]
+    return np.concatenate(placed)
+
+
+@numba.njit(cache=True, nogil=True)
+def _distances_to(points: Floats32, landmarks: Floats32) -> Floats32:
+    """Give eq. 1 between projections (n, 14, 2) and landmarks (m, 14, 2)."""
+    out = np.zeros((points.shape[0], landmarks.shape[0]), dtype=np.float32)
+    for i in range(points.shape[0]):
+        for j in range(landmarks.shape[0]):
+            total = np.float32(0.0)
+            for joint in range(points.shape[1]):
+                dx = points[i, joint, 0] - landmarks[j, joint, 0]
+                dy = points[i, joint, 1] - landmarks[j, joint, 1]
+                total += np.sqrt(dx * dx + dy * dy)
+            out[i, j] = total
+    return out
+
+
+def _nearest_centroids(points: Floats32, centroids: Floats32) -> tuple[Integers, Floats32]:
+    """Give for each point (n, d) its nearest centroid and the squared distance to it; ties to the lower number."""
+    label = np.empty(len(points), dtype=np.int64)
+    distance = np.empty(len(points), dtype=np.float32)
+    square = (centroids**2).sum(axis=1)
+    for first in range(0, len(points), 20_000):
+        part = points[first : first + 20_000]
+        away = square - 2.0 * (part @ centroids.T)
+        nearest = np.argmin(away, axis=1)
+        label[first : first + len(part)] = nearest
+        distance[first : first + len(part)] = away[np.arange(len(part)), nearest] + (part**2).sum(axis=1)
+    return label, distance

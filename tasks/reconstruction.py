@@ -35,7 +35,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "run_shard"]
 
-VERSION = 2
+VERSION = 3
 
 
 class ReconstructionParameters(Parameters):

@@ -11,7 +11,14 @@ from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
 
-__all__ = ["as_good_as_real_frames", "coverage_figure", "coverage_scores", "curve_points", "real_frame_levels"]
+__all__ = [
+    "as_good_as_real_frames",
+    "coverage_figure",
+    "coverage_note",
+    "coverage_scores",
+    "curve_points",
+    "real_frame_levels",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -68,6 +75,20 @@ def coverage_scores(
                 Score("coverage", "as_good_as_real_frames", method, worth, "frames", is_baseline, split, "all")
             )
     return scores
+
+
+def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
+    """Say in a sentence whether the annotations helped: densities that use them against prior-only, at all draws."""
+    if "prior_only" not in curves or len(curves) < 2:
+        return ""
+    baseline = float(curves["prior_only"].cartesian_m[-1])
+    parts = [
+        f"{name} is {'better' if (own := float(curve.cartesian_m[-1])) < baseline else 'not better'} "
+        f"({100 * own:.1f} against {100 * baseline:.1f} cm in D_C)"
+        for name, curve in curves.items()
+        if name not in ("prior_only", "seeds")
+    ]
+    return f"Coverage of {split.replace('_', ' ')} frames against prior-only: {'; '.join(parts)}."
 
 
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> bytes:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.evaluation.coverage import coverage_figure, coverage_scores, curve_points, real_frame_levels
+from pasdedeux.evaluation.coverage import (
+    coverage_figure,
+    coverage_note,
+    coverage_scores,
+    curve_points,
+    real_frame_levels,
+)
 from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
 from storage_schema import ArtifactRef, Store
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
@@ -78,6 +84,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions={
             name: f"Coverage of {split.replace('_', ' ')} frames by the draws of each density and by grown seeds."
         },
+        notes=[note] if (note := coverage_note(curves, split=split)) else [],
     )
 
 

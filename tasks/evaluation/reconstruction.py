@@ -43,6 +43,11 @@ def run(shard: Shard, store: Store) -> TopicResult:
     refuse_overlap(
         f"the projection database of sequence {shard.name}", facts["database_takes"], facts["sequence_takes"]
     )
+    if "num_merged_rows" in facts:
+        note = (
+            f"{shard.name}: people were followed by pose and motion, so nobody knows whose truth a track is; no scores."
+        )
+        return TopicResult(notes=[note])
     annotations = others[: shard.parameters["num_annotations"]]
     takes = read_takes(store, others[shard.parameters["num_annotations"] :], "op14_m")
     cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)

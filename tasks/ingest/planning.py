@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,34 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         *(_duet_shard(inputs.seed, parameters, duet) for duet in parameters.resolved_duets()),
         *(_take_shard(inputs.seed, parameters, take) for take in _all_takes(parameters)),
     ]
+    _refuse_twins(takes)
     for take in takes:
         shards.append(take)
         shards.extend(_virtual_video_shards(parameters, take))
     shards.extend(_annotation_shards(inputs.seed, parameters))
     return shards
+
+
+def _refuse_twins(takes: Sequence[Shard]) -> None:
+    """Refuse frames of a motion file that one take holds out and another learns from.
+
+    Raises:
+        InputError: With the names of both takes.
+    """
+    uses: dict[str, list[tuple[Shard, range]]] = {}
+    for take in takes:
+        files = iter(take.files)
+        for person in take.parameters.get("persons", ()):
+            motion, *_ = (next(files) for _ in range(person["num_files"]))
+            frames = range(person["first_frame"], person["first_frame"] + take.parameters["num_frames"])
+            for other, others in uses.setdefault(motion.sha256, []):
+                is_split = other.parameters["is_held_out"] != take.parameters["is_held_out"]
+                if is_split and max(frames.start, others.start) < min(frames.stop, others.stop):
+                    raise InputError(
+                        f"takes {other.partition} and {take.partition} share frames of {Path(motion.path).name}, but "
+                        "only one of them is held out: the other would be learned from"
+                    )
+            uses[motion.sha256].append((take, frames))
 
 
 def _all_takes(parameters: IngestParameters) -> Iterator[TakeOptions]:

@@ -77,7 +77,6 @@ def run_take(shard: Shard, store: Store) -> ArtifactRef:
             "num_frames": num_frames,
             "rate_hz": parameters["rate_hz"],
             "is_held_out": parameters["is_held_out"],
-            "is_evaluated": parameters["is_held_out"],
             "is_prior": parameters["is_prior"],
         },
         sources=[source],

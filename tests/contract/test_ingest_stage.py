@@ -236,8 +236,12 @@ def test_z_up_files_come_out_standing(tmp_path: Path) -> None:
 
 def test_held_out_takes_have_no_random_views_and_are_no_prior(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     shards = planned(
-        takes=[{"id": "a", "files": list(pair)}, {"id": "b", "files": list(pair)}], held_out=["b"],
-    )  # fmt: skip
+        takes=[
+            {"id": "a", "files": list(pair), "frames": [0, 20]},
+            {"id": "b", "files": list(pair), "frames": [20, 40]},
+        ],
+        held_out=["b"],
+    )
     names = [(shard.partition, shard.name) for shard in shards]
     assert ("a", "random_views") in names
     assert ("b", "random_views") not in names
@@ -383,6 +387,15 @@ def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tu
     assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters["num_frames"] == 30
     with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
         planned(takes=[section | {"frames": [0, 35]}])
+
+
+def test_frames_that_one_take_holds_out_and_another_learns_from_are_refused(pair: tuple[Path, Path]) -> None:
+    learned = {"id": "learned", "files": list(pair), "frames": [0, 20]}
+    held_out = {"id": "kept", "files": list(pair), "frames": [10, 30]}
+    with pytest.raises(InputError, match=r"takes learned and kept share frames of 60_01.bvh, but only one .* held out"):
+        planned(takes=[learned, held_out], held_out=["kept"])
+    assert planned(takes=[learned, held_out | {"frames": [20, 40]}], held_out=["kept"])
+    assert planned(takes=[learned, held_out])
 
 
 def test_a_missing_file_and_an_unclear_unit_are_named(tmp_path: Path, pair: tuple[Path, Path]) -> None:

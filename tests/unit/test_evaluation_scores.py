@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras import look_at_camera
-from pasdedeux.evaluation.coverage import as_good_as_real_frames, coverage_scores, curve_points, real_frame_levels
+from pasdedeux.evaluation.coverage import (
+    as_good_as_real_frames,
+    coverage_note,
+    coverage_scores,
+    curve_points,
+    real_frame_levels,
+)
 from pasdedeux.evaluation.model_metrics import ModelErrors
 from pasdedeux.evaluation.models import model_figure, model_scores
 from pasdedeux.evaluation.overlay import floor_grid
@@ -70,6 +76,14 @@ def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
     assert {s.method for s in scores if s.is_baseline} == {"prior_only", "real_frames"}
     assert curve_points(1, 5) == [1]
     assert curve_points(1000, 4) == [1, 10, 100, 1000]
+
+
+def test_the_note_on_coverage_says_when_the_annotations_did_not_help() -> None:
+    good = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.1]))
+    poor = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.2]))
+    assert "ic is better (10.0 against 20.0 cm" in coverage_note({"ic": good, "prior_only": poor}, split="held_out")
+    assert "ic is not better (20.0 against 10.0 cm" in coverage_note({"ic": poor, "prior_only": good}, split="held_out")
+    assert coverage_note({"ic": good}, split="held_out") == ""
 
 
 def test_quality_scores_show_contact_drift_beside_plain_forward_kinematics() -> None:
@@ -139,3 +153,20 @@ def test_the_floor_grid_lies_under_what_the_camera_looks_at() -> None:
     inside = camera.is_inside(below).any(axis=1)
     assert inside.mean() > 0.2
     assert (below[inside][..., 1].max(axis=-1) > 540).mean() > 0.9
+
+
+def test_the_worst_variant_of_every_column_is_found_once() -> None:
+    qualities = VariantQualities(
+        take_id="hug",
+        scale=np.array([0.8, 0.9, 1.2]),
+        values={
+            "jerk_ratio": np.array([1.0, 1.1, 1.3]),
+            "contact_drift_m": np.array([0.02, 0.01, 0.03]),
+            "penetration_m": np.array([0.01, np.nan, 0.0]),
+            "contact_drift_body_m": np.full(3, np.nan),
+            "bone_error_m": np.zeros(3),
+        },
+        drift_fk_m=np.zeros(3),
+        verdicts=["pass"] * 3,
+    )
+    assert worst_variants(qualities) == {0: ["penetration_m"], 2: ["jerk_ratio", "contact_drift_m"]}

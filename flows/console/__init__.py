@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) 
 
     Nothing is imported before it is called: a Dask worker imports this package by its entry point.
     """
-    from flows.console.app import run_command_line
-
+    try:
+        from flows.console.app import run_command_line
+    except KeyboardInterrupt:  # the first second goes into imports
+        sys.stderr.write("interrupted; the same command goes on from here\n")
+        raise SystemExit(130) from None
     raise SystemExit(run_command_line(arguments, graph=graph))

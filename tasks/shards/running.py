@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from threadpoolctl import threadpool_limits
+
 from storage_schema import ArtifactRef, Store
 from tasks.shards.cluster import DEATHS_ALLOWED
 from tasks.shards.errors import ShardError, Stopped, in_one_line
@@ -40,10 +42,14 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
 
     Gives the artifact and the seconds it took. Whatever goes wrong is raised as a ShardError, which survives the way
     back from the worker even where the original error would not.
+
+    The linear algebra has one thread, also where the process was started with more: sums of several threads are
+    rounded otherwise, and the bytes would differ.
     """
     started = time.perf_counter()
     try:
-        ref = run_shard(shard, Store(store_root))
+        with threadpool_limits(limits=1):
+            ref = run_shard(shard, Store(store_root))
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
         failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
     else:

@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from storage_schema import Store
+from tasks.shards import run
+from tasks.stage import Shard
 from tests.real_study import BuiltStudy, RealRun, build_here, digests
 
-pytestmark = pytest.mark.slow
+
+def test_a_shard_computes_with_one_thread_whatever_its_process_was_started_with(tmp_path: Path) -> None:
+    """With two, OpenBLAS adds up in another order, and the models of a longer study come out with other bytes."""
+
+    def count_threads(shard: Shard, store: Store) -> Any:
+        return {library["num_threads"] for library in threadpool_info()}
+
+    shard = Shard(stage="grow", version=1, partition="t0", name="s0", parameters={})
+    with threadpool_limits(limits=2):
+        assert run(count_threads, shard, str(tmp_path))[0] == {1}
+        assert count_threads(shard, Store(tmp_path)) == {2}
 
 
+@pytest.mark.slow
 def test_this_process_alone_gives_the_same_bytes_as_two_workers(small: BuiltStudy, tmp_path: Path) -> None:
     build_here(small.study, tmp_path / "store")
     assert digests(tmp_path / "store") == digests(small.store)
 
 
+@pytest.mark.slow
 def test_one_worker_gives_the_same_bytes_as_two(small: BuiltStudy, tmp_path: Path, prefect_home: Path) -> None:
     run = RealRun("run", small.study, "--store", tmp_path / "store", "--workers", "1", prefect_home=prefect_home)
     answer = run.finish()

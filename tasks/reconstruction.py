@@ -33,7 +33,7 @@ from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_fr
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
-__all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
 VERSION = 3
 
@@ -191,7 +191,7 @@ def _reconstruct(
         smoothing_s=parameters.smoothing_s,
         has_own_proportions=parameters.has_own_proportions,
     )
-    poses, starts, take_ids, frames = _read_database(store, database_refs)
+    poses, starts, take_ids, frames = read_database(store, database_refs)
     if len(poses) == 0:
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}
@@ -235,7 +235,7 @@ def _reconstruct(
     return rows, attachments
 
 
-def _read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Give poses, sequence starts, take ids and frames of all parts, in the order of the plan."""
     parts = [
         store.read(ref, "projections", columns=["op14_m", "is_sequence_start", "take_id", "frame"]) for ref in refs

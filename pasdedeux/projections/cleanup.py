@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
@@ -175,6 +174,8 @@ def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: Cle
         return shift
     stays = (is_planted[1:] & is_planted[:-1]).astype(np.float64)  # (frame - 1, foot)
     steps = np.diff(ankles, axis=0)
+    from scipy.linalg import solveh_banded  # here: 0.2 s that planning does not need
+
     for axis in range(3):
         # Upper bands of the symmetric pentadiagonal normal matrix, as solveh_banded takes them.
         bands = np.zeros((3, frames))

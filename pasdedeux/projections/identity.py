@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import OP14
@@ -155,6 +154,8 @@ class Follower:
         matched: dict[int, _Person] = {}
         if len(usable) and self._people:
             cost, limit = self._costs(time_s, points[usable], is_seen[usable], size[usable])
+            from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
+
             # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
             gated = np.where(cost <= limit, cost - 2.0 * self.options.most_gate, 0.0)
             for row, column in zip(*linear_sum_assignment(gated), strict=True):

@@ -217,6 +217,7 @@ class LivePerson:
         self._waiting: deque[_Waiting] = deque()
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
+        self._scale = float("nan")
         self._rotations = _OneEuroState(self._options.smoothing, rate_hz, _turned_by, slerp)
         root = replace(self._options.smoothing, beta=_ROOT_BETA)
         self._root = _OneEuroState(root, rate_hz, lambda a, b: a - b, lambda a, b, share: a + share * (b - a))
@@ -258,9 +259,9 @@ class LivePerson:
         matched = np.full(image.shape, np.nan)
         for index, one in enumerate(before):
             matched[index] = one.matched_m
-        if before:
-            placement = self._refined(image, weight, matched, window, placement)
-        own = placement.to_metres(image)[-1]
+        # The scale of the frame before is better than a first guess, and close enough to find the match by.
+        scale = self._scale if before else float(placement.metres_per_pixel[-1])
+        own = (image[-1] - placement.mid_hip_px[-1]) * scale
         found = self._searcher.index.search(
             retarget_image(own, self._proportions)[None], weights[None], num_neighbours=1
         )
@@ -281,7 +282,7 @@ class LivePerson:
                 np.stack([one.weights for one in self._window]),
                 np.stack([one.matched_m for one in self._window]),
             )
-        scale = float(placement.metres_per_pixel[-1])
+        self._scale = scale = float(placement.metres_per_pixel[-1])
         place = np.append(placement.mid_hip_px[-1] * scale, -scale * self._lens.focal_px)
         turn = swing_between(np.array([0.0, 0.0, 1.0]), towards[0])
         return _Waiting(
@@ -309,11 +310,13 @@ class LivePerson:
         towards = -root / np.linalg.norm(root)
         turn = swing_between(np.array([0.0, 0.0, 1.0]), towards)
         positions = rotate(np.broadcast_to(turn, (OP14.num_joints, 4)), relative) + root
+        turned = np.array(unitquat)  # bones turn against each other, so only the body's frame turns with the whole
+        turned[OP14.root] = multiply(turn, unitquat[OP14.root])
         return LivePose(
             person_id=self.person_id,
             frame=waiting.frame,
             positions_m=positions,
-            bone_unitquat=bone_rotations(positions),
+            bone_unitquat=turned,
             root_m=mid_hip(positions),
             yaw_rad=float(yaw * database.yaw_step_rad),
             score_m=float(waiting.distance_m[decision.rank]),

@@ -10,6 +10,7 @@ import pytest
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.live import FixedLagViterbi, LiveOptions, LivePeople, LivePose
 from pasdedeux.projections.reconstruct import Searcher
@@ -77,6 +78,8 @@ def test_two_people_in_any_order_come_out_near_the_truth_with_bounded_delay(sear
         error = min(root_centred_error_m(found, truth[:, other]).mean() for other in (0, 1))
         assert error < 0.15
         np.testing.assert_allclose(mid_hip(found), np.stack([pose.root_m for pose in own]), atol=1e-9)
+        for pose in own[::10]:
+            np.testing.assert_allclose(np.abs(np.sum(pose.bone_unitquat * bone_rotations(pose.positions_m), -1)), 1.0)
 
 
 def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(

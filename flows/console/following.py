@@ -1,0 +1,90 @@
+"""Reads a folder of OpenPose files while they are written: in frame order, each once, only when it is whole."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats import OpenPoseFrame, openpose_frame_number, read_openpose_frame
+
+__all__ = ["STOP_NAME", "FollowedFile", "follow_folder", "list_frames"]
+
+STOP_NAME = "STOP"
+"""A file of this name in the folder says that no more frames will come."""
+
+_POLL_S = 0.01
+
+
+@dataclass(frozen=True)
+class FollowedFile:
+    """A frame that was read.
+
+    Args:
+        number: Frame number, from the file's name.
+        path: The file.
+        frame: Its people; None when the file never became whole.
+        problem: Why it did not.
+    """
+
+    number: int
+    path: Path
+    frame: OpenPoseFrame | None
+    problem: str = ""
+
+
+def list_frames(folder: Path) -> list[tuple[int, Path]]:
+    """Give the files of a folder that have a frame number, by it; several of one number are taken by name."""
+    with os.scandir(folder) as entries:
+        paths = sorted(entry.path for entry in entries if entry.name.endswith(".json"))
+    numbered = [(openpose_frame_number(Path(path).name), Path(path)) for path in paths]
+    return sorted({number: path for number, path in reversed(numbered) if number is not None}.items())
+
+
+def follow_folder(
+    folder: Path,
+    *,
+    idle_s: float,
+    sleep: Callable[[float], object] = time.sleep,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[FollowedFile]:
+    """Give frames as their files become whole; ends with a file `STOP` or when nothing new came for `idle_s`.
+
+    A file that is not whole yet (it cannot be read as OpenPose) holds up those after it until a later file is there
+    that is whole: the writer is past it then, and it is given without people.  Files that come late, with a number
+    before one that was already given, are left alone.
+
+    Args:
+        folder: Folder to watch.
+        idle_s: Seconds without anything new after which the video is over.
+        sleep: Waits; tests write in it.
+        clock: Seconds.
+    """
+    last = -1
+    since = clock()
+    while True:
+        is_stopped = (folder / STOP_NAME).exists()
+        waiting = [(number, path) for number, path in list_frames(folder) if number > last]
+        frames = [_read(number, path) for number, path in waiting]
+        whole = [index for index, one in enumerate(frames) if one.frame is not None]
+        is_over = is_stopped or clock() - since > idle_s
+        ready = len(frames) if is_over else (whole[-1] + 1 if whole else 0)
+        for one in frames[:ready]:
+            last = one.number
+            yield one
+        if ready:
+            since = clock()
+        if is_over:
+            return
+        if not ready:
+            sleep(_POLL_S)
+
+
+def _read(number: int, path: Path) -> FollowedFile:
+    try:
+        return FollowedFile(number, path, read_openpose_frame(path.read_bytes()))
+    except (FormatError, FileNotFoundError) as error:
+        return FollowedFile(number, path, None, str(error))

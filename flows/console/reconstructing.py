@@ -1,0 +1,269 @@
+"""The work of the command `reconstruct`: reads OpenPose files, reconstructs, writes BVH files or live lines."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import typer
+
+from flows.console.context import open_store
+from flows.console.following import FollowedFile, follow_folder, list_frames
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats import (
+    OpenPoseFrame,
+    check_anatomy,
+    join_openpose_frames,
+    read_openpose_frame,
+    write_bvh,
+)
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
+from pasdedeux.projections.people import reconstruct_detections
+from pasdedeux.projections.reconstruct import Searcher
+from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
+from tasks.reconstruction import read_database
+
+__all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
+
+_PITCHES_DEG = (0.0, 10.0, 20.0, 30.0, 45.0)
+_LIVE_PITCH_DEG = 10.0
+_CHECKED_ROWS = 30
+"""Detections after which a live video's keypoints are checked for looking like people."""
+
+
+@dataclass(frozen=True)
+class Live:
+    """How a live video is reconstructed: a file for the lines (None for standard output), and the command's options."""
+
+    out: Path | None
+    rate_hz: float = 30.0
+    size: str | None = None
+    pitch_deg: float | None = None
+    idle_s: float = 5.0
+    lag: int = 6
+
+
+@dataclass(frozen=True)
+class Whole:
+    """How a whole video is reconstructed: a folder for the BVH files (None for this one), and the command's options."""
+
+    out: Path | None
+    rate_hz: float = 30.0
+    size: str | None = None
+    pitch_deg: float | None = None
+    has_clean_up: bool = True
+
+
+def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
+    """Write a line per person and frame while a folder's files are being written.
+
+    Raises:
+        InputError: No folder, no projections, an image size of another form, or keypoints that are not people.
+    """
+    _check_folder(folder)
+    image_size = _image_size(live.size)
+    source, refs = _projections(database, store)
+    searcher = _searchers(source, refs, (_LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg,))[0]
+    options = LiveOptions(lag=live.lag)
+    people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
+    with _lines(live.out) as file:
+        _follow(people, follow_folder(folder, idle_s=live.idle_s), file, rate_hz=live.rate_hz, lag=live.lag)
+
+
+def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) -> None:
+    """Write a BVH file per person of a folder of OpenPose files.
+
+    Raises:
+        InputError: No folder, no projections, an image size of another form, files that are not OpenPose's, keypoints
+            that are not people, or nobody who can be reconstructed.
+    """
+    _check_folder(folder)
+    image_size = _image_size(whole.size)
+    source, refs = _projections(database, store)
+    frames = _read_all(folder)
+    joined = join_openpose_frames(frames, sequence_id="video", image_size_px=image_size)
+    check_anatomy(joined)
+    op14 = KEYPOINT_LAYOUTS[joined.layout].derive("op14", joined.keypoints_px, joined.confidence)
+    pitches = _PITCHES_DEG if whole.pitch_deg is None else (whole.pitch_deg,)
+    crowd = reconstruct_detections(
+        _searchers(source, refs, pitches),
+        joined.frame,
+        op14.positions,
+        op14.confidence,
+        rate_hz=whole.rate_hz,
+        image_size_px=image_size,
+        has_clean_up=whole.has_clean_up,
+    )
+    target = whole.out or Path()
+    target.mkdir(parents=True, exist_ok=True)
+    for person in crowd.people:
+        path = target / f"{folder.resolve().name}_{person.tracked.person_id}.bvh"
+        path.write_text(write_bvh(person.motion), encoding="utf-8")
+        first, count = person.tracked.first_frame, person.motion.num_frames
+        score = float(np.nanmean(person.found.score_m))
+        bridged = int(person.found.is_bridged.sum())
+        typer.echo(
+            f"{path}: frames {first} to {first + count - 1}, {100 * score:.1f} cm from the nearest projections, "
+            f"{bridged} bridged"
+        )
+    for person_id, reason in crowd.skipped.items():
+        typer.echo(f"person {person_id} was left out: {reason}", err=True)
+    typer.echo(
+        f"camera pitch {pitches[crowd.searcher_index]:g} degrees; {crowd.num_merged_rows} doubled detections merged, "
+        f"{crowd.num_ghost_rows} dropped, {crowd.num_repaired_joints} joints repaired or left out",
+        err=True,
+    )
+
+
+def _check_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder of OpenPose files")
+
+
+def _image_size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{2,5})[xX](\d{2,5})", text)
+    if match is None:
+        raise InputError(f"image size '{text}' is not of the form WIDTHxHEIGHT, for example 1920x1080")
+    return int(match[1]), int(match[2])
+
+
+def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
+    """Give the store and the artifacts that a reference names, or those of the only study of a store's folder."""
+    if not Path(text).is_dir():
+        store = open_store(store_folder)
+        refs = resolve(text, store)
+        if any("projections" not in store.manifest(ref).tables for ref in refs):
+            raise InputError(f"'{text}' does not name projections; a reference to them starts with 'projections:'")
+        return store, refs
+    store = open_store(Path(text))
+    found = {}
+    for study in latest_studies(store):
+        latest = read_latest(store, study)
+        refs = [] if latest is None else latest.refs("projections")
+        if refs := [ref for ref in refs if "projections" in store.manifest(ref).tables]:
+            found[study] = refs
+    if len(found) != 1:
+        names = ", ".join(f"projections:{study}" for study in found)
+        raise InputError(
+            f"store {text} has projections of {len(found)} studies"
+            + (f"; say which with --store {text} --database REF, one of: {names}" if found else "; run a study first")
+        )
+    return store, next(iter(found.values()))
+
+
+def _searchers(store: Store, refs: list[ArtifactRef], pitches_deg: tuple[float, ...]) -> list[Searcher]:
+    rows = read_database(store, refs)
+    rate_hz = float(store.manifest(refs[0]).facts["rate_hz"])
+    return [
+        Searcher.of(Database(rows[0], rows[1], rate_hz=rate_hz, camera=OrthographicCamera(math.radians(pitch))))
+        for pitch in pitches_deg
+    ]
+
+
+def _read_all(folder: Path) -> list[tuple[int, OpenPoseFrame]]:
+    frames = []
+    for number, path in list_frames(folder):
+        try:
+            frames.append((number, read_openpose_frame(path.read_bytes())))
+        except FormatError as error:
+            raise FormatError(f"{path.name}: {error}") from None
+    if not frames:
+        raise InputError(f"folder {folder} holds no OpenPose files, whose names end in a frame number and .json")
+    return frames
+
+
+@contextmanager
+def _lines(path: Path | None) -> Iterator[TextIO | None]:
+    """Give the file that lines go to, None for standard output."""
+    if path is None:
+        yield None
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8") as file:
+        yield file
+
+
+def _follow(people: LivePeople, files: Iterator[FollowedFile], out: TextIO | None, *, rate_hz: float, lag: int) -> None:
+    """Write the poses of frames as they come, then say how long they took."""
+    arrived: dict[int, float] = {}
+    work_s: list[float] = []
+    delay_s: list[float] = []
+    seen: list[tuple[int, OpenPoseFrame]] = []
+    layout: str | None = None
+    began = time.time()
+
+    def write(poses: list[LivePose]) -> None:
+        for pose in poses:
+            delay = time.time() - arrived[pose.frame]
+            delay_s.append(delay)
+            line = _line(pose, rate_hz=rate_hz, delay_s=delay)
+            if out is None:
+                typer.echo(line)
+            else:
+                out.write(line + "\n")
+                out.flush()
+
+    for file in files:
+        if file.frame is None:
+            typer.echo(f"{file.path.name} was left out: {file.problem}", err=True)
+            continue
+        frame = file.frame
+        arrived[file.number] = max(file.path.stat().st_mtime, began)  # files that lay there before wait from now on
+        start = time.perf_counter()
+        if frame.layout is None:
+            poses = people.push(file.number, np.zeros((0, OP14.num_joints, 2)), np.zeros((0, OP14.num_joints)))
+        else:
+            if layout not in (None, frame.layout):
+                raise InputError(f"{file.path.name} has the layout '{frame.layout}', the files before it '{layout}'")
+            layout = frame.layout
+            if len(seen) < _CHECKED_ROWS:
+                seen.append((file.number, frame))
+                if len(seen) == _CHECKED_ROWS:
+                    check_anatomy(join_openpose_frames(seen, sequence_id="video"))
+            op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, frame.confidence)
+            poses = people.push(file.number, op14.positions, op14.confidence)
+        work_s.append(time.perf_counter() - start)
+        write(poses)
+        for old in [number for number in arrived if number < file.number - 10 * (lag + 100)]:
+            del arrived[old]
+    write(people.finish())
+    if not delay_s:
+        typer.echo(f"{len(work_s)} frames, nobody to be seen", err=True)
+        return
+    work, delay = 1000 * np.array(work_s), np.array(delay_s)
+    typer.echo(
+        f"{len(work)} frames, {len(delay)} poses; work per frame {np.median(work):.1f} ms (median), "
+        f"{np.quantile(work, 0.99):.1f} ms (99 %); a pose left {lag} frames after its image, "
+        f"{np.median(delay):.3f} s (median), {np.quantile(delay, 0.99):.3f} s (99 %) after its file was written",
+        err=True,
+    )
+
+
+def _line(pose: LivePose, *, rate_hz: float, delay_s: float) -> str:
+    return json.dumps(
+        {
+            "frame": pose.frame,
+            "time_s": round(pose.frame / rate_hz, 6),
+            "person_id": pose.person_id,
+            "op14_m": np.round(pose.positions_m, 4).tolist(),
+            "root_m": np.round(pose.root_m, 4).tolist(),
+            "yaw_rad": round(pose.yaw_rad, 4),
+            "score_m": round(pose.score_m, 4),
+            "num_joints_seen": pose.num_joints_seen,
+            "delay_s": round(delay_s, 4),
+        }
+    )

@@ -1,0 +1,208 @@
+"""`reconstruct`: OpenPose files to BVH at once, and to lines while another process is still writing them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.app import run_command_line
+from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
+from pasdedeux.cameras import look_at_camera
+from pasdedeux.formats import read_bvh
+from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from storage_schema import Store, artifact_key
+from tests.walkers import walk
+
+LAYOUT = KEYPOINT_LAYOUTS["coco18"]
+FRAMES = 40
+
+WRITER = """
+import pathlib, sys
+source, target = map(pathlib.Path, sys.argv[1:])
+for path in sorted(source.iterdir()):
+    data = path.read_bytes()
+    with (target / path.name).open("wb") as file:
+        file.write(data[: len(data) // 2])
+        file.flush()
+        file.write(data[len(data) // 2 :])
+(target / "STOP").touch()
+"""
+
+
+def openpose(points: np.ndarray) -> str:
+    """One frame of people (person, 14, 2) as OpenPose writes COCO-18; joints that op14 lacks are not detected."""
+    people = []
+    for person in points:
+        values = np.zeros((18, 3))
+        for name, point in zip(OP14.joint_names, person, strict=True):
+            name = {"head": "nose"}.get(name, name)
+            values[LAYOUT.keypoint_names.index(name)] = [*point, 0.9]
+        people.append({"person_id": [-1], "pose_keypoints_2d": values.reshape(-1).tolist()})
+    return json.dumps({"version": 1.3, "people": people})
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of two walkers, listed in changing order."""
+    worlds = np.stack([walk(FRAMES, seed=50 + i, rate_hz=30.0) + np.array([1.4 * i, 0.0, 0.0]) for i in (0, 1)], axis=1)
+    camera = look_at_camera(
+        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=0.3, pitch_rad=0.1, focal_px=1400.0
+    )
+    folder = tmp_path_factory.mktemp("video")
+    for frame, points in enumerate(camera.project(worlds).px):
+        listed = points[::-1] if frame % 2 else points
+        (folder / f"film_{frame:012d}_keypoints.json").write_text(openpose(listed))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """A store with one projections artifact."""
+    poses = np.concatenate([centre_and_face(walk(72, seed=seed)).poses_m for seed in range(4)])
+    count = len(poses)
+    built = Store(tmp_path_factory.mktemp("store"))
+    built.commit(
+        stage="projections",
+        key=artifact_key(stage="projections", version=1, parameters={}, input_digests=[], seed=0),
+        partition="walk",
+        name="walk",
+        version=1,
+        parameters={},
+        seed=0,
+        inputs=[],
+        files=[],
+        tables={
+            "projections": {
+                "origin": ["take"] * count,
+                "take_id": ["walk"] * count,
+                "person": np.zeros(count, dtype=int),
+                "frame": np.arange(count),
+                "is_sequence_start": np.arange(count) % 72 == 0,
+                "op14_m": poses,
+                "op14_unitquat": bone_rotations(poses),
+                "heading_rad": np.zeros(count),
+                "root_translation_m": np.zeros((count, 3)),
+                "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
+            }
+        },
+        facts={"kind": "projections", "takes": ["walk"], "rate_hz": 24.0},
+    )
+    return built
+
+
+def reference(store: Store) -> list[str]:
+    (manifest,) = store.artifacts("projections")
+    return ["--store", str(store.root), "--database", f"projections@{manifest.ref.key[:16]}"]
+
+
+def test_files_that_lie_there_become_a_bvh_file_a_person(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    command = ["reconstruct", str(video), *reference(store), "--out", str(out), "--size", "1920x1080"]
+    assert run_command_line(command) == 0
+    files = sorted(out.iterdir())
+    assert len(files) == 2
+    for file in files:
+        source = read_bvh(file.read_bytes())
+        assert (source.num_frames, source.rate_hz) == (FRAMES, pytest.approx(30.0))
+    said = capsys.readouterr()
+    assert "frames 0 to 39" in said.out
+    assert "camera pitch" in said.err
+
+
+def test_files_being_written_by_another_process_become_lines_in_order(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "live", tmp_path / "lines" / "poses.jsonl"
+    folder.mkdir()
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(video), str(folder)]) as writer:
+        command = ["reconstruct", str(folder), *reference(store), "--follow", "--out", str(out)]
+        assert run_command_line([*command, "--idle", "60", "--lag", "3"]) == 0
+    assert writer.returncode == 0
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    for person in (0, 1):
+        own = [line for line in lines if line["person_id"] == person]
+        assert [line["frame"] for line in own] == list(range(FRAMES))
+        steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
+        assert steps.max() < 0.25
+    assert "a pose left 3 frames after its image" in capsys.readouterr().err
+
+
+def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
+    """Follow a folder; every time the follower waits, the next step is taken, and ten seconds pass."""
+    now = [0.0]
+
+    def sleep(_: float) -> None:
+        now[0] += 10.0
+        if steps:
+            steps.pop(0)()
+
+    return list(follow_folder(folder, idle_s=idle_s, sleep=sleep, clock=lambda: now[0]))
+
+
+def test_half_a_file_is_waited_for(video: Path, tmp_path: Path) -> None:
+    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
+    names = [tmp_path / f"film_{n}.json" for n in range(3)]
+    steps: list[Callable[[], object]] = [
+        lambda: names[0].write_bytes(data[0][:50]),
+        lambda: names[0].write_bytes(data[0]),
+        lambda: names[1].write_bytes(b""),
+        lambda: names[1].write_bytes(data[1]),
+        lambda: names[2].write_bytes(data[2]),
+        lambda: (tmp_path / STOP_NAME).touch(),
+    ]
+    found = read_while(tmp_path, steps)
+    assert [one.number for one in found] == [0, 1, 2]
+    assert all(one.frame is not None for one in found)
+    assert steps == []
+
+
+def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(video: Path, tmp_path: Path) -> None:
+    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
+    steps: list[Callable[[], object]] = [
+        lambda: (tmp_path / "film_7.json").write_bytes(data[0][:50]),
+        lambda: (tmp_path / "film_9.json").write_bytes(data[1]),
+        lambda: (tmp_path / "film_8.json").write_bytes(data[2]),
+    ]
+    found = read_while(tmp_path, steps, idle_s=35.0)
+    assert [(one.number, one.frame is None) for one in found] == [(7, True), (9, False)]
+    assert "JSON" in found[0].problem
+
+
+def test_nothing_new_for_the_idle_time_ends_it(tmp_path: Path) -> None:
+    assert read_while(tmp_path, [], idle_s=25.0) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (["--size", "wide"], "WIDTHxHEIGHT"),
+        (["--database", "poses@00"], "poses"),
+    ],
+)
+def test_bad_options_are_named(
+    video: Path, store: Store, change: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["reconstruct", str(video), *reference(store), *change]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_folder_without_frames_and_a_store_without_projections_are_named(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["reconstruct", str(tmp_path), *reference(store)]) == 2
+    assert "no OpenPose files" in capsys.readouterr().err
+    assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
+    assert "is not a folder" in capsys.readouterr().err
+    assert run_command_line(["reconstruct", str(video), "--database", str(store.root)]) == 2
+    assert "run a study first" in capsys.readouterr().err

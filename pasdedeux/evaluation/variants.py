@@ -13,17 +13,29 @@ from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["QUALITY_COLUMNS", "VariantQualities", "drift_figure", "quality_scores", "variant_sheet", "verdict_scores"]
+__all__ = [
+    "QUALITY_COLUMNS",
+    "VariantQualities",
+    "drift_figure",
+    "quality_scores",
+    "variant_sheet",
+    "verdict_scores",
+    "worst_variants",
+]
 
 Array = npt.NDArray[np.float64]
 
 QUALITY_COLUMNS = {
     "bone_error_m": "m",
     "contact_drift_m": "m",
+    "contact_drift_extremity_m": "m",
+    "contact_drift_body_m": "m",
     "laplacian_error_m": "m",
     "foot_slide_m": "m",
     "floor_penetration_m": "m",
     "penetration_m": "m",
+    "self_penetration_m": "m",
+    "spine_bend_rad": "rad",
     "jerk_ratio": "",
 }
 """Columns of a variant's quality that are scored, with their units."""
@@ -89,6 +101,19 @@ def verdict_scores(qualities: VariantQualities) -> list[Score]:
         )
         for verdict in ("pass", "warn", "fail")
     ]
+
+
+def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:
+    """Give the variants that are worst in some column, by index, with the columns they are worst in.
+
+    A column in which no variant differs from another, or none has a value, has no worst.
+    """
+    worst: dict[int, list[str]] = {}
+    for name, values in qualities.values.items():
+        finite = np.isfinite(values)
+        if finite.any() and np.ptp(values[finite]) > 0:
+            worst.setdefault(int(np.argmax(np.where(finite, values, -np.inf))), []).append(name)
+    return dict(sorted(worst.items()))
 
 
 def drift_figure(qualities: VariantQualities) -> bytes:

@@ -19,7 +19,13 @@ from pasdedeux.evaluation.overlay import floor_grid
 from pasdedeux.evaluation.reconstruction import Reconstructed, reconstruction_scores
 from pasdedeux.evaluation.score_tables import format_value, score_table
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.variants import QUALITY_COLUMNS, VariantQualities, quality_scores, verdict_scores
+from pasdedeux.evaluation.variants import (
+    QUALITY_COLUMNS,
+    VariantQualities,
+    quality_scores,
+    verdict_scores,
+    worst_variants,
+)
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve

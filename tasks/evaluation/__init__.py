@@ -12,6 +12,7 @@ from tasks.evaluation import (
     chains,
     clips,
     coverage,
+    density,
     models,
     parallel_views,
     reconstruction,
@@ -34,6 +35,9 @@ class EvaluationParameters(Parameters):
         description="What the study makes, a sentence or two for the report and the card",
     )
     num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
+    num_judged_pairs: int = Field(
+        0, ge=0, description="Real pairs of held-out takes that terms of the density are judged on; 0: none are judged"
+    )
     num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
     clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
     clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
@@ -50,6 +54,7 @@ _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
     views.TOPIC: views.run,
     chains.TOPIC: chains.run,
     coverage.TOPIC: coverage.run,
+    density.TOPIC: density.run,
     reconstruction.TOPIC: reconstruction.run,
     parallel_views.TOPIC: parallel_views.run,
     augmentation.TOPIC: augmentation.run,
@@ -68,6 +73,7 @@ def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
         *coverage.shards(
             inputs, num_truth_pairs=parameters.num_truth_pairs, num_curve_points=parameters.num_curve_points
         ),
+        *density.shards(inputs, num_judged_pairs=parameters.num_judged_pairs),
         *reconstruction.shards(inputs),
         *parallel_views.shards(inputs, yaws_deg=parameters.parallel_views_deg),
         *augmentation.shards(inputs),

@@ -29,6 +29,11 @@ _SECTIONS = {
         "Mean distance from real pairs to their nearest draw as draws increase, beside chains that know the physical "
         "prior only, and beside sets of real frames.",
     ),
+    "density": (
+        "Density",
+        "How well terms of the density tell real pairs of held-out takes from corrupted ones (area under the curve), "
+        "and how they go with the distance of lifted pairs from real ones.",
+    ),
     "reconstruction": (
         "Reconstruction",
         "Motions reconstructed from 2D against the truth; nearest neighbour is the baseline. "

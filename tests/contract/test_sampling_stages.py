@@ -17,6 +17,7 @@ from pasdedeux.sampling.synthetic import random_pairs
 from storage_schema import Manifest, SourceCredit, Store, artifact_key
 from tasks import chains, seeds
 from tasks.chains import ChainsParameters
+from tasks.evaluation import density
 from tasks.seeds import SeedFrame, SeedsParameters
 from tasks.stage import Shard, StageInputs
 
@@ -255,6 +256,19 @@ def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
 def test_more_starts_than_grown_seeds_are_refused() -> None:
     with pytest.raises(ValueError, match="only 3 are grown"):
         SeedsParameters(num_grown=3, num_starts=4)
+
+
+def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=10)
+    assert density.shards(given, num_judged_pairs=0) == []
+    (shard,) = density.shards(given, num_judged_pairs=4)
+    hidden = {manifest.ref for manifest in tables["annotations"] if manifest.facts["is_held_out"]}
+    assert not hidden.intersection(shard.inputs)
+    scores = density.run(shard, store).scores
+    assert all(np.isfinite(score.value) and -1.0 <= score.value <= 1.0 for score in scores)
+    assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}
+    assert {"likelihood", "prior", "grown_D_I"} <= {score.method for score in scores}
 
 
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:

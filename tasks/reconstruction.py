@@ -29,7 +29,7 @@ from pasdedeux.projections.reconstruct import (
     reconstruct_track,
 )
 from pasdedeux.projections.temporal import TemporalWeights
-from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows
+from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
@@ -151,6 +151,10 @@ def _read_tracks(
         return []
     is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
     frame, time_s = np.asarray(table["frame"])[rows], np.asarray(table["time_s"])[rows]
+    reason = why_no_video(frame)
+    if reason:
+        facts["skipped"].append(f"{sequence_id}: {reason}")
+        return []
     person_id = np.asarray(table["person_id"])[rows]
     points = np.asarray(table["op14_px"], dtype=np.float64)[rows]
     confidence = np.asarray(table["op14_confidence"], dtype=np.float64)[rows]

@@ -11,10 +11,16 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.reconstruct import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["PersonTrack", "rate_from_times", "tracks_from_rows"]
+__all__ = ["PersonTrack", "rate_from_times", "tracks_from_rows", "why_no_video"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+
+_SHORT_SPAN = 1000
+"""Up to so many frames gaps cost nothing, so any are bridged."""
+_LEAST_SHARE_SEEN = 0.05
+"""Of a longer sequence at least this share of the frames has people in it, or it is no video."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,18 @@ class PersonTrack:
     def times_s(self) -> Array:
         """Times (frame,)."""
         return np.asarray(self.first_time_s + np.arange(len(self.track.keypoints_px)) / self.track.rate_hz)
+
+
+def why_no_video(frame: Integers) -> str:
+    """Say why frame numbers are not those of a video: single images, numbered by their ids or the time; else nothing.
+
+    The gaps of such a sequence have no motion to bridge them, and there may be millions of frames of them.
+    """
+    numbers = np.unique(frame)
+    span = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0
+    if span <= _SHORT_SPAN or len(numbers) >= _LEAST_SHARE_SEEN * span:
+        return ""
+    return f"{len(numbers):,} frames spread over {span:,} are single images, not a video"
 
 
 def rate_from_times(frame: Integers, time_s: Array) -> float:

@@ -1,0 +1,57 @@
+"""Detections of single images, as COCO results number them: they serve as annotations, and are no video."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.projections.tracks import why_no_video
+from storage_schema import Store, open_table
+from tests.own_sources import film_duet
+from tests.real_study import build_here
+
+STUDY = """
+[study]
+name = "images"
+stages = ["ingest", "priors", "views", "projections", "reconstruction"]
+
+[ingest]
+rate_hz = 12.0
+duets = [{ name = "waltz", duration_s = 1.0 }]
+virtual_video = { num_videos = 0, num_random_views = 0 }
+annotations = [{ id = "images", path = "results.json" }]
+"""
+
+
+@pytest.mark.parametrize("frames", [range(5000), range(0, 5000, 20), [0, 999], [7], [], [*range(40), 600]])
+def test_a_video_may_have_gaps(frames: list[int]) -> None:
+    assert why_no_video(np.array(frames, dtype=np.int64)) == ""
+
+
+@pytest.mark.parametrize("frames", [[0, 1000], [139, 785, 872, 581781], range(0, 10**9, 10**6)])
+def test_numbers_far_apart_are_single_images(frames: list[int]) -> None:
+    assert "are single images, not a video" in why_no_video(np.array(frames, dtype=np.int64))
+
+
+def test_images_far_apart_give_views_and_are_left_out_of_reconstruction_with_the_reason(tmp_path: Path) -> None:
+    duet = film_duet("hug", duration_s=1.0, rate_hz=12.0)
+    results = [
+        {"image_id": 581781 * (frame + 1), "score": 0.9, "keypoints": keypoints_of(points)}
+        for frame, people in enumerate(duet.keypoints_px("coco17"))
+        for points in people
+    ]
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    (tmp_path / "images.toml").write_text(STUDY)
+    build_here(tmp_path / "images.toml", tmp_path / "store")
+    assert len(set(open_table("views:images", tmp_path / "store")["frame"])) == 12
+    (motions,) = Store(tmp_path / "store").artifacts("reconstruction")
+    assert motions.facts["skipped"] == ["images: 12 frames spread over 6,399,592 are single images, not a video"]
+    assert motions.tables["motions"].rows == 0
+
+
+def keypoints_of(points: np.ndarray) -> list[float]:
+    rows = [[0.0, 0.0, 0.0] if np.isnan(point).any() else [*point.tolist(), 0.9] for point in points]
+    return [number for row in rows for number in row]

@@ -57,18 +57,16 @@ def run(shard: Shard, store: Store) -> TopicResult:
     source = read_people(store, take, "body22_m")
     drawn = _extremes(qualities)
     sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})
-    worst = {
-        "\n".join([names[index], *(f"worst {column}" for column in columns)]): _read_variant(
-            store, homes[index], names[index]
-        )
-        for index, columns in worst_variants(qualities).items()
-    }
+    worst = worst_variants(qualities)
     pictures = {f"variants-{take_id}.png": sheet, f"drift-{take_id}.png": drift_figure(qualities)}
     if worst:
-        pictures[f"worst-{take_id}.png"] = variant_sheet(take_id, source, worst, num_moments=1)
+        pictures[f"worst-{take_id}.png"] = variant_sheet(
+            take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in worst}, num_moments=1
+        )
+    listed = "; ".join(f"{names[i]}: {', '.join(columns)}" for i, columns in worst.items())
     captions = {
         f"variants-{take_id}.png": f"{take_id}: source, the smallest and greatest scale, and the worst contact drift.",
-        f"worst-{take_id}.png": f"{take_id}: the worst variant by each figure, in the middle of the take.",
+        f"worst-{take_id}.png": f"{take_id}: the worst variant by each figure. {listed}.",
         f"drift-{take_id}.png": f"{take_id}: how far contacts moved apart or together against the source.",
     }
     return TopicResult(

@@ -140,6 +140,25 @@ def test_energy_never_rises_in_the_guaranteed_solver_whatever_the_scales() -> No
         assert np.isfinite(result.positions).all()
 
 
+def test_half_to_one_and_a_half_bone_by_bone_is_always_finite_with_exact_bones_and_a_verdict() -> None:
+    source = Source(swaying_pair(12, apart_m=0.4), 30.0)
+    variations = drawn_variations(np.random.default_rng(1), 24, low=0.5, high=1.5, is_symmetric=False)
+    for variant in Augmenter(source).solve(variations):
+        assert np.isfinite(variant.positions_m).all()
+        assert variant.quality.bone_error_m < 1e-9
+        assert variant.energy <= variant.energy_fk
+        assert (variant.verdict == "pass") == (variant.reason == "")
+
+
+def test_a_take_in_one_plane_is_solved_and_its_frames_are_counted() -> None:
+    positions = swaying_pair(6)
+    positions[..., 2] = 0.0
+    augmenter = Augmenter(Source(positions, 30.0))
+    (variant,) = augmenter.solve(uniform_variations([0.8], ["A"]))
+    assert np.isfinite(variant.positions_m).all()
+    assert augmenter.num_joggled == 6
+
+
 @pytest.mark.parametrize("is_bulk", [True, False])
 def test_scale_one_gives_the_source_back(is_bulk: bool) -> None:
     source = Source(swaying_pair(10), 30.0)

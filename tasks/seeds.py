@@ -69,7 +69,7 @@ class SeedsParameters(Parameters):
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
         if not (self.num_seeds or self.frames or self.num_lifted):
-            raise ValueError("seeds: num_seeds, frames and num_lifted all ask for none; chains need at least one seed")
+            raise ValueError("num_seeds, frames and num_lifted all ask for none; chains need at least one seed")
         return self
 
     @model_validator(mode="after")

@@ -119,8 +119,8 @@ def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = write(tmp_path, SMALL)
-    build_until_ingest = SMALL.replace('name = "small"', 'name = "small"\nstages = ["ingest", "priors"]')
-    build_here(write(tmp_path, build_until_ingest), tmp_path / "store")
+    before_seeds = SMALL.replace('name = "small"', 'name = "small"\nstages = ["ingest", "priors", "views"]')
+    build_here(write(tmp_path, before_seeds), tmp_path / "store")
     study = write(tmp_path, SMALL)
     for frames, sentence in (
         ('[{take="tango",frame=1}]', "seeds.frames: take 'tango' is no take of two people that may be learned from"),

@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+from flows.planning import Selection
 from storage_schema import Store
-from tests.real_study import BuiltStudy, build_here, call_in_process, digests
+from tests.real_study import BuiltStudy, build_here, call_in_process, digests, graph
+from tests.toy_runs import run_toys
 
 pytestmark = pytest.mark.slow
 
@@ -126,4 +128,16 @@ def test_lost_files_are_made_again_with_the_same_bytes(
     assert reasons(views) == {"missing: its files are gone or not whole"}
     computed = build_here(small.study, store)
     assert {name: count for name, count in computed.items() if count} == {"views": 1}
+    assert digests(store) == digests(small.store)
+
+
+def test_a_forced_stage_is_computed_again_and_nothing_after_it_when_its_bytes_are_the_same(
+    small: BuiltStudy, tmp_path: Path
+) -> None:
+    store = small.copy_store(tmp_path)
+    outcome = run_toys(small.study, store, graph=graph(), selection=Selection(force=("priors", "training")))
+    assert {stage.name: stage.num_computed for stage in outcome.stages if stage.num_computed} == {
+        "priors": 1,
+        "training": 1,
+    }
     assert digests(store) == digests(small.store)

@@ -14,7 +14,7 @@ import numpy as np
 from flows.console.context import ExportFormat
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.working_poses import motion_from_positions
+from pasdedeux.formats.exact_motion import exact_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
@@ -107,7 +107,7 @@ def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]
 
 def _from_positions(skeleton: Skeleton, positions_m: Any, time_s: Any) -> Motion:
     rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
-    return motion_from_positions(skeleton, np.asarray(positions_m, dtype=float), rate_hz)
+    return exact_motion(skeleton, np.asarray(positions_m, dtype=float), rate_hz)
 
 
 def _groups(rows: TableData, *columns: str) -> list[tuple[Any, ...]]:

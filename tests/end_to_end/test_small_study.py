@@ -236,8 +236,7 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
             assert source.rate_hz == RATE_HZ
             found = joints_of(source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ), BODY22)
             expected = variants["body22_m"][variants["variant_id"] == name][:, person]
-            # BVH holds the children of a joint rigid; a variant's pelvis and girdle give a little.
-            assert np.linalg.norm(found - expected, axis=-1).max() < 0.03
+            np.testing.assert_allclose(found, expected, atol=2e-4)
 
     export(small, capsys, "motions:small", "bvh", tmp_path / "motions")
     motions = open_table("motions:small", small.store)
@@ -253,8 +252,8 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
             motion = source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ)
             found = joints_of(motion, OP14)
             upright = motions["op14_m"][rows] @ camera.camera_from_upright_rotmat
-            # In op14 head, shoulders and hips all hang from the neck, so BVH holds the whole torso rigid.
-            assert np.linalg.norm(found - upright, axis=-1).max() < 0.08
+            # Retrieved poses swing between bodies, so their bones keep their lengths to a few millimetres only.
+            assert np.linalg.norm(found - upright, axis=-1).max() < 5e-3
 
 
 def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:

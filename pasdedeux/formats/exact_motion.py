@@ -1,0 +1,93 @@
+"""Positions as a motion that passes through them exactly, for formats that know rotations only."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.formats.working_poses import motion_from_positions
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, swing_between
+from pasdedeux.skeletons import Skeleton
+
+__all__ = ["exact_motion"]
+
+Array = npt.NDArray[np.float64]
+
+RIGID_M = 1e-4
+"""Children that keep their places to each other within this are left to the rotation of their joint."""
+
+
+def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
+    """Give a motion whose joints lie at positions (frame, J, 3), as far as those keep their bone lengths.
+
+    A joint turns all its children together, so children that move against each other - hips against the spine - would
+    be off by that much.  Between such a joint and each of its children stands one more joint, `<child>_base`, at
+    offset zero and with a rotation of its own, as in the CMU files at hips and shoulders.
+
+    Raises:
+        InputError: A value is not finite; the frame and joint are named.
+    """
+    rigid = motion_from_positions(skeleton, positions_m, rate_hz)
+    world = rigid.world()[1]
+    free = {
+        joint
+        for joint in skeleton.order
+        if len(skeleton.children(joint)) > 1 and _slack(skeleton, joint, rigid, world[:, joint], positions_m) > RIGID_M
+    }
+    if not free:
+        return rigid
+    names: list[str] = []
+    parents: list[int] = []
+    offsets: list[Array] = []
+    turns: list[Array] = []
+    place: dict[int, int] = {}
+    for joint in skeleton.order:
+        parent = skeleton.parents[joint]
+        above = place.get(parent, -1)
+        if parent in free:
+            carried = rotate(turns[above], np.broadcast_to(rigid.rest_offsets_m[joint], positions_m[:, joint].shape))
+            swing = swing_between(carried, positions_m[:, joint] - positions_m[:, parent])
+            names.append(f"{skeleton.joint_names[joint]}_base")
+            parents.append(above)
+            offsets.append(np.zeros(3))
+            turns.append(multiply(swing, turns[above]))
+            above = len(names) - 1
+        place[joint] = len(names)
+        names.append(skeleton.joint_names[joint])
+        parents.append(above)
+        offsets.append(rigid.rest_offsets_m[joint])
+        turns.append(_turn(skeleton, joint, rigid, turns[above] if above >= 0 else None, world[:, joint], positions_m))
+    local = [
+        turn if parent < 0 else multiply(conjugate(turns[parent]), turn)
+        for turn, parent in zip(turns, parents, strict=True)
+    ]
+    return Motion(
+        skeleton=Skeleton(name=skeleton.name, joint_names=tuple(names), parents=tuple(parents)),
+        rest_offsets_m=np.array(offsets),
+        root_translation_m=rigid.root_translation_m,
+        local_unitquat=np.stack(local, axis=1),
+        rate_hz=rate_hz,
+    )
+
+
+def _slack(skeleton: Skeleton, joint: int, rigid: Motion, turn: Array, positions_m: Array) -> float:
+    """Give how far the children of a joint are off when its rotation carries them all, metres."""
+    children = list(skeleton.children(joint))
+    carried = rotate(turn[:, None], np.broadcast_to(rigid.rest_offsets_m[children], (len(turn), len(children), 3)))
+    posed = positions_m[:, children] - positions_m[:, joint, None]
+    return float(np.linalg.norm(carried - posed, axis=-1).max())
+
+
+def _turn(
+    skeleton: Skeleton, joint: int, rigid: Motion, above: Array | None, fitted: Array, positions_m: Array
+) -> Array:
+    """Give the world rotation (frame, 4) of a joint: fitted to several children, swung to one; else the one above."""
+    children = skeleton.children(joint)
+    if len(children) > 1 or above is None:
+        return fitted
+    if not children:
+        return above
+    (child,) = children
+    carried = rotate(above, np.broadcast_to(rigid.rest_offsets_m[child], positions_m[:, child].shape))
+    return multiply(swing_between(carried, positions_m[:, child] - positions_m[:, joint]), above)

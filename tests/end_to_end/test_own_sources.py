@@ -225,3 +225,17 @@ annotations = [{{ id = "detected", path = "{own.study.with_name("known")}" }}]
     (page,) = (tmp_path / "store" / "runs").glob("*/report/report.html")
     assert "detected: there is no projection database without the sequence" in page.read_text()
     assert open_table("views:video", tmp_path / "store").num_rows > 0
+
+
+@pytest.mark.parametrize("source", ["90_01.amc", "known", "labelled.json", "table.csv"])
+def test_a_new_study_from_a_source_can_be_planned_as_it_is(
+    own: Own, tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+) -> None:
+    study = tmp_path / "mine.toml"
+    found = call_in_process(capsys, "study", "new", study, "--from", own.study.with_name(source))
+    assert found.code == 0, found.err
+    planned = call_in_process(capsys, "plan", study, "--store", tmp_path / "store", "--json")
+    assert planned.code == 0, planned.err
+    ingest = planned.json["stages"][0]
+    assert ingest["stage"] == "ingest"
+    assert ingest["shards"]

@@ -19,7 +19,7 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, Skeleton
 from storage_schema import TABLES, Store, open_table, read_latest
-from tests.real_study import BuiltStudy, RealRun, call_in_process
+from tests.real_study import BuiltStudy, RealRun, build_here, call_in_process
 
 pytestmark = pytest.mark.slow
 
@@ -254,6 +254,33 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
             upright = motions["op14_m"][rows] @ camera.camera_from_upright_rotmat
             # Retrieved poses swing between bodies, so their bones keep their lengths to a few millimetres only.
             assert np.linalg.norm(found - upright, axis=-1).max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("reference", "names"),
+    [
+        ("poses:small/waltz", ("waltz_0", "waltz_1")),
+        ("variants:small/waltz", ("waltz_A-uniform-0.95_A", "waltz_A-uniform-0.95_B")),
+    ],
+)
+def test_what_goes_out_as_bvh_can_come_in_again(
+    small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str], reference: str, names: tuple[str, str]
+) -> None:
+    export(small, capsys, reference, "bvh", tmp_path)
+    study = tmp_path / "again.toml"
+    files = [tmp_path / f"{name}.bvh" for name in names]
+    assert call_in_process(capsys, "study", "new", study, "--from", files[0], "--from", files[1]).code == 0
+    text = study.read_text().replace("[study]", '[study]\nstages = ["ingest"]', 1)
+    study.write_text(text)
+    build_here(study, tmp_path / "store", f"ingest.rate_hz={RATE_HZ}", "ingest.virtual_video.num_random_views=1")
+    found = open_table("poses:again", tmp_path / "store")
+    if reference.startswith("poses"):
+        expected = open_table(reference, small.store)["body22_m"]
+    else:
+        variants = open_table(reference, small.store)
+        rows = variants["body22_m"][variants["variant_id"] == "A-uniform-0.95"]
+        expected = np.concatenate([rows[:, 0], rows[:, 1]])
+    np.testing.assert_allclose(found["body22_m"], expected, atol=2e-4)
 
 
 def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:

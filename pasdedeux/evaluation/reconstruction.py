@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Reconstructed", "reconstruction_scores", "reconstruction_sheet"]
+__all__ = ["Reconstructed", "motion_sheet", "reconstruction_scores", "reconstruction_sheet"]
 
 Array = npt.NDArray[np.float64]
 _BASELINE = "nearest"
@@ -71,6 +71,28 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
         ]
     scores.append(Score("reconstruction", "jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
     return scores
+
+
+def motion_sheet(title: str, people: Sequence[Mapping[int, Array]], *, num_moments: int = 7) -> bytes:
+    """Draw moments of a sequence whose truth nobody knows, everybody in place; PNG bytes.
+
+    Args:
+        title: Heading of the picture.
+        people: For each person the op14 positions (14, 3) by frame, camera axes, metres; of at least one frame.
+        num_moments: Moments drawn, evenly spread over the frames that have anybody.
+    """
+    frames = sorted({frame for person in people for frame in person})
+    chosen = np.unique(np.linspace(0, len(frames) - 1, num_moments).round().astype(int))
+    panels = []
+    for frame in (frames[index] for index in chosen):
+        seen = [(index, person[frame]) for index, person in enumerate(people) if frame in person]
+        middle = np.mean([mid_hip(pose) for _, pose in seen], axis=0)
+        poses = tuple(
+            Pose(OP14, pose - middle + [0.0, 1.0, 0.0], PERSON_COLOURS[index % len(PERSON_COLOURS)])
+            for index, pose in seen
+        )
+        panels.append(Panel(title=f"frame {frame}", poses=poses))
+    return skeleton_sheet(panels, title=f"{title}; as the camera sees it (top), from its side (bottom)")
 
 
 def reconstruction_sheet(person: Reconstructed, method: str, *, num_moments: int = 7) -> bytes:

@@ -1,11 +1,11 @@
-"""Topic `reconstruction`: reconstructed motions against the truth of virtual video."""
+"""Topic `reconstruction`: reconstructed motions, against the truth where there is one: of virtual video."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pasdedeux.evaluation.reconstruction import Reconstructed, reconstruction_scores, reconstruction_sheet
-from storage_schema import Store
+from pasdedeux.evaluation.reconstruction import Reconstructed, motion_sheet, reconstruction_scores, reconstruction_sheet
+from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
 from tasks.stage import Shard, StageInputs
@@ -16,13 +16,13 @@ TOPIC = "reconstruction"
 
 
 def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard per reconstructed sequence whose truth is known."""
+    """One shard per sequence that was reconstructed."""
     found = []
     for motions in inputs.of("motions"):
+        if not motions.tables["motions"].rows:
+            continue
         used = {ref.key for ref in motions.inputs}
         annotations = [m for m in inputs.of("annotations") if m.ref.key in used and m.facts["is_virtual"]]
-        if not annotations:
-            continue
         takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
         found.append(
             make_shard(
@@ -43,16 +43,18 @@ def run(shard: Shard, store: Store) -> TopicResult:
     refuse_overlap(
         f"the projection database of sequence {shard.name}", facts["database_takes"], facts["sequence_takes"]
     )
+    if not shard.parameters["num_annotations"]:
+        return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
     if "num_merged_rows" in facts:
         note = (
             f"{shard.name}: people were followed by pose and motion, so nobody knows whose truth a track is; no scores."
         )
-        return TopicResult(notes=[note])
+        return _show(store, motions, note)
     annotations = others[: shard.parameters["num_annotations"]]
     takes = read_takes(store, others[shard.parameters["num_annotations"] :], "op14_m")
     cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
-    table = store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "method", "op14_m"])
+    table = _read_motions(store, motions)
     scores, pictures, captions = [], {}, {}
     for person in np.unique(table["person_id"]):
         is_person = table["person_id"] == person
@@ -72,3 +74,24 @@ def run(shard: Shard, store: Store) -> TopicResult:
         pictures[name] = reconstruction_sheet(result, best)
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
+
+
+def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
+    return store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "method", "op14_m"])
+
+
+def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
+    """Draw what the last method made of a sequence that cannot be scored."""
+    table = _read_motions(store, motions)
+    method = str(table["method"][-1])
+    sequence_id = str(table["sequence_id"][0])
+    people = []
+    for person in np.unique(table["person_id"]):
+        rows = np.flatnonzero((table["person_id"] == person) & (table["method"] == method))
+        people.append({int(table["frame"][row]): table["op14_m"][row].astype(np.float64) for row in rows})
+    name = f"reconstruction-{sequence_id.replace('/', '-')}.png"
+    return TopicResult(
+        pictures={name: motion_sheet(f"{sequence_id}, {method}", people)},
+        captions={name: f"{sequence_id}: reconstructed by {method}, a colour for each person."},
+        notes=[note],
+    )

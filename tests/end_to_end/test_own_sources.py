@@ -144,6 +144,16 @@ def test_given_2d_poses_become_upright_motions_near_the_truth_and_not_mirrored(o
         assert np.all(found[:, OP14.index("head"), 1] > found[:, OP14.index("left_ankle"), 1] + 0.8)
 
 
+def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> None:
+    (report,) = (own.store / "runs").glob("*/report")
+    for sequence in GIVEN:
+        assert (report / f"reconstruction-{sequence}.png").is_file()
+        assert f"{sequence}: a video whose truth nobody knows; no scores." in own.report
+    scores = open_table("scores:own", own.store)
+    items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
+    assert items == {"hug.video00 person 0", "hug.video00 person 1"}
+
+
 def error_m(found: np.ndarray, truth: np.ndarray) -> float:
     """Give the mean distance over frames and joints, mid-hips laid on each other."""
     hips = OP14.indices(["left_hip", "right_hip"])

@@ -43,7 +43,9 @@ class StudyHead(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(description="Name of the study: letters, digits, '-' and '_'; runs are recorded under it")
-    title: str = Field("", description="One line for people, shown where studies are listed; the report has `evaluation.title`")
+    title: str = Field(
+        "", description="One line for people, shown where studies are listed; the report has `evaluation.title`"
+    )
     seed: int = Field(0, ge=0, lt=2**63, description="Seed of every random stream of the study")
     stages: tuple[str, ...] | None = Field(None, description="Stages to build; all of them when not given")
 

@@ -11,7 +11,7 @@ from pasdedeux.sampling.chain import (
     step,
 )
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
-from pasdedeux.sampling.density import Density, Evaluation, PairDensity
+from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
 from pasdedeux.sampling.growth import Growth, GrowthOptions, grow, spread
 from pasdedeux.sampling.lifting import LiftedSeeds, lift_seeds
@@ -35,7 +35,6 @@ __all__ = [
     "ChainState",
     "Coverage",
     "CoverageCurve",
-    "Density",
     "Evaluation",
     "GatheredPairs",
     "GaussianBlocks",

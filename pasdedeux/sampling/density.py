@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +12,9 @@ from pasdedeux.sampling.likelihood import InteractionLikelihood
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
 
-__all__ = ["Density", "Evaluation", "PairDensity"]
+__all__ = ["Evaluation", "PairDensity"]
 
 Array = npt.NDArray[np.float64]
-
-
-class Density(StrEnum):
-    """The densities that can be sampled."""
-
-    IC = "ic"
-    PRIOR_ONLY = "prior_only"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
-from storage_schema import TABLES, Store, lineage, parse_reference, resolve, source_files
+from storage_schema import TABLES, Store, UnknownReference, lineage, parse_reference, resolve, source_files
 from storage_schema import verify as verify_store
 
 __all__ = ["register"]
@@ -79,7 +79,10 @@ def show(
 
 def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Read every file of the store again."""
-    found = verify_store(open_store(store))
+    opened = open_store(store)
+    if not store.is_dir():
+        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
+    found = verify_store(opened)
     if as_json:
         print_json(
             {

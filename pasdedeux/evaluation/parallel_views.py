@@ -19,16 +19,15 @@ from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.published import Codebook, recall, search_published
 from pasdedeux.projections.reconstruct import (
-    Lens,
     Matches,
     Method,
     ReconstructionOptions,
     Searcher,
-    Track,
     match_track,
     reconstruct_track,
 )
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
+from pasdedeux.projections.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 __all__ = ["CONDITIONS", "Condition", "best_candidates", "parallel_track", "parallel_view_scores"]

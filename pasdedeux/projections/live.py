@@ -19,11 +19,12 @@ from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.identity import Follower, IdentityOptions
 from pasdedeux.projections.proportions import estimate_proportions, retarget_image
-from pasdedeux.projections.reconstruct import Lens, Searcher, straighten_rays
+from pasdedeux.projections.reconstruct import Searcher, straighten_rays
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, place_track, refine_placement
 from pasdedeux.projections.smoothing import OneEuro
 from pasdedeux.projections.temporal import TemporalWeights
+from pasdedeux.projections.tracks import Lens
 from pasdedeux.skeletons import OP14
 
 __all__ = ["Decision", "FixedLagViterbi", "LiveOptions", "LivePeople", "LivePerson", "LivePose"]

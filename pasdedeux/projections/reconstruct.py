@@ -22,16 +22,15 @@ from pasdedeux.projections.scale import Placement, ScaleReference, place_track, 
 from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
 from pasdedeux.projections.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.projections.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
+from pasdedeux.projections.tracks import Track
 from pasdedeux.skeletons import OP14
 
 __all__ = [
-    "Lens",
     "Matches",
     "Method",
     "Reconstruction",
     "ReconstructionOptions",
     "Searcher",
-    "Track",
     "choose_pitch",
     "floor_offset",
     "match_track",
@@ -40,10 +39,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
-
-_FOCAL_OVER_WIDTH = 0.72
-"""Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
-
 
 _SMOOTHING_ORDER = 2
 _SMOOTHED_NOISE = 0.6
@@ -76,62 +71,6 @@ class Method(StrEnum):
     WINDOW = "window"
     VITERBI = "viterbi"
     FIT = "fit"
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
-
-    focal_px: float
-    principal_point_px: tuple[float, float]
-
-    @classmethod
-    def assumed(cls, width_px: int | None, height_px: int | None, keypoints_px: Array) -> Lens:
-        """Give the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
-        if width_px is None or height_px is None:
-            is_seen = np.isfinite(keypoints_px).all(axis=-1)
-            seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
-            # People are filmed about the middle, and an image is about 16:9.
-            middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
-            width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
-            return cls(_FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
-        return cls(_FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
-
-
-@dataclass(frozen=True)
-class Track:
-    """One person's keypoints over the frames of a sequence.
-
-    Args:
-        keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
-        confidence: (frame, 14), 0 where not seen.
-        rate_hz: Frames per second.
-        lens: The camera as far as it is known.
-
-    Raises:
-        InputError: Shapes do not fit, no frame, negative confidences, a rate that is not positive.
-    """
-
-    keypoints_px: Array
-    confidence: Array
-    rate_hz: float
-    lens: Lens
-
-    def __post_init__(self) -> None:
-        """Check shapes; a joint without position gets confidence 0."""
-        frames = len(self.keypoints_px)
-        joints = OP14.num_joints
-        if self.keypoints_px.shape != (frames, joints, 2) or self.confidence.shape != (frames, joints) or frames == 0:
-            raise InputError(
-                f"track: keypoints {self.keypoints_px.shape} and confidences {self.confidence.shape}; "
-                f"expected (frames, {joints}, 2) and (frames, {joints}) with at least one frame"
-            )
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise InputError(f"track: the frame rate is {self.rate_hz}, it must be positive")
-        confidence = np.where(np.isfinite(self.keypoints_px).all(axis=-1), np.nan_to_num(self.confidence), 0.0)
-        if (confidence < 0).any():
-            raise InputError("track: a confidence is negative; 0 means not seen")
-        object.__setattr__(self, "confidence", confidence)
 
 
 @dataclass(frozen=True)

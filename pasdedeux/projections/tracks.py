@@ -1,4 +1,4 @@
-"""Rows of annotations to tracks: one person's keypoints over every frame from first to last, gaps kept as not seen."""
+"""Tracks: one person's keypoints over every frame from first to last, gaps as not seen, and the lens that saw them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.reconstruct import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["PersonTrack", "rate_from_times", "tracks_from_rows", "why_no_video"]
+__all__ = ["Lens", "PersonTrack", "Track", "rate_from_times", "tracks_from_rows", "why_no_video"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -21,6 +20,65 @@ _SHORT_SPAN = 1000
 """Up to so many frames gaps cost nothing, so any are bridged."""
 _LEAST_SHARE_SEEN = 0.05
 """Of a longer sequence at least this share of the frames has people in it, or it is no video."""
+
+_FOCAL_OVER_WIDTH = 0.72
+"""Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
+
+    focal_px: float
+    principal_point_px: tuple[float, float]
+
+    @classmethod
+    def assumed(cls, width_px: int | None, height_px: int | None, keypoints_px: Array) -> Lens:
+        """Give the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
+        if width_px is None or height_px is None:
+            is_seen = np.isfinite(keypoints_px).all(axis=-1)
+            seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
+            # People are filmed about the middle, and an image is about 16:9.
+            middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+            width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
+            return cls(_FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
+        return cls(_FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
+
+
+@dataclass(frozen=True)
+class Track:
+    """One person's keypoints over the frames of a sequence.
+
+    Args:
+        keypoints_px: op14 keypoints (frame, 14, 2), pixels as on disk (y down); NaN where not seen.
+        confidence: (frame, 14), 0 where not seen.
+        rate_hz: Frames per second.
+        lens: The camera as far as it is known.
+
+    Raises:
+        InputError: Shapes do not fit, no frame, negative confidences, a rate that is not positive.
+    """
+
+    keypoints_px: Array
+    confidence: Array
+    rate_hz: float
+    lens: Lens
+
+    def __post_init__(self) -> None:
+        """Check shapes; a joint without position gets confidence 0."""
+        frames = len(self.keypoints_px)
+        joints = OP14.num_joints
+        if self.keypoints_px.shape != (frames, joints, 2) or self.confidence.shape != (frames, joints) or frames == 0:
+            raise InputError(
+                f"track: keypoints {self.keypoints_px.shape} and confidences {self.confidence.shape}; "
+                f"expected (frames, {joints}, 2) and (frames, {joints}) with at least one frame"
+            )
+        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise InputError(f"track: the frame rate is {self.rate_hz}, it must be positive")
+        confidence = np.where(np.isfinite(self.keypoints_px).all(axis=-1), np.nan_to_num(self.confidence), 0.0)
+        if (confidence < 0).any():
+            raise InputError("track: a confidence is negative; 0 means not seen")
+        object.__setattr__(self, "confidence", confidence)
 
 
 @dataclass(frozen=True)

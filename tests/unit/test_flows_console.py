@@ -193,3 +193,8 @@ def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[
     assert call("study", "show", "duets") == 0
     assert '[study]\nname = "duets"' in capsys.readouterr().out
     assert call("study", "show", "duetts") == 2
+
+
+def test_verifying_a_store_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("verify", "--store", str(tmp_path / "typo")) == 2
+    assert "there is no store in" in capsys.readouterr().err

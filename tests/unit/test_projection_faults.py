@@ -9,8 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
-from pasdedeux.projections.reconstruct import Lens, Track
-from pasdedeux.projections.tracks import PersonTrack
+from pasdedeux.projections.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
 from tests.crowds import SALSA_TAKES, duet_couple, film, salsa_couple
 from tests.faulty import KINDS, Faulty, inject, people_of, score

@@ -14,16 +14,9 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.depth import bone_vectors, decode_depths, place_depths
 from pasdedeux.projections.proportions import estimate_proportions, retarget_image
-from pasdedeux.projections.reconstruct import (
-    Lens,
-    Method,
-    ReconstructionOptions,
-    Searcher,
-    Track,
-    match_track,
-    reconstruct_track,
-)
+from pasdedeux.projections.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.projections.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from tests.walkers import random_poses, walk
 

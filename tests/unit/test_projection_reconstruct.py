@@ -19,11 +19,9 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.reconstruct import (
-    Lens,
     Method,
     ReconstructionOptions,
     Searcher,
-    Track,
     choose_pitch,
     floor_offset,
     match_track,
@@ -31,7 +29,7 @@ from pasdedeux.projections.reconstruct import (
 )
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.projections.scale import bounding_box_height, running_median
-from pasdedeux.projections.tracks import rate_from_times, tracks_from_rows
+from pasdedeux.projections.tracks import Lens, Track, rate_from_times, tracks_from_rows
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

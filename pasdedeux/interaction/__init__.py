@@ -12,12 +12,14 @@ from pasdedeux.interaction.dissimilarity import (
 )
 from pasdedeux.interaction.graph import Graph, delaunay_edges, graph_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table, edge_table_3d
+from pasdedeux.interaction.shape_context import ShapeCoverage, pair_shape_dissimilarity, plane_shape_dissimilarity
 
 __all__ = [
     "BETA_M",
     "Contacts",
     "EdgeTable",
     "Graph",
+    "ShapeCoverage",
     "align_plane",
     "cartesian_dissimilarity",
     "closest_joint_pairs",
@@ -30,5 +32,7 @@ __all__ = [
     "graph_edges",
     "interaction_dissimilarity",
     "joint_pair_distances",
+    "pair_shape_dissimilarity",
     "plane_residual",
+    "plane_shape_dissimilarity",
 ]

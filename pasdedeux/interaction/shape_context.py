@@ -1,0 +1,199 @@
+"""Shape contexts of pairs: which way and how far every other joint lies, seen from each joint, as a histogram.
+
+After Belongie, Malik and Puzicha (2002), "Shape matching and object recognition using shape contexts": five shells
+whose radii double, twelve sectors, chi-squared cost; in 3D the sectors turn about the vertical of the pair's local
+frame and are cut into six bands of equal area.  Where we differ: joints have names, so each is compared with itself and
+nothing is assigned; shells are in metres, because people have a known size, and the outermost one has no end.  Yin et
+al. (2018) compare with "the matching error in 3D shape contexts" and say no more.
+
+The dissimilarity is the mean cost over the joints: 0 for the same histograms, 1 for histograms that share nothing.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import pair_frame
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import align_plane
+from pasdedeux.kinematics.rotations import normalise
+
+__all__ = [
+    "INNER_RADIUS_M",
+    "NUM_BANDS",
+    "NUM_SECTORS",
+    "NUM_SHELLS",
+    "ShapeCoverage",
+    "nearest_shape_update",
+    "pair_shape_dissimilarity",
+    "plane_shape_dissimilarity",
+    "shape_bins",
+]
+
+Array = npt.NDArray[np.float64]
+Bins = npt.NDArray[np.int16]
+
+NUM_SHELLS, NUM_SECTORS, NUM_BANDS = 5, 12, 6
+INNER_RADIUS_M = 0.1
+"""Radius of the innermost shell, metres; an eighth of the mean distance between joints of a pair, about 0.8 m."""
+_NUM_PAIR_BINS = NUM_SHELLS * NUM_SECTORS * NUM_BANDS
+_CHUNK = 512
+
+
+def plane_shape_dissimilarity(moving: Array, fixed: Array) -> Array:
+    """Give the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
+    aligned, fixed = np.broadcast_arrays(align_plane(moving, fixed), fixed)
+    return _mean_cost(_plane_bins(aligned), _plane_bins(fixed), NUM_SHELLS * NUM_SECTORS)
+
+
+def pair_shape_dissimilarity(first_m: Array, second_m: Array) -> Array:
+    """Give D_S (*batch,) between pairs (*batch, person=2, joint=17, 3), metres: the oracle of `ShapeCoverage`.
+
+    Rigid motion does not change it: each pair is seen in its own local frame.
+    """
+    return _mean_cost(shape_bins(first_m), shape_bins(second_m), _NUM_PAIR_BINS)
+
+
+def shape_bins(pairs_m: Array) -> Bins:
+    """Give the bin (*batch, joint=34, other=33) that each other joint falls into, seen from each joint.
+
+    Args:
+        pairs_m: Pairs (*batch, person=2, joint=17, 3), metres.
+
+    Raises:
+        InputError: A coordinate is not finite.
+    """
+    pairs = np.asarray(pairs_m, dtype=np.float64)
+    if not np.isfinite(pairs).all():
+        raise InputError("shape contexts need finite joints, found one that is not")
+    axes = pair_frame(pairs).axes
+    up = axes[..., 1]
+    ahead = normalise(axes[..., 0] - np.sum(axes[..., 0] * up, axis=-1, keepdims=True) * up)
+    frame = np.stack([ahead, up, np.cross(ahead, up)], axis=-2)
+    points = np.einsum("...ij,...nj->...ni", frame, pairs.reshape(*pairs.shape[:-3], -1, 3))
+    towards = _others(points)
+    radius = np.linalg.norm(towards, axis=-1)
+    height = towards[..., 1] / np.maximum(radius, 1e-12)
+    band = np.minimum((0.5 * (height + 1.0) * NUM_BANDS).astype(np.int16), NUM_BANDS - 1)
+    return np.asarray((_shell(radius) * NUM_SECTORS + _sector(towards[..., 0], towards[..., 2])) * NUM_BANDS + band)
+
+
+class ShapeCoverage:
+    """Least D_S of real pairs to pairs that arrive in batches: memory does not grow with their number.
+
+    Args:
+        truth_m: Real pairs (truth, person=2, joint=17, 3), metres; at least one.
+
+    Raises:
+        InputError: There is no real pair, or a coordinate is not finite.
+    """
+
+    def __init__(self, truth_m: Array) -> None:
+        if len(truth_m) == 0:
+            raise InputError("coverage needs at least one real pair")
+        bins = shape_bins(truth_m)
+        self._counts = np.zeros((*bins.shape[:2], _NUM_PAIR_BINS), dtype=np.uint8)
+        rows = np.arange(bins.shape[0])[:, None, None]
+        np.add.at(self._counts, (rows, np.arange(bins.shape[1])[:, None], bins), 1)
+        self._best = np.full(len(bins), np.inf)
+        self._which = np.full(len(bins), -1, dtype=np.int64)
+        self.num_draws = 0
+
+    def add(self, draws_m: Array) -> None:
+        """Take more pairs (draw, person=2, joint=17, 3), metres, into account."""
+        for start in range(0, len(draws_m), _CHUNK):
+            bins = np.sort(shape_bins(draws_m[start : start + _CHUNK]), axis=-1)
+            nearest_shape_update(self._counts, bins, self.num_draws, self._best, self._which)
+            self.num_draws += len(bins)
+
+    @property
+    def shape(self) -> Array:
+        """Least D_S of each real pair to any pair so far, (truth,); inf before the first."""
+        return self._best.copy()
+
+    @property
+    def nearest_by_shape(self) -> npt.NDArray[np.int64]:
+        """Index of the pair nearest to each real pair by D_S, (truth,); -1 before the first."""
+        return self._which.copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_shape_update(counts, bins, first_index, best, which):  # type: ignore[no-untyped-def]
+    """Lower the running minima of D_S of each truth to what others reach.
+
+    With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
+
+    Args:
+        counts: Joints in each bin, (truth, joint, bin), uint8.
+        bins: Bins of the others, sorted, (other, joint, joint - 1).
+        first_index: Index of the first of the others in the whole set.
+        best: Running minima (truth,); changed in place.
+        which: Which other reached them (truth,); changed in place.
+    """
+    num_joints, num_seen = bins.shape[1], bins.shape[2]
+    shared = np.zeros((num_seen + 1, num_seen + 1))
+    for a in range(1, num_seen + 1):
+        for b in range(1, num_seen + 1):
+            shared[a, b] = 2.0 * a * b / (a + b) / num_seen
+    distinct, times = np.empty_like(bins), np.zeros_like(bins)
+    lengths = np.zeros(bins.shape[:2], dtype=np.int64)
+    for column in range(bins.shape[0]):
+        for joint in range(num_joints):
+            last = -1
+            for other in range(num_seen):
+                value = bins[column, joint, other]
+                if last < 0 or distinct[column, joint, last] != value:
+                    last += 1
+                    distinct[column, joint, last] = value
+                times[column, joint, last] += 1
+            lengths[column, joint] = last + 1
+    for row in range(counts.shape[0]):
+        for column in range(bins.shape[0]):
+            limit = best[row] * num_joints
+            cost = 0.0
+            for joint in range(num_joints):
+                cost += 1.0
+                for at in range(lengths[column, joint]):
+                    found = counts[row, joint, distinct[column, joint, at]]
+                    if found:
+                        cost -= shared[found, times[column, joint, at]]
+                if cost >= limit:
+                    break
+            if cost < limit:
+                best[row], which[row] = cost / num_joints, first_index + column
+
+
+def _others(points: Array) -> Array:
+    """Give the vectors (*batch, n, n - 1, d) from each of points (*batch, n, d) to all others."""
+    count = points.shape[-2]
+    towards = points[..., None, :, :] - points[..., :, None, :]
+    is_other = ~np.eye(count, dtype=bool)
+    return np.asarray(towards[..., is_other, :].reshape(*points.shape[:-2], count, count - 1, points.shape[-1]))
+
+
+def _shell(radius: Array) -> Bins:
+    shell = np.floor(np.log2(np.maximum(radius, 1e-12) / INNER_RADIUS_M)) + 1
+    return np.asarray(np.clip(shell, 0, NUM_SHELLS - 1), dtype=np.int16)
+
+
+def _sector(x: Array, y: Array) -> Bins:
+    turn = np.arctan2(y, x) / (2.0 * np.pi) % 1.0
+    return np.asarray(np.minimum((turn * NUM_SECTORS).astype(np.int16), NUM_SECTORS - 1))
+
+
+def _plane_bins(points: Array) -> Bins:
+    towards = _others(points)
+    return np.asarray(
+        _shell(np.linalg.norm(towards, axis=-1)) * NUM_SECTORS + _sector(towards[..., 0], towards[..., 1])
+    )
+
+
+def _mean_cost(first: Bins, second: Bins, num_bins: int) -> Array:
+    """Give the mean chi-squared cost (*batch,) of histograms given by the bins (*batch, n, n - 1) of their entries."""
+    ids = np.arange(num_bins)
+    one, two = ((bins[..., None] == ids).mean(axis=-2) for bins in (first, second))
+    total = one + two
+    cost = 0.5 * np.sum((one - two) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
+    return np.asarray(cost.mean(axis=-1))

@@ -1,0 +1,77 @@
+"""Shape contexts: laws, a case worked by hand, and the streaming form against the plain one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.shape_context import (
+    ShapeCoverage,
+    pair_shape_dissimilarity,
+    plane_shape_dissimilarity,
+    shape_bins,
+)
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.sampling.synthetic import random_pairs
+
+PAIRS = random_pairs(np.random.default_rng(0), 40)
+
+
+def test_rigid_motion_changes_no_shape_context() -> None:
+    rng = np.random.default_rng(1)
+    turn = rotmat_from_unitquat(normalise(rng.normal(size=(40, 4))))
+    moved = np.einsum("nij,npkj->npki", turn, PAIRS) + rng.normal(size=(40, 1, 1, 3))
+    # A joint exactly on the edge of a bin may change sides by rounding.
+    assert pair_shape_dissimilarity(moved, PAIRS).max() < 1e-3
+    image = PAIRS[..., :2].reshape(40, 34, 2)
+    angle = rng.uniform(-np.pi, np.pi, 40)
+    plane = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=-1).reshape(40, 2, 2)
+    assert plane_shape_dissimilarity(np.einsum("nij,nkj->nki", plane, image) + 2.0, image).max() < 1e-2
+
+
+def test_shape_contexts_are_symmetric_between_0_and_1_and_see_reflection() -> None:
+    forth, back = pair_shape_dissimilarity(PAIRS[:20], PAIRS[20:]), pair_shape_dissimilarity(PAIRS[20:], PAIRS[:20])
+    np.testing.assert_allclose(forth, back, atol=1e-12)
+    assert ((forth > 0.0) & (forth < 1.0)).all()
+    assert pair_shape_dissimilarity(PAIRS * [-1.0, 1.0, 1.0], PAIRS).min() > 0.05
+    image = PAIRS[..., :2].reshape(40, 34, 2)
+    assert plane_shape_dissimilarity(image * [-1.0, 1.0], image).min() > 0.05
+
+
+def test_shape_contexts_grow_with_the_disturbance() -> None:
+    rng = np.random.default_rng(2)
+    noise = rng.normal(size=PAIRS.shape)
+    near, far = (pair_shape_dissimilarity(PAIRS + size * noise, PAIRS).mean() for size in (0.01, 0.1))
+    assert 0.0 < near < 0.5 * far
+
+
+def test_the_cost_of_a_case_worked_by_hand() -> None:
+    # Three joints on a line at distances 0.15 and 0.3, shells 1 and 2; turned off the edges between sectors.
+    turn = np.array([[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]])
+    first = np.array([[0.0, 0.0], [0.15, 0.0], [-0.15, 0.0]]) @ turn
+    assert plane_shape_dissimilarity(first, first) == 0.0
+    # Twice the size: shells 2 and 3.  The middle joint shares nothing, an outer one half (shell 2).
+    assert plane_shape_dissimilarity(2.0 * first, first) == pytest.approx((1.0 + 0.5 + 0.5) / 3.0)
+    # Eight times: nothing is shared.
+    assert plane_shape_dissimilarity(8.0 * first, first) == pytest.approx(1.0)
+
+
+def test_the_streaming_form_agrees_with_the_plain_one_whatever_the_batches() -> None:
+    truth, draws = PAIRS[:9], PAIRS[9:]
+    every = pair_shape_dissimilarity(draws[None], truth[:, None])
+    coverage = ShapeCoverage(truth)
+    assert np.isinf(coverage.shape).all()
+    for part in (draws[:1], draws[1:20], draws[20:]):
+        coverage.add(part)
+    np.testing.assert_allclose(coverage.shape, every.min(axis=1), atol=1e-12)
+    np.testing.assert_array_equal(coverage.nearest_by_shape, every.argmin(axis=1))
+    assert coverage.num_draws == len(draws)
+
+
+def test_joints_in_one_place_have_bins_and_missing_ones_are_refused() -> None:
+    assert shape_bins(np.zeros((2, 17, 3))).shape == (34, 33)
+    with pytest.raises(InputError, match="finite"):
+        shape_bins(PAIRS[:1] * np.nan)
+    with pytest.raises(InputError, match="at least one"):
+        ShapeCoverage(PAIRS[:0])

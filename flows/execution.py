@@ -129,6 +129,7 @@ def execute(run: Run, folder: RunFolder, plan: Plan, run_stage: StageRunner) -> 
     finally:
         # On a disk that is full the record fails as well: what is said is what went wrong first.
         with nullcontext() if status == "finished" else suppress(StorageError):
+            run.store.clear_leftovers()
             end_record(folder, run.study.name, status, [outcome.to_json() for outcome in outcomes])
     return Outcome(folder.run_id, tuple(outcomes), copy_report(run.store, folder, _reporting(run, outcomes)))
 

@@ -183,6 +183,10 @@ class Store(StoreReader):
                 text = json.dumps({"schema_version": SCHEMA_VERSION}) + "\n"
                 replace_file(self.root / STORE_FILE, text.encode(), staging_root=self.staging_root)
         self.check_version()
+        self.clear_leftovers()
+
+    def clear_leftovers(self) -> None:
+        """Remove what dead processes left half written; a process that is slow to die is left for the next time."""
         clean_leftovers(self.staging_root)
 
     def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:

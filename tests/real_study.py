@@ -210,7 +210,8 @@ def _command(process: psutil.Process) -> str:
 
 
 def _is_running(process: psutil.Process) -> bool:
+    # A killed process whose first thread is gone looks dead while another still waits for the disk, with its locks.
     try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+        return process.is_running() and (process.status() != psutil.STATUS_ZOMBIE or process.num_threads() > 1)
     except psutil.NoSuchProcess:
         return False

@@ -36,6 +36,7 @@ _ONE_THREAD = (
 )
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _CONNECT_TIMEOUT_S = 30.0
+_GREETINGS = 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         ClusterError: The scheduler does not answer, or a worker has not got this code or this store.
     """
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import LocalCluster
 
     _hush_dask()
     environment = worker_environment()
@@ -67,11 +68,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
     }
     with dask.config.set(options):
         if settings.scheduler is not None:
-            try:
-                client = Client(settings.scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
-            except (OSError, TimeoutError, ValueError) as error:
-                raise ClusterError(f"no Dask scheduler answers at {settings.scheduler}: {in_one_line(error)}") from None
-            with client:
+            with _client_of(settings.scheduler) as client:
                 _check_workers(client, settings.scheduler, store_root)
                 yield client
             return
@@ -86,7 +83,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
             host="127.0.0.1",
         )
         try:
-            with Client(cluster, set_as_default=False) as client:
+            with _client_of(cluster) as client:
                 client.register_plugin(_tether(), name="pasdedeux-tether")
                 try:
                     yield client
@@ -95,6 +92,24 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                     raise
         finally:
             cluster.close()
+
+
+def _client_of(scheduler: Any) -> Client:
+    """Give a client of a scheduler's address or of a local cluster.
+
+    Distributed asserts that the scheduler's greeting comes alone; news for all clients that falls into the same two
+    milliseconds breaks that, and asking again mends it.
+    """
+    from distributed import Client
+
+    for _ in range(_GREETINGS):
+        try:
+            return Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
+        except AssertionError:
+            continue
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ClusterError(f"no Dask scheduler answers at {scheduler}: {in_one_line(error)}") from None
+    raise ClusterError(f"the Dask scheduler at {scheduler} does not greet as one does")
 
 
 def peak_memory_bytes(client: Client | None) -> int:

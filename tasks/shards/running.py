@@ -26,6 +26,7 @@ __all__ = ["ShardDone", "run", "run_on_cluster", "run_serially"]
 RunShard = Callable[[Shard, Store], ArtifactRef]
 
 _LOOK_UP_S = 0.2  # how often a thread that waits for shards looks whether the run was given up
+_FETCH_S = 2.0  # and one that waits for a result, which is a moment's work unless its worker is gone
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def run_on_cluster(
             except queue.Empty:
                 continue
             shard = flying.pop(future)
-            ref, seconds = _result(future, shard)
+            ref, seconds = _result(future, shard, stop)
             future.release()
             done[shard.key] = ref
             if on_done is not None:
@@ -136,12 +137,21 @@ def run_on_cluster(
     return [done[shard.key] for shard in shards]
 
 
-def _result(future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
-    """Give a finished future's result, or a ShardError; only `.result()` tells of a dead worker."""
+def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[ArtifactRef, float]:
+    """Give a finished future's result, or a ShardError; only `.result()` tells of a dead worker.
+
+    A result can be lost on its way, with the worker that holds it: the scheduler then computes the shard again, and
+    where no worker is left it waits for one, for ever.  So whether the run was given up is asked in between.
+    """
     from distributed import CancelledError, KilledWorker
 
     try:
-        return future.result()
+        while True:
+            try:
+                return future.result(timeout=_FETCH_S)
+            except TimeoutError:
+                if stop is not None and stop.is_set():
+                    raise Stopped("given up") from None
     except KilledWorker:
         reason = (
             f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "

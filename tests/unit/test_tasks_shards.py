@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from distributed import Client
+from distributed import Client, Future
 
 from storage_schema import ArtifactRef, Store
 from tasks.shards import (
@@ -122,6 +122,33 @@ def test_work_given_up_elsewhere_stops(client: Client, tmp_path: Path) -> None:
         run_serially(run_grow, shards(), str(tmp_path), stop=stop)
 
 
+def test_a_result_that_is_lost_on_its_way_is_waited_for_until_the_run_is_given_up(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, *_ = shards()
+    stop = threading.Event()
+    fetch = Future.result
+    asked: list[float | None] = []
+
+    def lose_the_first(self: Future, timeout: float | None = None) -> object:
+        asked.append(timeout)
+        if len(asked) == 1:
+            raise TimeoutError
+        return fetch(self, timeout)
+
+    def lose_all(self: Future, timeout: float | None = None) -> object:
+        stop.set()
+        raise TimeoutError
+
+    monkeypatch.setattr(Future, "result", lose_the_first)
+    assert len(run_on_cluster(client, run_grow, [first], str(tmp_path / "first"), stop=stop)) == 1
+    assert len(asked) == 2
+    assert None not in asked
+    monkeypatch.setattr(Future, "result", lose_all)
+    with pytest.raises(Stopped):
+        run_on_cluster(client, run_grow, [first], str(tmp_path / "all"), stop=stop)
+
+
 def test_a_given_scheduler_is_used_and_survives(client: Client, tmp_path: Path) -> None:
     address = client.scheduler_info()["address"]
     with connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)) as other:
@@ -134,6 +161,29 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: 
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
         connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+def test_a_greeting_that_does_not_come_alone_is_asked_for_again(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = client.scheduler_info()["address"]
+    greetings = iter([AssertionError(), AssertionError(), None])
+
+    def start(self: Client, *arguments: object, **options: object) -> None:
+        if (error := next(greetings)) is not None:
+            raise error
+        plainly(self, *arguments, **options)
+
+    plainly = Client.start
+    monkeypatch.setattr(Client, "start", start)
+    with connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)) as other:
+        assert other.scheduler_info()["workers"]
+    greetings = iter([AssertionError()] * 3)
+    with (
+        pytest.raises(ClusterError, match="does not greet"),
+        connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)),
     ):
         pass
 

@@ -37,6 +37,7 @@ _BONES = np.array(
 )
 _EDGES = np.ascontiguousarray(np.concatenate([_BONES, GIRDLE_PAIRS]))
 _NUM_BONES = len(_BONES)
+_AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ class BulkSolver:
         self._normals: AnyFloat = near.normals.astype(dtype)
         self._near_penalties: AnyFloat = near_penalties.astype(dtype)
         self._constants: AnyFloat = np.array([self.settings.relaxation, self.settings.clearance_penalty]).astype(dtype)
+        self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
         self._dtype = dtype
 
     def solve(self, targets: Targets) -> BulkResult:
@@ -122,15 +124,14 @@ class BulkSolver:
         for variant in range(count):
             # One by one: BLAS sums in another order for another number of columns.
             linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
-        reference: AnyFloat = np.zeros(shape, dtype)
-        reference[:, :frames] = np.transpose(targets.reference, (3, 1, 2, 0))
+        spans = targets.reference[:, :, _EDGES[:, 1]] - targets.reference[:, :, _EDGES[:, 0]]
         lengths = np.empty((frames, len(_EDGES), count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
         state = _Iteration(
             offsets=np.zeros(shape, dtype),
             linear=linear,
-            reference=reference,
+            reference=np.ascontiguousarray(np.transpose(spans, (3, 1, 2, 0)), dtype),
             dual=np.zeros((3, frames, len(_EDGES), count), dtype),
             aim=np.zeros((3, frames, len(_EDGES), count), dtype),
             lengths=lengths,
@@ -138,21 +139,20 @@ class BulkSolver:
             near_dual=np.zeros((3, *near.weights.shape, count), dtype),
             near_aim=np.zeros((3, *near.weights.shape, count), dtype),
         )
-        stiffness: AnyFloat = np.where(np.arange(len(_EDGES)) < _NUM_BONES, -1.0, problem.weights.girdle).astype(dtype)
         squared: AnyFloat = np.zeros((frames, count), dtype)
-        self._project(state, stiffness, squared, is_first=True)
+        self._project(state, squared, is_first=True)
         for _ in range(settings.num_iterations):
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
             assemble_near(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
-            for axis, group in enumerate(AXIS_GROUP):
-                solve(self._factors[group], state.offsets[axis].reshape(blocks, 2 * NUM_POINTS, -1))
-            self._project(state, stiffness, squared, is_first=False)
+            for group, axes in enumerate(_AXES):
+                solve(self._factors[group], state.offsets.reshape(3, blocks, 2 * NUM_POINTS, count), axes)
+            self._project(state, squared, is_first=False)
         residual = np.sqrt(np.array([column.mean() for column in squared.T.astype(np.float64)]) / _NUM_BONES)
         points = targets.reference + np.transpose(state.offsets[:, :frames], (3, 1, 2, 0))
         positions = project_to_bones(points, targets.lengths_m)
         return BulkResult(positions=positions, residual_m=residual, num_iterations=settings.num_iterations)
 
-    def _project(self, state: _Iteration, stiffness: AnyFloat, squared: AnyFloat, *, is_first: bool) -> None:
+    def _project(self, state: _Iteration, squared: AnyFloat, *, is_first: bool) -> None:
         project_edges(
             state.offsets,
             state.reference,
@@ -160,7 +160,8 @@ class BulkSolver:
             state.aim,
             state.lengths,
             _EDGES,
-            stiffness,
+            _NUM_BONES,
+            self._girdle,
             self._penalties,
             self._constants,
             is_first,

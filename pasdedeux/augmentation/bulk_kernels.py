@@ -17,7 +17,7 @@ AnyFloat = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def project_edges(
     offsets: AnyFloat,
     reference: AnyFloat,
@@ -25,52 +25,67 @@ def project_edges(
     aim: AnyFloat,
     lengths: AnyFloat,
     edges: Indices,
-    stiffness: AnyFloat,
+    num_bones: int,
+    girdle: AnyFloat,
     penalties: AnyFloat,
     constants: AnyFloat,
     is_first: bool,
     squared: AnyFloat,
 ) -> None:
-    """Project edge vectors onto their spheres, update the duals, leave z - u in `aim`, sum squared bone errors."""
+    """Project edge vectors onto their spheres, update the duals, leave z - u in `aim`, sum squared bone errors.
+
+    `reference` holds the edge vectors of r.  Loops run over all edges and variants of a frame and touch few arrays
+    each: only so the compiler makes vector code of them.
+    """
     frames, num_edges, count = lengths.shape
     squared[:] = 0.0
     relaxation = constants[0]
     one = relaxation / relaxation
-    keep, zero, tiny = one - relaxation, one - one, lengths.dtype.type(1e-12)
+    keep, tiny = one - relaxation, lengths.dtype.type(1e-12)
+    size = num_edges * count
+    vector, scale = np.empty((3, size), lengths.dtype), np.empty(size, lengths.dtype)
     for t in range(frames):
-        for e in range(num_edges):
-            parent, child = edges[e, 0], edges[e, 1]
-            k, penalty = stiffness[e], penalties[t, e]
-            inverse = one / (penalty + max(k, zero))
+        wanted = lengths[t].reshape(size)
+        for axis in range(3):
+            along, given = vector[axis], reference[axis, t].reshape(size)
+            for e in range(num_edges):
+                child, parent, start = offsets[axis, t, edges[e, 1]], offsets[axis, t, edges[e, 0]], e * count
+                for v in range(count):
+                    along[start + v] = (child[v] - parent[v]) + given[start + v]
+        x, y, z = vector[0], vector[1], vector[2]
+        for i in range(num_bones * count):
+            miss = np.sqrt(x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) - wanted[i]
+            scale[i] = miss * miss
+        for e in range(num_bones):
             for v in range(count):
-                x = offsets[0, t, child, v] - offsets[0, t, parent, v]
-                y = offsets[1, t, child, v] - offsets[1, t, parent, v]
-                z = offsets[2, t, child, v] - offsets[2, t, parent, v]
-                x += reference[0, t, child, v] - reference[0, t, parent, v]
-                y += reference[1, t, child, v] - reference[1, t, parent, v]
-                z += reference[2, t, child, v] - reference[2, t, parent, v]
-                length = lengths[t, e, v]
-                if k < zero:
-                    miss = np.sqrt(x * x + y * y + z * z) - length
-                    squared[t, v] += miss * miss
-                ux, uy, uz = dual[0, t, e, v], dual[1, t, e, v], dual[2, t, e, v]
-                if not is_first:
-                    # The last z is aim + u; over-relaxation mixes it in.
-                    x = relaxation * x + keep * (aim[0, t, e, v] + ux)
-                    y = relaxation * y + keep * (aim[1, t, e, v] + uy)
-                    z = relaxation * z + keep * (aim[2, t, e, v] + uz)
-                x, y, z = x + ux, y + uy, z + uz
-                norm = np.sqrt(x * x + y * y + z * z) + tiny
-                wanted = length if k < zero else (penalty * norm + k * length) * inverse
-                scale = wanted / norm
-                ux, uy, uz = x - x * scale, y - y * scale, z - z * scale
-                dual[0, t, e, v], dual[1, t, e, v], dual[2, t, e, v] = ux, uy, uz
-                aim[0, t, e, v] = x * scale - ux
-                aim[1, t, e, v] = y * scale - uy
-                aim[2, t, e, v] = z * scale - uz
+                squared[t, v] += scale[e * count + v]
+        for axis in range(3):
+            along, last, aims = vector[axis], dual[axis, t].reshape(size), aim[axis, t].reshape(size)
+            if is_first:
+                for i in range(size):
+                    along[i] += last[i]
+            else:
+                # The last z is aim + u; over-relaxation mixes it in.
+                for i in range(size):
+                    along[i] = (relaxation * along[i] + keep * (aims[i] + last[i])) + last[i]
+        for i in range(size):
+            scale[i] = np.sqrt(x[i] * x[i] + y[i] * y[i] + z[i] * z[i]) + tiny
+        for e in range(num_bones, num_edges):
+            penalty = penalties[t, e]
+            inverse = one / (penalty + girdle[0])
+            for i in range(e * count, (e + 1) * count):
+                scale[i] = (penalty * scale[i] + girdle[0] * wanted[i]) * inverse / scale[i]
+        for i in range(num_bones * count):
+            scale[i] = wanted[i] / scale[i]
+        for axis in range(3):
+            along, last, aims = vector[axis], dual[axis, t].reshape(size), aim[axis, t].reshape(size)
+            for i in range(size):
+                left = along[i] - along[i] * scale[i]
+                last[i] = left
+                aims[i] = along[i] * scale[i] - left
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def assemble(
     linear: AnyFloat,
     reference: AnyFloat,
@@ -79,20 +94,25 @@ def assemble(
     penalties: AnyFloat,
     rhs: AnyFloat,
 ) -> None:
-    """Give b + penalty S^T (z - u - S r) in `rhs`."""
+    """Give b + penalty S^T (z - u - S r) in `rhs`; `reference` holds S r."""
     frames, num_edges, count = aim.shape[1:]
     rhs[:] = linear
+    pull = np.empty(count, aim.dtype)
     for axis in range(3):
         for t in range(frames):
             for e in range(num_edges):
-                parent, child, penalty = edges[e, 0], edges[e, 1], penalties[t, e]
+                penalty = penalties[t, e]
+                aims, given = aim[axis, t, e], reference[axis, t, e]
+                child, parent = rhs[axis, t, edges[e, 1]], rhs[axis, t, edges[e, 0]]
                 for v in range(count):
-                    pull = penalty * (aim[axis, t, e, v] - reference[axis, t, child, v] + reference[axis, t, parent, v])
-                    rhs[axis, t, child, v] += pull
-                    rhs[axis, t, parent, v] -= pull
+                    pull[v] = penalty * (aims[v] - given[v])
+                for v in range(count):
+                    child[v] += pull[v]
+                for v in range(count):
+                    parent[v] -= pull[v]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def project_near(
     offsets: AnyFloat,
     dual: AnyFloat,
@@ -138,7 +158,7 @@ def project_near(
                     aim[axis, t, e, v] += pull + pull
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def assemble_near(
     aim: AnyFloat,
     points: Indices,
@@ -160,7 +180,7 @@ def assemble_near(
                         rhs[axis, t, point, v] += factor * aim[axis, t, e, v]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) -> None:
     """Add sum w B^T B to `matrix` (T, 44, 44)."""
     frames, num_pairs, size = points.shape

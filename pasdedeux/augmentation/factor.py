@@ -19,6 +19,7 @@ from pasdedeux.augmentation.source import NUM_POINTS
 __all__ = ["Factor", "factorise", "solve"]
 
 Array = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
 
 BLOCK = 2 * NUM_POINTS
 """Unknowns of two frames."""
@@ -70,77 +71,130 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     halves[: len(lag2[1::2]), 1] = lag2[1::2]
     same = halves.reshape(blocks, BLOCK)
     inverse = np.empty((blocks, BLOCK, BLOCK))
-    diagonal = np.arange(n)
+    schur = np.empty((BLOCK, BLOCK))
     for k in range(blocks):
-        schur = np.zeros((BLOCK, BLOCK))
-        schur[:n, :n] = matrix[2 * k]
-        schur[n:, n:] = matrix[2 * k + 1] if 2 * k + 1 < frames else np.eye(n)
-        schur[diagonal + n, diagonal] = inner[k]
-        if k > 0:
-            half = same[k - 1][:, None] * inverse[k - 1]
-            half[:n] += outer[k - 1][:, None] * inverse[k - 1][n:]
-            update = half * same[k - 1][None]
-            update[:, :n] += half[:, n:] * outer[k - 1][None]
-            schur -= update
-        lower, info = scipy.linalg.lapack.dpotrf(schur, lower=1)
+        last = matrix[2 * k + 1] if 2 * k + 1 < frames else np.eye(n)
+        _complement(matrix[2 * k], last, inner[k], inverse[max(k - 1, 0)], outer[k - 1], same[k - 1], k == 0, schur)
+        lower, info = scipy.linalg.lapack.dpotrf(schur.T, lower=1, clean=0, overwrite_a=1)
         if info == 0:
-            lower, info = scipy.linalg.lapack.dpotri(lower, lower=1)
+            lower, info = scipy.linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
         if info != 0:
             raise np.linalg.LinAlgError(f"the matrix is not positive definite at frame {2 * k}")
-        inverse[k] = np.tril(lower) + np.tril(lower, -1).T
+        _mirror(lower.T, inverse[k])
     return Factor(inverse=inverse, lag1=outer, lag2=same)
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _complement(
+    first: Array,
+    second: Array,
+    inner: Array,
+    before: Array,
+    outer: Array,
+    same: Array,
+    is_first: bool,
+    schur: Array,
+) -> None:
+    """Give A - B S^-1 B^T of a block: A has two frames coupled by `inner`, B the diagonals `outer` and `same`."""
+    size, n = len(schur), len(first)
+    for i in range(n):
+        for j in range(n):
+            schur[i, j] = first[i, j]
+            schur[n + i, n + j] = second[i, j]
+            schur[n + i, j] = schur[i, n + j] = 0.0
+        schur[n + i, i] = schur[i, n + i] = inner[i]
+    if is_first:
+        return
+    half = np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            half[i, j] = same[i] * before[i, j]
+        if i < n:
+            for j in range(size):
+                half[i, j] += outer[i] * before[n + i, j]
+    for i in range(size):
+        for j in range(size):
+            schur[i, j] -= half[i, j] * same[j]
+        for j in range(n):
+            schur[i, j] -= half[i, n + j] * outer[j]
+
+
 @numba.njit(cache=True, nogil=True)
-def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array) -> None:
-    blocks, size, count = rhs.shape
-    half = size // 2
-    work = np.zeros((size, _COLUMNS), rhs.dtype)
-    product = np.zeros((size, _COLUMNS), rhs.dtype)
-    for start in range(0, count, _COLUMNS):
-        stop = min(start + _COLUMNS, count)
-        for k in range(blocks):
-            for i in range(size):
-                for v in range(start, stop):
-                    work[i, v - start] = rhs[k, i, v]
-            if k > 0:
-                for i in range(size):
-                    c = lag2[k - 1, i]
-                    if c != 0.0:
-                        for v in range(start, stop):
-                            work[i, v - start] -= c * rhs[k - 1, i, v]
-                for i in range(half):
-                    c = lag1[k - 1, i]
-                    if c != 0.0:
-                        for v in range(start, stop):
-                            work[i, v - start] -= c * rhs[k - 1, i + half, v]
-            if count == _COLUMNS:
-                np.dot(inverse[k], work, rhs[k])
-            else:
+def _mirror(upper: Array, full: Array) -> None:
+    """Fill a symmetric matrix from its upper triangle."""
+    for i in range(len(full)):
+        for j in range(i, len(full)):
+            full[i, j] = full[j, i] = upper[i, j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _forward(values: Array, before: Array, lag1: Array, lag2: Array, low: int, high: int, work: Array) -> None:
+    """Take away what the block before contributes: columns `low` to `high` of `values`, left in `work`."""
+    half = len(lag1)
+    for i in range(len(lag2)):
+        c = lag2[i]
+        if i < half:
+            d = lag1[i]
+            for v in range(low, high):
+                work[i, v - low] = (values[i, v] - c * before[i, v]) - d * before[i + half, v]
+        else:
+            for v in range(low, high):
+                work[i, v - low] = values[i, v] - c * before[i, v]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _backward(after: Array, lag1: Array, lag2: Array, low: int, high: int, work: Array) -> None:
+    """Leave in `work` what the next block's solution contributes to this one."""
+    half = len(lag1)
+    for i in range(len(lag2)):
+        c = lag2[i]
+        if i < half:
+            for v in range(low, high):
+                work[i, v - low] = c * after[i, v]
+        else:
+            d = lag1[i - half]
+            for v in range(low, high):
+                work[i, v - low] = c * after[i, v] + d * after[i - half, v]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) -> None:
+    _, blocks, size, count = rhs.shape
+    # A few variants leave room for all axes in one product.
+    shared = max(1, _COLUMNS // count)
+    work, product = np.zeros((size, _COLUMNS), rhs.dtype), np.zeros((size, _COLUMNS), rhs.dtype)
+    nothing = np.zeros(size, rhs.dtype)
+    for turn in range(2 * blocks - 1):
+        is_forward = turn < blocks
+        k = turn if is_forward else 2 * blocks - 2 - turn
+        for first in range(0, len(axes), shared):
+            group = axes[first : first + shared]
+            for low in range(0, count, _COLUMNS):
+                high = min(low + _COLUMNS, count)
+                for place in range(len(group)):
+                    values, part = rhs[group[place]], work[:, place * count :]
+                    if not is_forward:
+                        _backward(values[k + 1], lag1[k], lag2[k], low, high, part)
+                    elif k > 0:
+                        _forward(values[k], values[k - 1], lag1[k - 1], lag2[k - 1], low, high, part)
+                    else:
+                        _forward(values[0], values[0], nothing[: size // 2], nothing, low, high, part)
                 np.dot(inverse[k], work, product)
-                for i in range(size):
-                    for v in range(start, stop):
-                        rhs[k, i, v] = product[i, v - start]
-        for k in range(blocks - 2, -1, -1):
-            for i in range(size):
-                c = lag2[k, i]
-                for v in range(start, stop):
-                    work[i, v - start] = c * rhs[k + 1, i, v]
-            for i in range(half):
-                c = lag1[k, i]
-                if c != 0.0:
-                    for v in range(start, stop):
-                        work[i + half, v - start] += c * rhs[k + 1, i, v]
-            np.dot(inverse[k], work, product)
-            for i in range(size):
-                for v in range(start, stop):
-                    rhs[k, i, v] -= product[i, v - start]
+                for place in range(len(group)):
+                    values, start = rhs[group[place], k], place * count - low
+                    for i in range(size):
+                        if is_forward:
+                            for v in range(low, high):
+                                values[i, v] = product[i, start + v]
+                        else:
+                            for v in range(low, high):
+                                values[i, v] -= product[i, start + v]
 
 
-def solve(factor: Factor, rhs: Array) -> None:
-    """Solve in place for right-hand sides (block, 88, count), contiguous, of the factor's precision.
+def solve(factor: Factor, rhs: Array, axes: Indices) -> None:
+    """Solve in place for some of the axes of right-hand sides (axis, block, 88, count), of the factor's precision.
 
     The matrix products always see 16 columns, filled up where fewer are left: BLAS picks its kernels, and with them the
     order of its sums, by the number of columns, so a column's bits would depend on how many others came along.
     """
-    _solve(factor.inverse, factor.lag1, factor.lag2, rhs)
+    _solve(factor.inverse, factor.lag1, factor.lag2, rhs, axes)

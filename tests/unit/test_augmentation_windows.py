@@ -53,7 +53,8 @@ def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
             np.sqrt((np.diff(variant.positions_m, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=(1, 2)))[is_seam[3:]]
             for variant in (one, other)
         )
-        assert (jitter_parts / jitter_whole).max() < 1.15
+        # Single precision leaves half a micrometre, which is what jitter is where a sway turns round.
+        assert (jitter_parts <= 1.15 * jitter_whole + 1e-6).all()
         assert np.sqrt((jitter_parts**2).mean() / (jitter_whole**2).mean()) < 1.01
         np.testing.assert_allclose(other.positions_m, one.positions_m, atol=0.003)
         assert other.quality.laplacian_error_m == pytest.approx(one.quality.laplacian_error_m, rel=0.02)

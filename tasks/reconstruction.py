@@ -35,7 +35,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 3
+VERSION = 4
 
 
 class ReconstructionParameters(Parameters):

@@ -127,7 +127,7 @@ SCORES = Table(
     meaning="One row per measured figure: what was measured, of which method, on what.",
     sorted_by=("topic", "metric", "method", "split", "item", "at"),
     columns=(
-        text("topic", "takes, views, chains, coverage, reconstruction, parallel_views, augmentation or models"),
+        text("topic", "Topic of the evaluation: takes, coverage, reconstruction, ..., as in its report"),
         text("metric", "Name of the measure"),
         text("method", "Method or density measured"),
         boolean("is_baseline", "The method is a trivial baseline shown for comparison"),

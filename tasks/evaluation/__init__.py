@@ -14,10 +14,10 @@ from tasks.evaluation import (
     coverage,
     density,
     models,
-    parallel_views,
     reconstruction,
     report,
     takes,
+    unseen_views,
     views,
 )
 from tasks.evaluation.topic import STAGE_NAME, VERSION, TopicResult, commit_topic
@@ -41,10 +41,16 @@ class EvaluationParameters(Parameters):
     num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
     clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
     clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
-    parallel_views_deg: tuple[float, ...] = Field(
+    unseen_views_deg: tuple[float, ...] = Field(
         (),
-        description="Directions from which held-out takes are seen by parallel rays on the projection database's body, "
-        "as in the paper on it; none by default",
+        description="Directions from which held-out takes are seen and reconstructed by every method: on the "
+        "projection database's body by parallel rays, as in the paper on it, and on their own by a pinhole",
+    )
+    has_unseen_view_sweeps: bool = Field(
+        False, description="Also at growing noise and with more and more joints missing, from the same directions"
+    )
+    has_left_out_clips: bool = Field(
+        False, description="Each take of the projection database against the rest of it, from the same directions"
     )
 
 
@@ -56,7 +62,8 @@ _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
     coverage.TOPIC: coverage.run,
     density.TOPIC: density.run,
     reconstruction.TOPIC: reconstruction.run,
-    parallel_views.TOPIC: parallel_views.run,
+    **dict.fromkeys(unseen_views.TOPICS, unseen_views.run),
+    unseen_views.LEFT_OUT_TOPIC: unseen_views.run_left_out,
     augmentation.TOPIC: augmentation.run,
     models.TOPIC: models.run,
     report.TOPIC: report.run,
@@ -75,7 +82,12 @@ def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
         ),
         *density.shards(inputs, num_judged_pairs=parameters.num_judged_pairs),
         *reconstruction.shards(inputs),
-        *parallel_views.shards(inputs, yaws_deg=parameters.parallel_views_deg),
+        *unseen_views.shards(
+            inputs, yaws_deg=parameters.unseen_views_deg, has_sweeps=parameters.has_unseen_view_sweeps
+        ),
+        *unseen_views.left_out_shards(
+            inputs, yaws_deg=parameters.unseen_views_deg, is_wanted=parameters.has_left_out_clips
+        ),
         *augmentation.shards(inputs),
         *models.shards(inputs),
     ]

@@ -40,9 +40,19 @@ _SECTIONS = {
         "Errors are means over op14, centred on the mid-hip.",
     ),
     "parallel_views": (
-        "Parallel views",
+        "Unseen motion, parallel rays",
         "Held-out motion on the body of the projection database, seen by parallel rays: errors of every method, and "
-        "how far reconstructions from two views differ (root rotation removed), as in the paper on such databases.",
+        "how far reconstructions from two views differ (root rotation removed), as in the paper on such databases. "
+        "`_clean` is the method with the clean-up after it.",
+    ),
+    "pinhole_views": (
+        "Unseen motion, pinhole",
+        "The same motion on its own body before a pinhole at 4 m; proportions and scale are estimated from the track, "
+        "and the lens is assumed, as it is with video of one's own.",
+    ),
+    "left_out_clips": (
+        "Clips left out",
+        "Each take of the projection database on the database's body by parallel rays, reconstructed from the rest.",
     ),
     "augmentation": (
         "Augmentation",

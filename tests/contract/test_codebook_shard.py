@@ -8,7 +8,7 @@ import numpy as np
 
 from storage_schema import Store, open_table
 from tasks import projections
-from tasks.evaluation import parallel_views
+from tasks.evaluation import unseen_views
 from tasks.stage import StageInputs
 from tests.contract.test_projection_stages import put_take
 
@@ -24,12 +24,17 @@ def test_a_codebook_numbers_the_projections_of_all_takes_and_serves_the_held_out
     members = np.concatenate([np.asarray(one) for one in open_table(book.ref, store)["members"]])
     assert sorted(members.tolist()) == list(range(30 * sum(part.facts["num_poses"] for part in parts)))
     assert book.facts["takes"] == ["a", "b"]
-    (shard,) = parallel_views.shards(
-        StageInputs({"poses": [*takes, held_out], "projections": parts[::-1], "codebook": [book]}, seed=0),
-        yaws_deg=(0.0,),
-    )
-    assert shard.inputs[-1] == book.ref
-    assert "as_published" in {score.method for score in parallel_views.run(shard, store).scores}
+    inputs = StageInputs({"poses": [*takes, held_out], "projections": parts[::-1], "codebook": [book]}, seed=0)
+    shards = unseen_views.shards(inputs, yaws_deg=(0.0,), has_sweeps=True)
+    assert {shard.partition for shard in shards} == {"parallel_views", "pinhole_views"}
+    for shard in shards[:1] + shards[-1:]:
+        methods = {score.method for score in unseen_views.run(shard, store).scores}
+        assert (
+            (shard.inputs[-1] == book.ref) == (shard.parameters["kind"] == "condition") == ("as_published" in methods)
+        )
+    left_out = unseen_views.left_out_shards(inputs, yaws_deg=(0.0,), is_wanted=True)
+    assert [shard.name for shard in left_out] == ["a", "b"]
+    assert {score.method for score in unseen_views.run_left_out(left_out[0], store).scores} >= {"nearest", "fit"}
 
 
 def test_without_a_number_of_clusters_there_is_no_codebook(tmp_path: Path) -> None:

@@ -77,10 +77,13 @@ class Database:
         """Angle between two yaw steps."""
         return 2.0 * np.pi / self.num_yaws
 
-    def turned(self, rows: Integers, yaw_index: Integers) -> npt.NDArray[np.float64]:
-        """Give the poses (*batch, 14, 3) of these rows at these yaw steps, in camera axes for a level camera."""
+    def turned(self, rows: npt.ArrayLike, yaw_index: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Give the poses (*batch, 14, 3) of these rows at these yaws, in camera axes for a level camera.
+
+        Yaws count in steps and may lie between them.
+        """
         yaw = np.asarray(yaw_index) * self.yaw_step_rad
-        pose = self.poses_m[rows].astype(np.float64)
+        pose = self.poses_m[np.asarray(rows)].astype(np.float64)
         cosine, sine = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
         x, y, z = pose[..., 0], pose[..., 1], pose[..., 2]
         return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
@@ -93,15 +96,23 @@ class Database:
         return np.where(has_next, rows + 1, rows)
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
-        """Give the projections (row, yaw, 14, 2) of rows `first_row` to `last_row` (exclusive), metres."""
-        poses = self.poses_m[first_row:last_row]
+        """Give the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
+        rows = np.arange(self.num_rows)[first_row:last_row]
+        return self._project(rows[:, None], np.arange(self.num_yaws))
+
+    def projections(self, numbers: Integers) -> Floats32:
+        """Give projections (*batch, 14, 2) by their numbers: the same values as `project` gives."""
+        return self._project(numbers // self.num_yaws, numbers % self.num_yaws)
+
+    def _project(self, rows: Integers, yaw_index: Integers) -> Floats32:
         yaw = np.arange(self.num_yaws) * self.yaw_step_rad
-        cosine = np.cos(yaw).astype(np.float32)[:, None]
-        sine = np.sin(yaw).astype(np.float32)[:, None]
-        x, z = poses[:, None, :, 0], poses[:, None, :, 2]
-        turned = np.empty((len(poses), self.num_yaws, OP14.num_joints, 3), dtype=np.float32)
+        cosine = np.cos(yaw).astype(np.float32)[yaw_index][..., None]
+        sine = np.sin(yaw).astype(np.float32)[yaw_index][..., None]
+        poses = self.poses_m[rows]
+        x, z = poses[..., 0], poses[..., 2]
+        turned = np.empty((*np.broadcast_shapes(rows.shape, yaw_index.shape), OP14.num_joints, 3), dtype=np.float32)
         turned[..., 0] = cosine * x + sine * z
-        turned[..., 1] = poses[:, None, :, 1]
+        turned[..., 1] = poses[..., 1]
         turned[..., 2] = cosine * z - sine * x
         return np.asarray(self.camera.project(turned), dtype=np.float32)
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.search import Neighbours, prepare_query
+from pasdedeux.projections.search import Neighbours, prepare_query, recall
 from pasdedeux.skeletons import OP14
 
 __all__ = ["Codebook", "PublishedSettings", "build_codebook", "recall", "search_published"]
@@ -91,7 +91,7 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
     order = np.lexsort((np.arange(count), label))
     members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     middles = np.array([one[np.argmin(distance[one])] for one in members])
-    return Codebook(_projections(database, middles), tuple(members))
+    return Codebook(database.projections(middles), tuple(members))
 
 
 def search_published(
@@ -120,7 +120,7 @@ def search_published(
         kept, values = [], []
         for cluster in nearest:
             members = codebook.members[cluster]
-            summed = _summed(_projections(database, members), points, joint_weight)
+            summed = _summed(database.projections(members), points, joint_weight)
             best = np.argsort(summed, kind="stable")[:num_each]
             kept.append(members[best])
             values.append(summed[best])
@@ -129,21 +129,6 @@ def search_published(
         found[frame, : len(order)] = numbers[order]
         distance[frame, : len(order)] = sums[order].astype(np.float64) / total
     return Neighbours(found, distance, database.num_yaws)
-
-
-def recall(found: Neighbours, exact: Neighbours, *, num_best: int = 1) -> float:
-    """Give the share of the `num_best` true neighbours of each query that were found; NaN without any query."""
-    hits = [
-        np.isin(true[:num_best], some[some >= 0]).mean()
-        for some, true in zip(found.projection, exact.projection, strict=True)
-        if true[0] >= 0
-    ]
-    return float(np.mean(hits)) if hits else float("nan")
-
-
-def _projections(database: Database, numbers: Integers) -> Floats32:
-    turned = database.turned(numbers // database.num_yaws, numbers % database.num_yaws).astype(np.float32)
-    return np.asarray(database.camera.project(turned), dtype=np.float32)
 
 
 def _summed(projections: Floats32, query: Floats32, weight: Floats32) -> Floats32:
@@ -162,7 +147,7 @@ def _embed(database: Database, rng: np.random.Generator, settings: PublishedSett
     """Place all projections (n, d) by their distances to landmarks (landmark MDS)."""
     count = database.num_projections
     chosen = np.sort(rng.choice(count, min(settings.num_landmarks, count), replace=False))
-    landmarks = _projections(database, chosen)
+    landmarks = database.projections(chosen)
     among = _distances_to(landmarks, landmarks).astype(np.float64) ** 2
     mean = among.mean(axis=0)
     centred = -0.5 * (among - mean[:, None] - mean[None] + mean.mean())

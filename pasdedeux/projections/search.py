@@ -1,44 +1,52 @@
-"""Exact search of a projection database by the published metric, with joint masks and confidence weights.
+"""Search of a projection database by the published metric, with joint masks and confidence weights.
 
 The metric is eq. 1 of Yiannakides et al. 2019, the sum over joints of the 2D joint distances, with a weight per joint
 (confidence; 0 where the joint was not seen) and divided by the sum of the weights, so that queries with different
 joints missing compare.
 
-`search_brute_force` is the plain form and the oracle.  `ProjectionIndex` gives the same answers, ties included, from a
-tree of boxes:
-
-**Bound.**  Every node of the tree keeps, per joint k, the box [cx - hx, cx + hx] x [cy - hy, cy + hy] that holds joint
-k of every projection below the node.  For a query q and a projection p below the node, |qx - px| >=
-max(|qx - cx| - hx, 0) because px lies in an interval of half-width hx about cx, and likewise in y; so
-
-    sum_k w_k |q_k - p_k|  >=  sum_k w_k sqrt(max(|qx - cx| - hx, 0)^2 + max(|qy - cy| - hy, 0)^2)
-
-for all w_k >= 0.  Nothing is assumed of the camera: the boxes are taken from the projections themselves, so the bound
-holds for orthographic, pitched and pinhole cameras alike.  (For a level orthographic camera and the node "all yaws of
-a frame" the box is [-r, r] x [y, y], which is the bound sqrt(max(|qx| - r, 0)^2 + dy^2) of one frame; splitting by
-median where the projections spread most, across frames and yaws alike, gives far smaller boxes.)  Boxes are widened
-and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a neighbour.
+`search_brute_force` is the plain form and the oracle.  `ProjectionIndex` gives the same answers, ties included, from
+trees of boxes (`tree`, where the bound is proven), one per part of the database, so that it is built part by part and
+more can be appended.  Over `EXACT_UP_TO` projections it takes a slack: then the i-th projection given is at most
+1 + slack times as far as the i-th nearest, and `measure_recall` says how many of the nearest are found.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.tree import Tree, build_tree, search_trees, sort_into_cells
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Neighbours", "ProjectionIndex", "build_index", "prepare_query", "search_brute_force"]
+__all__ = [
+    "CELL_SIZE",
+    "EXACT_UP_TO",
+    "SLACK_BEYOND",
+    "Neighbours",
+    "ProjectionIndex",
+    "build_index",
+    "look_at_all",
+    "measure_recall",
+    "prepare_query",
+    "recall",
+    "search_brute_force",
+    "search_index",
+]
+
+EXACT_UP_TO = 5_000_000
+"""Projections up to which the search is exact where nothing else is asked for."""
+SLACK_BEYOND = 0.5
+"""Slack of the search of more projections."""
 
 _JOINTS = OP14.num_joints
-_LANES = 16
-"""Projections a leaf and children a node: wide enough for the processor's vector unit."""
-_ROUNDING = np.float32(1.0 - 1e-5)
-"""Factor on the bound: 14 float32 operations of relative error 6e-8 each stay below 1e-5."""
+CELL_SIZE = 1_000_000
+"""Projections of a tree, about: only those of one are held besides the trees while building."""
+_SAMPLE = 50_000
+"""Projections that the cells are laid out by."""
 
 Floats32 = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
@@ -69,15 +77,17 @@ class Neighbours:
         return np.where(self.projection >= 0, self.projection % self.num_yaws, 0)
 
 
-def prepare_query(query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> tuple[Floats32, Floats32]:
-    """Give queries (*batch, 14, 2) and weights (*batch, 14) in float32, weight 0 where a joint is not finite.
+def prepare_query(
+    query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_joints: int = _JOINTS
+) -> tuple[Floats32, Floats32]:
+    """Give queries (*batch, J, 2) and weights (*batch, J) in float32, weight 0 where a joint is not finite.
 
     Raises:
         InputError: Wrong shapes, or a weight that is negative or not finite.
     """
     query = np.array(query_m, dtype=np.float32)
-    if query.shape[-2:] != (_JOINTS, 2):
-        raise InputError(f"query has shape {query.shape}, expected (..., {_JOINTS}, 2) metres about the mid-hip")
+    if query.shape[-2:] != (num_joints, 2):
+        raise InputError(f"query has shape {query.shape}, expected (..., {num_joints}, 2) metres about the mid-hip")
     is_seen = np.isfinite(query).all(axis=-1)
     if weights is None:
         weight = np.ones(is_seen.shape, dtype=np.float32)
@@ -106,7 +116,15 @@ def search_brute_force(
     """
     query, weight = prepare_query(query_m, weights)
     projections = database.project().reshape(-1, _JOINTS, 2)
-    flat_query, flat_weight = query.reshape(-1, _JOINTS, 2), weight.reshape(-1, _JOINTS)
+    return look_at_all(projections, query, weight, num_neighbours=num_neighbours, num_yaws=database.num_yaws)
+
+
+def look_at_all(
+    projections: Floats32, query: Floats32, weight: Floats32, *, num_neighbours: int, num_yaws: int
+) -> Neighbours:
+    """Give the nearest of projections (n, J, 2) to prepared queries (*batch, J, 2) with weights (*batch, J)."""
+    joints = projections.shape[1]
+    flat_query, flat_weight = query.reshape(-1, joints, 2), weight.reshape(-1, joints)
     found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
     distance = np.full((len(flat_query), num_neighbours), np.inf)
     for number, (one, joint_weight) in enumerate(zip(flat_query, flat_weight, strict=True)):
@@ -114,7 +132,7 @@ def search_brute_force(
         if total <= 0:
             continue
         summed = np.zeros(len(projections), dtype=np.float32)
-        for joint in range(_JOINTS):
+        for joint in range(joints):
             dx = one[joint, 0] - projections[:, joint, 0]
             dy = one[joint, 1] - projections[:, joint, 1]
             summed += joint_weight[joint] * np.sqrt(dx * dx + dy * dy)
@@ -125,342 +143,173 @@ def search_brute_force(
         found[number, :count] = order
         distance[number, :count] = summed[order].astype(np.float64) / total
     shape = (*query.shape[:-2], num_neighbours)
-    return Neighbours(found.reshape(shape), distance.reshape(shape), database.num_yaws)
+    return Neighbours(found.reshape(shape), distance.reshape(shape), num_yaws)
+
+
+def search_index(
+    trees: tuple[Tree, ...], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float, num_yaws: int
+) -> Neighbours:
+    """Give the nearest projections of trees to prepared queries (*batch, J, 2) with weights (*batch, J)."""
+    joints = query.shape[-2]
+    flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
+    flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
+    found, summed = search_trees(trees, flat_query, flat_weight, num_neighbours=num_neighbours, slack=slack)
+    total = np.array([_total(row) for row in flat_weight])[:, None]
+    distance = np.full(summed.shape, np.inf)
+    np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
+    shape = (*query.shape[:-2], num_neighbours)
+    return Neighbours(found.reshape(shape), distance.reshape(shape), num_yaws)
 
 
 @dataclass(frozen=True)
 class ProjectionIndex:
-    """A tree of boxes over all projections of a database; 16 projections a leaf, 16 children a node.
+    """The search trees of a database.
 
     Args:
         num_yaws: Yaw steps of the database.
-        number: Projection number of each lane of each leaf (leaf, lane); -1 for an empty lane.
-        leaves: Projections (leaf, 28, lane): x of the joints, then y; far away in empty lanes.
-        centre: Middle of the boxes of the nodes under each node (node, 28, lane), all levels, root first.
-        half: Their half-widths; -1 in empty lanes.
-        level_start: First node of each level; child j of node i of level l is node lanes * i + j of level l + 1.
+        trees: One per cell of the space of projections and part that was appended.
+        slack: 0 for the exact search.
     """
 
     num_yaws: int
-    number: Integers
-    leaves: Floats32
-    centre: Floats32
-    half: Floats32
-    level_start: Integers
+    trees: tuple[Tree, ...]
+    slack: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a slack without meaning."""
+        if not (np.isfinite(self.slack) and self.slack >= 0):
+            raise InputError(f"the slack of the search is {self.slack}; it must be finite and not negative")
+
+    @property
+    def num_projections(self) -> int:
+        """Projections that are searched."""
+        return sum(tree.num_projections for tree in self.trees)
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory held."""
+        return sum(tree.num_bytes for tree in self.trees)
 
     def search(
         self, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
     ) -> Neighbours:
-        """Give exactly what `search_brute_force` gives; one query or a batch of them."""
+        """Give exactly what `search_brute_force` gives when the slack is 0; one query or a batch of them."""
         query, weight = prepare_query(query_m, weights)
-        flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, _JOINTS, 2), 1, 2)).reshape(-1, 2 * _JOINTS)
-        flat_weight = weight.reshape(-1, _JOINTS)
-        found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
-        summed = np.full((len(flat_query), num_neighbours), np.inf, dtype=np.float32)
-        _search_batch(
-            flat_query,
-            np.ascontiguousarray(flat_weight),
-            self.number,
-            self.leaves,
-            self.centre,
-            self.half,
-            self.level_start,
-            found,
-            summed,
+        return search_index(
+            self.trees, query, weight, num_neighbours=num_neighbours, slack=self.slack, num_yaws=self.num_yaws
         )
-        total = np.array([_total(row) for row in flat_weight])[:, None]
-        distance = np.full(summed.shape, np.inf)
-        np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
-        shape = (*query.shape[:-2], num_neighbours)
-        return Neighbours(found.reshape(shape), distance.reshape(shape), self.num_yaws)
+
+    def with_slack(self, slack: float) -> ProjectionIndex:
+        """Give the same trees searched with another slack; 0 is exact."""
+        return replace(self, slack=slack)
+
+    def append(self, database: Database) -> ProjectionIndex:
+        """Give an index that also holds another part, its rows numbered after those that are there; same slack.
+
+        Raises:
+            InputError: The part has another number of yaw steps.
+        """
+        if database.num_yaws != self.num_yaws:
+            raise InputError(f"the part has {database.num_yaws} yaw steps, the index {self.num_yaws}")
+        return replace(self, trees=(*self.trees, *_trees_of(database, self.num_projections, CELL_SIZE)))
 
 
-def build_index(database: Database) -> ProjectionIndex:
-    """Give the exact search tree of a database: projections ordered by median splits, boxes bottom-up."""
+def build_index(
+    database: Database,
+    *,
+    exact_up_to: int = EXACT_UP_TO,
+    slack_beyond: float = SLACK_BEYOND,
+    cell_size: int = CELL_SIZE,
+) -> ProjectionIndex:
+    """Give the search trees of a database.
+
+    The projections of many poses are sorted into cells first and made anew for each cell's tree, so that only one
+    cell's are held besides the trees.
+
+    Args:
+        database: Database.
+        exact_up_to: Projections up to which the search is exact.
+        slack_beyond: Slack of the search of more.
+        cell_size: Projections of a tree, about; more than twice as many are divided.
+    """
+    slack = 0.0 if database.num_projections <= exact_up_to else slack_beyond
+    return ProjectionIndex(database.num_yaws, _trees_of(database, 0, cell_size), slack)
+
+
+def _trees_of(database: Database, first_number: int, cell_size: int) -> tuple[Tree, ...]:
+    """Give one tree of a database's projections, or of many one for every cell of about `cell_size` of them."""
     count = database.num_projections
-    flat = np.empty((count, 2 * _JOINTS), dtype=np.float32)
     step = max(1, 100_000 // database.num_yaws)
-    for first in range(0, database.num_rows, step):
-        part = database.project(first, first + step).reshape(-1, _JOINTS, 2)
-        begin = first * database.num_yaws
-        flat[begin : begin + len(part), :_JOINTS] = part[..., 0]
-        flat[begin : begin + len(part), _JOINTS:] = part[..., 1]
-    order = np.arange(count, dtype=np.int64)
-    _order_by_median_splits(flat, order, _LANES)
-    num_leaves = -(-count // _LANES)
-    number = np.full(num_leaves * _LANES, -1, dtype=np.int64)
-    number[:count] = order
-    leaves = np.full((num_leaves, 2 * _JOINTS, _LANES), np.float32(1e18), dtype=np.float32)
-    low = np.empty((num_leaves, 2 * _JOINTS), dtype=np.float32)
-    high = np.empty_like(low)
-    _fill_leaves(flat, number, leaves, low, high)
-    centres, halves = [], []
-    while True:
-        num_nodes = -(-len(low) // _LANES)
-        centre = np.zeros((num_nodes, 2 * _JOINTS, _LANES), dtype=np.float32)
-        half = np.full((num_nodes, 2 * _JOINTS, _LANES), -1.0, dtype=np.float32)
-        low, high = _fill_nodes(low, high, centre, half)
-        centres.append(centre)
-        halves.append(half)
-        if num_nodes == 1:
-            break
-    sizes = [len(centre) for centre in reversed(centres)]
-    return ProjectionIndex(
-        num_yaws=database.num_yaws,
-        number=number.reshape(num_leaves, _LANES),
-        leaves=leaves,
-        centre=np.concatenate(centres[::-1]),
-        half=np.concatenate(halves[::-1]),
-        level_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
-    )
+    starts = range(0, database.num_rows, step)
+    if count <= 2 * cell_size:
+        flat = np.empty((count, 2 * _JOINTS), dtype=np.float32)
+        for row in starts:
+            part = _flat(database.project(row, row + step))
+            flat[row * database.num_yaws :][: len(part)] = part
+        return (build_tree(flat, first_number=first_number),)
+    sample = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(np.int64))
+    cell_of = sort_into_cells(_flat(database.projections(sample)), int(np.log2(count / cell_size)))
+    cell = np.concatenate([cell_of(_flat(database.project(row, row + step))).astype(np.int16) for row in starts])
+    trees = []
+    for one in np.unique(cell):
+        number = np.flatnonzero(cell == one)
+        pieces = np.array_split(number, -(-len(number) // 100_000))
+        flat = np.empty((len(number), 2 * _JOINTS), dtype=np.float32)
+        np.concatenate([_flat(database.projections(piece)) for piece in pieces], out=flat)
+        trees.append(build_tree(flat, number.astype(np.int32), first_number=first_number))
+    return tuple(trees)
+
+
+def _flat(projections: Floats32) -> Floats32:
+    """Give projections (*batch, 14, 2) as rows (n, 28), x of the joints, then y."""
+    points = projections.reshape(-1, _JOINTS, 2)
+    return np.concatenate([points[..., 0], points[..., 1]], axis=-1)
+
+
+def recall(found: Neighbours, exact: Neighbours, *, num_best: int = 1) -> float:
+    """Give the share of the `num_best` true neighbours of each query that were found; NaN without any query."""
+    hits = [
+        np.isin(true[:num_best], some[some >= 0]).mean()
+        for some, true in zip(
+            found.projection.reshape(-1, found.projection.shape[-1]),
+            exact.projection.reshape(-1, exact.projection.shape[-1]),
+            strict=True,
+        )
+        if true[0] >= 0
+    ]
+    return float(np.mean(hits)) if hits else float("nan")
+
+
+def measure_recall(
+    database: Database,
+    index: ProjectionIndex,
+    rng: np.random.Generator,
+    *,
+    num_queries: int = 100,
+    num_best: int = 50,
+    noise_m: float = 0.03,
+) -> float:
+    """Give the share of the `num_best` nearest that an index finds, against its own trees searched exactly.
+
+    Queries are projections of the database between its yaw steps with noise on every joint: about as far from their
+    nearest projections as images of motion that the database does not hold.
+
+    Args:
+        database: Database of the index.
+        index: Index, with its slack.
+        rng: Draws queries and noise.
+        num_queries: Queries.
+        num_best: Nearest counted.
+        noise_m: Standard deviation of the noise of each coordinate, metres.
+    """
+    rows = rng.integers(0, database.num_rows, num_queries)
+    yaw = rng.uniform(0.0, database.num_yaws, num_queries)
+    query = np.array(database.camera.project(database.turned(rows, yaw)), dtype=np.float64)
+    query += rng.normal(0.0, noise_m, query.shape)
+    found = index.search(query, num_neighbours=num_best)
+    return recall(found, index.with_slack(0.0).search(query, num_neighbours=num_best), num_best=num_best)
 
 
 def _total(weight: Floats32) -> float:
     """Sum the weights of one query the same way for every form of the search."""
     return float(np.sum(weight, dtype=np.float64))
-
-
-@numba.njit(cache=True, nogil=True)
-def _select(values: Floats32, order: Integers, first: int, last: int, middle: int) -> None:
-    """Reorder `order[first:last]` so that positions before `middle` hold the least values (Hoare's selection)."""
-    low, high = first, last - 1
-    while low < high:
-        a, b, c = values[order[low]], values[order[(low + high) // 2]], values[order[high]]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while values[order[i]] < pivot:
-                i += 1
-            while values[order[j]] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
-
-
-@numba.njit(cache=True, nogil=True)
-def _order_by_median_splits(flat: Floats32, order: Integers, lanes: int) -> None:
-    """Order projections so that every aligned run of lanes * 8^l of them is one cell of a median-split tree.
-
-    Each range splits where its spread (variance) is greatest, at a power of two times the leaf size.
-    """
-    dims = flat.shape[1]
-    values = np.empty(len(order), dtype=np.float32)
-    stack = np.empty((128, 2), dtype=np.int64)
-    stack[0, 0], stack[0, 1] = 0, len(order)
-    depth = 1
-    total = np.empty(dims, dtype=np.float64)
-    square = np.empty(dims, dtype=np.float64)
-    while depth > 0:
-        depth -= 1
-        first, last = stack[depth, 0], stack[depth, 1]
-        if last - first <= lanes:
-            continue
-        total[:] = 0.0
-        square[:] = 0.0
-        step = max(1, (last - first) // 2048)
-        count = 0
-        for at in range(first, last, step):
-            row = order[at]
-            count += 1
-            for dim in range(dims):
-                value = np.float64(flat[row, dim])
-                total[dim] += value
-                square[dim] += value * value
-        widest, spread = 0, -1.0
-        for dim in range(dims):
-            variance = square[dim] / count - (total[dim] / count) ** 2
-            if variance > spread:
-                widest, spread = dim, variance
-        left = lanes
-        while 2 * left < last - first:
-            left *= 2
-        for at in range(first, last):
-            values[order[at]] = flat[order[at], widest]
-        _select(values, order, first, last, first + left)
-        stack[depth, 0], stack[depth, 1] = first + left, last
-        stack[depth + 1, 0], stack[depth + 1, 1] = first, first + left
-        depth += 2
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_leaves(flat: Floats32, number: Integers, leaves: Floats32, low: Floats32, high: Floats32) -> None:
-    """Copy projections into their leaves and take the leaves' boxes."""
-    lanes = leaves.shape[2]
-    for leaf in range(leaves.shape[0]):
-        for dim in range(leaves.shape[1]):
-            least, greatest = np.float32(np.inf), np.float32(-np.inf)
-            for lane in range(lanes):
-                row = number[leaf * lanes + lane]
-                if row >= 0:
-                    value = flat[row, dim]
-                    leaves[leaf, dim, lane] = value
-                    least = min(least, value)
-                    greatest = max(greatest, value)
-            low[leaf, dim] = least
-            high[leaf, dim] = greatest
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32) -> tuple[Floats32, Floats32]:
-    """Put the boxes of a level into the lanes of its parents, and give the parents' own boxes."""
-    nodes, dims, lanes = centre.shape
-    parent_low = np.full((nodes, dims), np.float32(np.inf), dtype=np.float32)
-    parent_high = np.full((nodes, dims), np.float32(-np.inf), dtype=np.float32)
-    for node in range(nodes):
-        for lane in range(lanes):
-            child = node * lanes + lane
-            if child >= low.shape[0]:
-                continue
-            for dim in range(dims):
-                least, greatest = low[child, dim], high[child, dim]
-                middle = np.float32(0.5) * (least + greatest)
-                centre[node, dim, lane] = middle
-                # One part in a million more than the rounded half-width: the box still holds both ends.
-                reach = max(greatest - middle, middle - least)
-                half[node, dim, lane] = reach + np.float32(1e-6) * (abs(least) + abs(greatest))
-                parent_low[node, dim] = min(parent_low[node, dim], least)
-                parent_high[node, dim] = max(parent_high[node, dim], greatest)
-    return parent_low, parent_high
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
-    """Give the least weighted distance sums that the boxes of a node's children allow."""
-    joints, lanes = weight.shape[0], centre.shape[1]
-    zero = np.float32(0.0)
-    for lane in range(lanes):
-        out[lane] = zero
-    for joint in range(joints):
-        w, qx, qy = weight[joint], query[joint], query[joint + joints]
-        for lane in range(lanes):
-            dx = max(abs(qx - centre[joint, lane]) - half[joint, lane], zero)
-            dy = max(abs(qy - centre[joint + joints, lane]) - half[joint + joints, lane], zero)
-            out[lane] += w * np.sqrt(dx * dx + dy * dy)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
-    """Give the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
-    joints, lanes = weight.shape[0], leaf.shape[1]
-    for lane in range(lanes):
-        out[lane] = np.float32(0.0)
-    for joint in range(joints):
-        w, qx, qy = weight[joint], query[joint], query[joint + joints]
-        for lane in range(lanes):
-            dx = qx - leaf[joint, lane]
-            dy = qy - leaf[joint + joints, lane]
-            out[lane] += w * np.sqrt(dx * dx + dy * dy)
-
-
-@numba.njit(cache=True, nogil=True)
-def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> None:
-    """Insert a projection into a sorted list of the best, ties by number; drops the last."""
-    at = summed.shape[0] - 1
-    if value > summed[at] or (value == summed[at] and found[at] >= 0 and number > found[at]):
-        return
-    while at > 0 and (summed[at - 1] > value or (summed[at - 1] == value and found[at - 1] > number)):
-        summed[at] = summed[at - 1]
-        found[at] = found[at - 1]
-        at -= 1
-    summed[at] = value
-    found[at] = number
-
-
-@numba.njit(cache=True, nogil=True)
-def _search_batch(
-    queries: Floats32,
-    weights: Floats32,
-    number: Integers,
-    leaves: Floats32,
-    centre: Floats32,
-    half: Floats32,
-    level_start: Integers,
-    found: Integers,
-    summed: Floats32,
-) -> None:
-    """Search each query best-first: the node of least bound is opened next, until no bound beats the k-th best."""
-    num_levels = level_start.shape[0] - 1
-    capacity = 4096
-    heap_bound = np.empty(capacity, dtype=np.float32)
-    heap_node = np.empty(capacity, dtype=np.int64)
-    heap_level = np.empty(capacity, dtype=np.int64)
-    lanes = leaves.shape[2]
-    lane_value = np.empty(lanes, dtype=np.float32)
-    for at in range(queries.shape[0]):
-        query, weight = queries[at], weights[at]
-        if weight.sum() <= 0:
-            continue
-        best, best_number = summed[at], found[at]
-        last = best.shape[0] - 1
-        heap_bound[0], heap_node[0], heap_level[0] = np.float32(0.0), 0, 0
-        size = 1
-        while size > 0:
-            bound, node, level = heap_bound[0], heap_node[0], heap_level[0]
-            if bound > best[last]:
-                break
-            size -= 1
-            _sift_down(heap_bound, heap_node, heap_level, size)
-            if level == num_levels:
-                _distances(query, weight, leaves[node], lane_value)
-                for lane in range(lanes):
-                    if number[node, lane] >= 0 and lane_value[lane] <= best[last]:
-                        _keep(best_number, best, number[node, lane], lane_value[lane])
-                continue
-            inner = level_start[level] + node
-            _bounds(query, weight, centre[inner], half[inner], lane_value)
-            if size + lanes >= capacity:
-                capacity *= 2
-                heap_bound = _grown(heap_bound, capacity)
-                heap_node = _grown(heap_node, capacity)
-                heap_level = _grown(heap_level, capacity)
-            for lane in range(lanes):
-                lowered = lane_value[lane] * _ROUNDING
-                if half[inner, 0, lane] >= 0 and lowered <= best[last]:
-                    _sift_up(heap_bound, heap_node, heap_level, size, lowered, node * lanes + lane, level + 1)
-                    size += 1
-
-
-@numba.njit(cache=True, nogil=True)
-def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
-    """Give a longer copy of an array."""
-    longer = np.empty(capacity, dtype=array.dtype)
-    longer[: array.shape[0]] = array
-    return longer
-
-
-@numba.njit(cache=True, nogil=True)
-def _sift_up(
-    bound: Floats32, node: Integers, level: Integers, at: int, value: np.float32, new_node: int, new_level: int
-) -> None:
-    """Put an entry into a binary heap of `at` entries."""
-    while at > 0:
-        parent = (at - 1) // 2
-        if bound[parent] <= value:
-            break
-        bound[at], node[at], level[at] = bound[parent], node[parent], level[parent]
-        at = parent
-    bound[at], node[at], level[at] = value, new_node, new_level
-
-
-@numba.njit(cache=True, nogil=True)
-def _sift_down(bound: Floats32, node: Integers, level: Integers, size: int) -> None:
-    """Replace the top of a binary heap by its last entry, number `size`, and restore the order."""
-    value, moved, moved_level = bound[size], node[size], level[size]
-    at = 0
-    while 2 * at + 1 < size:
-        child = 2 * at + 1
-        if child + 1 < size and bound[child + 1] < bound[child]:
-            child += 1
-        if bound[child] >= value:
-            break
-        bound[at], node[at], level[at] = bound[child], node[child], level[child]
-        at = child
-    bound[at], node[at], level[at] = value, moved, moved_level

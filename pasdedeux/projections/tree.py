@@ -1,0 +1,449 @@
+"""A tree of boxes over points that are images of joints: the points nearest to a query, exactly or nearly.
+
+**Bound.**  Every node of the tree keeps, per joint k, the box [cx - hx, cx + hx] x [cy - hy, cy + hy] that holds joint
+k of every projection below the node.  For a query q and a projection p below the node, |qx - px| >=
+max(|qx - cx| - hx, 0) because px lies in an interval of half-width hx about cx, and likewise in y; so
+
+    sum_k w_k |q_k - p_k|  >=  sum_k w_k sqrt(max(|qx - cx| - hx, 0)^2 + max(|qy - cy| - hy, 0)^2)
+
+for all w_k >= 0.  Nothing is assumed of the camera: the boxes are taken from the projections themselves, so the bound
+holds for orthographic, pitched and pinhole cameras alike.  (For a level orthographic camera and the node "all yaws of
+a frame" the box is [-r, r] x [y, y], which is the bound sqrt(max(|qx| - r, 0)^2 + dy^2) of one frame; splitting by
+median where the projections spread most, across frames and yaws alike, gives far smaller boxes.)  Boxes are widened
+and the bound is lowered by more than float32 rounding can raise it, so pruning never loses a neighbour.
+
+**Slack.**  With slack e a node is left closed when (1 + e) times its bound is more than the k-th best distance so far.
+Then the i-th projection given is never further than 1 + e times the i-th nearest: either all i nearest were found, or
+one of them, at distance d, lay under a node left closed, and (1 + e) d >= (1 + e) bound > the k-th best at that moment
+>= the k-th best at the end >= the i-th given (after Arya et al. 1998, "An optimal algorithm for approximate nearest
+neighbor searching").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Tree", "build_tree", "search_trees", "sort_into_cells"]
+
+_LANES = 16
+"""Projections a leaf and children a node: wide enough for the processor's vector unit."""
+_ROUNDING = 1.0 - 1e-5
+"""Factor on the bound: 28 float32 operations of relative error 6e-8 each stay below 1e-5."""
+
+Floats32 = npt.NDArray[np.float32]
+Integers32 = npt.NDArray[np.int32]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A tree of boxes; 16 projections of J joints a leaf, 16 children a node.
+
+    Args:
+        first_number: What is added to the numbers kept, which are narrow.
+        number: Number of the projection in each lane of each leaf (leaf, lane), less `first_number`; -1 for none.
+        leaves: Projections (leaf, 2 J, lane): x of the joints, then y; far away in empty lanes.
+        centre: Middle of the boxes of the nodes under each node (node, 2 J, lane), all levels, root first.
+        half: Their half-widths; -1 in empty lanes.
+        level_start: First node of each level; child j of node i of level l is node lanes * i + j of level l + 1.
+        middle: Middle of the box of all projections (2 J,).
+        reach: Its half-widths (2 J,).
+    """
+
+    first_number: int
+    number: Integers32
+    leaves: Floats32
+    centre: Floats32
+    half: Floats32
+    level_start: Integers
+    middle: Floats32
+    reach: Floats32
+
+    @property
+    def num_projections(self) -> int:
+        """Projections below the root."""
+        return int((self.number >= 0).sum())
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory held."""
+        return sum(one.nbytes for one in (self.number, self.leaves, self.centre, self.half))
+
+
+def build_tree(flat: Floats32, number_of: Integers32 | None = None, *, first_number: int = 0) -> Tree:
+    """Give the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
+
+    Args:
+        flat: Projections, x of the joints, then y, metres.
+        number_of: Their numbers (n,), less `first_number`; 0, 1, ... when not given.
+        first_number: See there.
+    """
+    count, dims = flat.shape
+    order = np.arange(count, dtype=np.int32)
+    _order_by_median_splits(flat, order, _LANES)
+    num_leaves = -(-count // _LANES)
+    number = np.full(num_leaves * _LANES, -1, dtype=np.int32)
+    number[:count] = order
+    leaves = np.full((num_leaves, dims, _LANES), np.float32(1e18), dtype=np.float32)
+    low = np.empty((num_leaves, dims), dtype=np.float32)
+    high = np.empty_like(low)
+    _fill_leaves(flat, number, leaves, low, high)
+    if number_of is not None:
+        number[:count] = number_of[order]
+    centres, halves = [], []
+    while True:
+        num_nodes = -(-len(low) // _LANES)
+        centre = np.zeros((num_nodes, dims, _LANES), dtype=np.float32)
+        half = np.full((num_nodes, dims, _LANES), -1.0, dtype=np.float32)
+        low, high = _fill_nodes(low, high, centre, half)
+        centres.append(centre)
+        halves.append(half)
+        if num_nodes == 1:
+            break
+    sizes = [len(centre) for centre in reversed(centres)]
+    middle = 0.5 * (low[0] + high[0])
+    return Tree(
+        first_number=first_number,
+        number=number.reshape(num_leaves, _LANES),
+        leaves=leaves,
+        centre=np.concatenate(centres[::-1]),
+        half=np.concatenate(halves[::-1]),
+        level_start=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        middle=middle,
+        reach=np.maximum(high[0] - middle, middle - low[0]) + np.float32(1e-6) * (np.abs(low[0]) + np.abs(high[0])),
+    )
+
+
+def search_trees(
+    trees: Sequence[Tree], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float = 0.0
+) -> tuple[Integers, Floats32]:
+    """Give the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
+
+    Each query looks into the tree of least bound first, and into no tree whose bound is beyond its k-th best.
+
+    Args:
+        trees: Trees of projections of J joints.
+        query: Queries (n, 2 J), x of the joints, then y.
+        weight: Weights (n, J), not negative; a query without any weight finds nothing.
+        num_neighbours: k.
+        slack: 0 for exactly the best; see above.
+
+    Returns:
+        Numbers, -1 where there is none, and sums, ascending, inf where there is none.
+    """
+    found = np.full((len(query), num_neighbours), -1, dtype=np.int64)
+    summed = np.full((len(query), num_neighbours), np.inf, dtype=np.float32)
+    factor = np.float32(_ROUNDING * (1.0 + slack))
+    if len(trees) == 1:
+        _search_one(trees[0], query, weight, found, summed, factor)
+        return found, summed
+    joints = weight.shape[1]
+    middle, reach = np.stack([tree.middle for tree in trees]), np.stack([tree.reach for tree in trees])
+    for at in range(len(query)):
+        away = np.maximum(np.abs(query[at] - middle) - reach, 0.0)
+        bound = factor * (np.hypot(away[:, :joints], away[:, joints:]) @ weight[at])
+        one = slice(at, at + 1)
+        for tree in np.argsort(bound, kind="stable"):
+            if bound[tree] > summed[at, -1]:
+                break
+            _search_one(trees[tree], query[one], weight[one], found[one], summed[one], factor)
+    return found, summed
+
+
+def _search_one(
+    tree: Tree, query: Floats32, weight: Floats32, found: Integers, summed: Floats32, factor: np.float32
+) -> None:
+    _search_batch(
+        query,
+        weight,
+        tree.first_number,
+        tree.number,
+        tree.leaves,
+        tree.centre,
+        tree.half,
+        tree.level_start,
+        found,
+        summed,
+        factor,
+    )
+
+
+def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Integers]:
+    """Give a function that says in which of 2^depth cells projections (n, 2 J) lie.
+
+    The cells split a sample (m, 2 J) at medians, each where its part of the sample varies most.
+    """
+    dims, cuts = np.zeros(2**depth - 1, dtype=np.int64), np.zeros(2**depth - 1, dtype=np.float32)
+    parts = [sample]
+    for node in range(len(dims)):
+        part = parts[node]
+        dims[node] = int(np.argmax(part.var(axis=0)))
+        cuts[node] = np.median(part[:, dims[node]])
+        is_above = part[:, dims[node]] > cuts[node]
+        # A part of equal points cannot be split; its cells are then empty or hold them all.
+        parts += [part[~is_above] if len(part) > 1 else part, part[is_above] if is_above.any() else part[:1]]
+
+    def cell_of(flat: Floats32) -> Integers:
+        cell = np.zeros(len(flat), dtype=np.int64)
+        for level in range(depth):
+            node = 2**level - 1 + cell
+            cell = 2 * cell + (flat[np.arange(len(flat)), dims[node]] > cuts[node])
+        return cell
+
+    return cell_of
+
+
+@numba.njit(cache=True, nogil=True)
+def _select(values: Floats32, order: Integers32, first: int, last: int, middle: int) -> None:
+    """Reorder `order[first:last]` so that positions before `middle` hold the least values (Hoare's selection)."""
+    low, high = first, last - 1
+    while low < high:
+        a, b, c = values[order[low]], values[order[(low + high) // 2]], values[order[high]]
+        pivot = max(min(a, b), min(max(a, b), c))
+        i, j = low, high
+        while i <= j:
+            while values[order[i]] < pivot:
+                i += 1
+            while values[order[j]] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@numba.njit(cache=True, nogil=True)
+def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> None:
+    """Order projections so that every aligned run of lanes * 8^l of them is one cell of a median-split tree.
+
+    Each range splits where its spread (variance) is greatest, at a power of two times the leaf size.
+    """
+    dims = flat.shape[1]
+    values = np.empty(len(order), dtype=np.float32)
+    stack = np.empty((128, 2), dtype=np.int64)
+    stack[0, 0], stack[0, 1] = 0, len(order)
+    depth = 1
+    total = np.empty(dims, dtype=np.float64)
+    square = np.empty(dims, dtype=np.float64)
+    while depth > 0:
+        depth -= 1
+        first, last = stack[depth, 0], stack[depth, 1]
+        if last - first <= lanes:
+            continue
+        total[:] = 0.0
+        square[:] = 0.0
+        step = max(1, (last - first) // 2048)
+        count = 0
+        for at in range(first, last, step):
+            row = order[at]
+            count += 1
+            for dim in range(dims):
+                value = np.float64(flat[row, dim])
+                total[dim] += value
+                square[dim] += value * value
+        widest, spread = 0, -1.0
+        for dim in range(dims):
+            variance = square[dim] / count - (total[dim] / count) ** 2
+            if variance > spread:
+                widest, spread = dim, variance
+        left = lanes
+        while 2 * left < last - first:
+            left *= 2
+        for at in range(first, last):
+            values[order[at]] = flat[order[at], widest]
+        _select(values, order, first, last, first + left)
+        stack[depth, 0], stack[depth, 1] = first + left, last
+        stack[depth + 1, 0], stack[depth + 1, 1] = first, first + left
+        depth += 2
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32, low: Floats32, high: Floats32) -> None:
+    """Copy projections into their leaves and take the leaves' boxes."""
+    lanes = leaves.shape[2]
+    for leaf in range(leaves.shape[0]):
+        for dim in range(leaves.shape[1]):
+            least, greatest = np.float32(np.inf), np.float32(-np.inf)
+            for lane in range(lanes):
+                row = number[leaf * lanes + lane]
+                if row >= 0:
+                    value = flat[row, dim]
+                    leaves[leaf, dim, lane] = value
+                    least = min(least, value)
+                    greatest = max(greatest, value)
+            low[leaf, dim] = least
+            high[leaf, dim] = greatest
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32) -> tuple[Floats32, Floats32]:
+    """Put the boxes of a level into the lanes of its parents, and give the parents' own boxes."""
+    nodes, dims, lanes = centre.shape
+    parent_low = np.full((nodes, dims), np.float32(np.inf), dtype=np.float32)
+    parent_high = np.full((nodes, dims), np.float32(-np.inf), dtype=np.float32)
+    for node in range(nodes):
+        for lane in range(lanes):
+            child = node * lanes + lane
+            if child >= low.shape[0]:
+                continue
+            for dim in range(dims):
+                least, greatest = low[child, dim], high[child, dim]
+                middle = np.float32(0.5) * (least + greatest)
+                centre[node, dim, lane] = middle
+                # One part in a million more than the rounded half-width: the box still holds both ends.
+                reach = max(greatest - middle, middle - least)
+                half[node, dim, lane] = reach + np.float32(1e-6) * (abs(least) + abs(greatest))
+                parent_low[node, dim] = min(parent_low[node, dim], least)
+                parent_high[node, dim] = max(parent_high[node, dim], greatest)
+    return parent_low, parent_high
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
+    """Give the least weighted distance sums that the boxes of a node's children allow."""
+    joints, lanes = weight.shape[0], centre.shape[1]
+    zero = np.float32(0.0)
+    for lane in range(lanes):
+        out[lane] = zero
+    for joint in range(joints):
+        w, qx, qy = weight[joint], query[joint], query[joint + joints]
+        for lane in range(lanes):
+            dx = max(abs(qx - centre[joint, lane]) - half[joint, lane], zero)
+            dy = max(abs(qy - centre[joint + joints, lane]) - half[joint + joints, lane], zero)
+            out[lane] += w * np.sqrt(dx * dx + dy * dy)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
+    """Give the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
+    joints, lanes = weight.shape[0], leaf.shape[1]
+    for lane in range(lanes):
+        out[lane] = np.float32(0.0)
+    for joint in range(joints):
+        w, qx, qy = weight[joint], query[joint], query[joint + joints]
+        for lane in range(lanes):
+            dx = qx - leaf[joint, lane]
+            dy = qy - leaf[joint + joints, lane]
+            out[lane] += w * np.sqrt(dx * dx + dy * dy)
+
+
+@numba.njit(cache=True, nogil=True)
+def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> None:
+    """Insert a projection into a sorted list of the best, ties by number; drops the last."""
+    at = summed.shape[0] - 1
+    if value > summed[at] or (value == summed[at] and found[at] >= 0 and number > found[at]):
+        return
+    while at > 0 and (summed[at - 1] > value or (summed[at - 1] == value and found[at - 1] > number)):
+        summed[at] = summed[at - 1]
+        found[at] = found[at - 1]
+        at -= 1
+    summed[at] = value
+    found[at] = number
+
+
+@numba.njit(cache=True, nogil=True)
+def _search_batch(
+    queries: Floats32,
+    weights: Floats32,
+    first_number: int,
+    number: Integers32,
+    leaves: Floats32,
+    centre: Floats32,
+    half: Floats32,
+    level_start: Integers,
+    found: Integers,
+    summed: Floats32,
+    factor: np.float32,
+) -> None:
+    """Search each query best-first: the node of least bound is opened next, until no bound beats the k-th best.
+
+    `factor` multiplies the bounds: below 1 by rounding for the exact search, above 1 to give up on nodes earlier.
+    """
+    num_levels = level_start.shape[0] - 1
+    capacity = 4096
+    heap_bound = np.empty(capacity, dtype=np.float32)
+    heap_node = np.empty(capacity, dtype=np.int64)
+    heap_level = np.empty(capacity, dtype=np.int64)
+    lanes = leaves.shape[2]
+    lane_value = np.empty(lanes, dtype=np.float32)
+    for at in range(queries.shape[0]):
+        query, weight = queries[at], weights[at]
+        if weight.sum() <= 0:
+            continue
+        best, best_number = summed[at], found[at]
+        last = best.shape[0] - 1
+        heap_bound[0], heap_node[0], heap_level[0] = np.float32(0.0), 0, 0
+        size = 1
+        while size > 0:
+            bound, node, level = heap_bound[0], heap_node[0], heap_level[0]
+            if bound > best[last]:
+                break
+            size -= 1
+            _sift_down(heap_bound, heap_node, heap_level, size)
+            if level == num_levels:
+                _distances(query, weight, leaves[node], lane_value)
+                for lane in range(lanes):
+                    if number[node, lane] >= 0 and lane_value[lane] <= best[last]:
+                        _keep(best_number, best, first_number + number[node, lane], lane_value[lane])
+                continue
+            inner = level_start[level] + node
+            _bounds(query, weight, centre[inner], half[inner], lane_value)
+            if size + lanes >= capacity:
+                capacity *= 2
+                heap_bound = _grown(heap_bound, capacity)
+                heap_node = _grown(heap_node, capacity)
+                heap_level = _grown(heap_level, capacity)
+            for lane in range(lanes):
+                lowered = lane_value[lane] * factor
+                if half[inner, 0, lane] >= 0 and lowered <= best[last]:
+                    _sift_up(heap_bound, heap_node, heap_level, size, lowered, node * lanes + lane, level + 1)
+                    size += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
+    """Give a longer copy of an array."""
+    longer = np.empty(capacity, dtype=array.dtype)
+    longer[: array.shape[0]] = array
+    return longer
+
+
+@numba.njit(cache=True, nogil=True)
+def _sift_up(
+    bound: Floats32, node: Integers, level: Integers, at: int, value: np.float32, new_node: int, new_level: int
+) -> None:
+    """Put an entry into a binary heap of `at` entries."""
+    while at > 0:
+        parent = (at - 1) // 2
+        if bound[parent] <= value:
+            break
+        bound[at], node[at], level[at] = bound[parent], node[parent], level[parent]
+        at = parent
+    bound[at], node[at], level[at] = value, new_node, new_level
+
+
+@numba.njit(cache=True, nogil=True)
+def _sift_down(bound: Floats32, node: Integers, level: Integers, size: int) -> None:
+    """Replace the top of a binary heap by its last entry, number `size`, and restore the order."""
+    value, moved, moved_level = bound[size], node[size], level[size]
+    at = 0
+    while 2 * at + 1 < size:
+        child = 2 * at + 1
+        if child + 1 < size and bound[child + 1] < bound[child]:
+            child += 1
+        if bound[child] >= value:
+            break
+        bound[at], node[at], level[at] = bound[child], node[child], level[child]
+        at = child
+    bound[at], node[at], level[at] = value, moved, moved_level

@@ -124,6 +124,13 @@ def test_a_fault_is_named_with_its_line(old: str, new: str, sentence: str) -> No
         read_bvh(BVH_SMALL.replace(old, new, 1))
 
 
+@pytest.mark.parametrize("token", ["nan", "1e999", "5O", "1e200"])
+def test_the_quick_check_finds_what_is_no_finite_number(token: str) -> None:
+    assert read_bvh_header(BVH_SMALL.replace("30 40 50 60 70", "30 4e1 50 60 70")).num_frames == 3
+    with pytest.raises(FormatError, match="line 30, Xrotation of 'Spine'"):
+        read_bvh_header(BVH_SMALL.replace("30 40 50 60 70", f"30 40 {token} 60 70"))
+
+
 @pytest.mark.parametrize("data", [b"", b"  \n ", b"\0\0\0", b"PK\x03\x04\0"])
 def test_empty_and_binary_files_are_refused(data: bytes) -> None:
     with pytest.raises(FormatError):

@@ -373,7 +373,7 @@ def _next_line(lines: list[str], index: int, label: str) -> tuple[int, str]:
 
 
 def _check_rows(header: BvhHeader, rows: list[str]) -> None:
-    """Refuse a motion block with the wrong number of frames or values, with words or with absurd powers of ten in it."""
+    """Refuse a motion block with the wrong number of frames or values, with words or absurd powers of ten in it."""
     count = 0
     for index, row in enumerate(rows):
         num_values = len(row.split())

@@ -1,4 +1,4 @@
-"""Stage `priors`: torso basis and joint limits, learned from the takes named as prior takes."""
+"""Stage `priors`: torso basis, joint limits and pose prior, learned from the takes named as prior takes."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.cameras import TorsoBasis, default_torso_basis, learn_torso_basis
-from pasdedeux.plausibility import ANGLES, JointLimits
+from pasdedeux.plausibility import ANGLES, BONES, JointLimits, Occupancy
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 
-__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_occupancy", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 LEAST_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
@@ -53,7 +53,7 @@ def _is_prior(manifest: Manifest) -> bool:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Learn the torso basis and widen the published joint limits; without prior takes both are the defaults."""
+    """Learn torso basis and pose prior, widen the published joint limits; without prior takes all are the defaults."""
     options = shard.parameters
     parts = [_read_poses(store, ref, int(options["max_frames_per_take"])) for ref in shard.inputs]
     poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
@@ -64,6 +64,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     limits = JointLimits.published()
     if is_learned:
         limits = limits.widened(poses, name="prior takes", percentile=float(options["percentile"]))
+    occupancy = Occupancy.empty().extended(poses)
     facts = {
         "kind": "priors",
         "takes": takes,
@@ -72,9 +73,23 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "explained_variance": float(basis.explained_variance.sum()),
         "valid_share": float(limits.is_valid(poses).mean()) if len(poses) else None,
     }
-    return commit(
-        shard, store, tables={"torso_basis": _basis_columns(basis), "joint_limits": _limit_columns(limits)}, facts=facts
-    )
+    tables = {
+        "torso_basis": _basis_columns(basis),
+        "joint_limits": _limit_columns(limits),
+        "pose_prior": _occupancy_columns(occupancy),
+    }
+    return commit(shard, store, tables=tables, facts=facts)
+
+
+def read_occupancy(shard: Shard, store: Store) -> Occupancy:
+    """Give the pose prior among a shard's inputs; the empty one where no stage wrote any."""
+    counts = Occupancy.empty().counts
+    for ref in shard.inputs:
+        if "pose_prior" in store.manifest(ref).tables:
+            table = store.read(ref, "pose_prior")
+            bone = np.array([BONES.index(str(name)) for name in table["bone"]], dtype=np.int64)
+            counts[bone, np.asarray(table["above"]), np.asarray(table["cell"])] = np.asarray(table["num_poses"])
+    return Occupancy(counts)
 
 
 def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:
@@ -106,13 +121,26 @@ def _limit_columns(limits: JointLimits) -> dict[str, object]:
     }
 
 
+def _occupancy_columns(occupancy: Occupancy) -> dict[str, object]:
+    # The order in which the table is sorted: bones by name.
+    order = np.argsort(BONES)
+    place, above, cell = np.nonzero(occupancy.counts[order])
+    bone = order[place]
+    return {
+        "bone": [BONES[index] for index in bone.tolist()],
+        "above": above,
+        "cell": cell,
+        "num_poses": occupancy.counts[bone, above, cell],
+    }
+
+
 STAGE = Stage(
     name="priors",
     version=VERSION,
     reads=("poses",),
-    writes=("torso_basis", "joint_limits"),
+    writes=("torso_basis", "joint_limits", "pose_prior"),
     parameters=PriorsParameters,
     plan=plan,
     run_shard=run_shard,
-    meaning="torso basis and joint limits from prior takes",
+    meaning="torso basis, joint limits and pose prior from prior takes",
 )

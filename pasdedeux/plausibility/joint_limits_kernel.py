@@ -16,7 +16,16 @@ from pasdedeux.plausibility.joint_limits import NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["measure_angles", "move_to_nearest_valid"]
+__all__ = [
+    "bone_of",
+    "carry",
+    "cross",
+    "dot",
+    "frame_x",
+    "measure_angles",
+    "move_to_nearest_valid",
+    "scale",
+]
 
 Array = npt.NDArray[np.float64]
 Vector = Any  # (x, y, z); numba infers the tuple type
@@ -55,12 +64,14 @@ _inner = njit(cache=True, nogil=True, error_model="numpy", **_NO_ENTRIES)
 
 
 @_inner
-def _dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @_inner
-def _cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
@@ -70,20 +81,22 @@ def _mix(s: float, a: Vector, t: float, b: Vector) -> Vector:
 
 
 @_inner
-def _scale(s: float, a: Vector) -> Vector:
+def scale(s: float, a: Vector) -> Vector:
+    """A vector s times as long."""
     return (s * a[0], s * a[1], s * a[2])
 
 
 @_inner
 def _unit(a: Vector) -> Vector:
-    length = math.sqrt(_dot(a, a))
+    length = math.sqrt(dot(a, a))
     if length > 1e-12:
         return (a[0] / length, a[1] / length, a[2] / length)
     return (0.0, 0.0, 0.0)
 
 
 @_inner
-def _bone(points: Array, start: int, end: int) -> Vector:
+def bone_of(points: Array, start: int, end: int) -> Vector:
+    """Unit direction from joint `start` to joint `end`; zero when they coincide."""
     return _unit(
         (
             points[end, 0] - points[start, 0],
@@ -94,10 +107,11 @@ def _bone(points: Array, start: int, end: int) -> Vector:
 
 
 @_inner
-def _carry(start: Vector, end: Vector, vector: Vector) -> Vector:
+def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
+    """`vector` carried along the shortest turn from unit `start` to unit `end`."""
     total = (start[0] + end[0], start[1] + end[1], start[2] + end[2])
-    factor = _dot(total, vector) / max(1.0 + _dot(start, end), _TINY)
-    twice = 2.0 * _dot(start, vector)
+    factor = dot(total, vector) / max(1.0 + dot(start, end), _TINY)
+    twice = 2.0 * dot(start, vector)
     return (
         vector[0] - factor * total[0] + twice * end[0],
         vector[1] - factor * total[1] + twice * end[1],
@@ -116,13 +130,14 @@ def _wrap(angle: float) -> float:
 
 
 @_inner
-def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
+def frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
+    """Unit direction from joint `right` to joint `left`, made square to `up`."""
     across = (
         points[left, 0] - points[right, 0],
         points[left, 1] - points[right, 1],
         points[left, 2] - points[right, 2],
     )
-    return _unit(_mix(1.0, across, -_dot(across, up), up))
+    return _unit(_mix(1.0, across, -dot(across, up), up))
 
 
 @_inner
@@ -144,8 +159,8 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
     px, py, pz = points[pivot, 0], points[pivot, 1], points[pivot, 2]
     for joint in range(first, last + 1):
         v = (points[joint, 0] - px, points[joint, 1] - py, points[joint, 2] - pz)
-        c = _cross(axis, v)
-        along = (1.0 - cosine) * _dot(axis, v)
+        c = cross(axis, v)
+        along = (1.0 - cosine) * dot(axis, v)
         points[joint, 0] = px + cosine * v[0] + sine * c[0] + along * axis[0]
         points[joint, 1] = py + cosine * v[1] + sine * c[1] + along * axis[1]
         points[joint, 2] = pz + cosine * v[2] + sine * c[2] + along * axis[2]
@@ -153,15 +168,15 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
 
 @_inner
 def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
-    cross = _cross(before, after)
-    sine = math.sqrt(_dot(cross, cross))
-    cosine = _dot(before, after)
+    turned = cross(before, after)
+    sine = math.sqrt(dot(turned, turned))
+    cosine = dot(before, after)
     if sine > 1e-12:
-        axis = _scale(1.0 / sine, cross)
+        axis = scale(1.0 / sine, turned)
     elif cosine < 0.0:
         # Opposite directions: half a turn about some square axis.
         helper = (1.0, 0.0, 0.0) if abs(before[0]) < 0.9 else (0.0, 1.0, 0.0)
-        axis = _unit(_cross(before, helper))
+        axis = _unit(cross(before, helper))
     else:
         return
     angle = math.atan2(sine, cosine)
@@ -183,17 +198,17 @@ def _girdle(
 ) -> None:
     for side in range(2):
         joint = left if side == 0 else right
-        direction = _bone(points, centre, joint)
-        elevation = _arcsin(_dot(direction, up))
+        direction = bone_of(points, centre, joint)
+        elevation = _arcsin(dot(direction, up))
         change = _change(index + side, elevation, 0.0, limits, work, move)
         if change != 0.0:
-            level = _unit(_mix(1.0, direction, -_dot(direction, up), up))
+            level = _unit(_mix(1.0, direction, -dot(direction, up), up))
             target = elevation + change
             _turn_to(points, joint, joint + 2, centre, direction, _mix(math.cos(target), level, math.sin(target), up))
-    one, two = _bone(points, centre, left), _bone(points, centre, right)
-    one = _mix(1.0, one, -_dot(one, up), up)
-    two = _mix(1.0, two, -_dot(two, up), up)
-    spread = math.atan2(_dot(_cross(one, two), up), _dot(one, two)) % _TWO_PI
+    one, two = bone_of(points, centre, left), bone_of(points, centre, right)
+    one = _mix(1.0, one, -dot(one, up), up)
+    two = _mix(1.0, two, -dot(two, up), up)
+    spread = math.atan2(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
     change = _change(spread_index, spread, 0.0, limits, work, move)
     if change != 0.0:
         cosine, sine = math.cos(0.5 * change), math.sin(0.5 * change)
@@ -217,11 +232,11 @@ def _swing(
     move: bool,
 ) -> bool:
     """Flexion at `index`, the lateral angle right after it; tells whether the bone moved."""
-    direction = _bone(points, joint, end)
-    sideways = _arcsin(_dot(direction, left))
+    direction = bone_of(points, joint, end)
+    sideways = _arcsin(dot(direction, left))
     change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
     sideways += change_sideways
-    flexion = math.atan2(_dot(direction, front), _dot(direction, up))
+    flexion = math.atan2(dot(direction, front), dot(direction, up))
     slack = _SLACK * (1.0 / max(math.cos(sideways), _TINY) - 1.0)
     change_flexion = _change(index, flexion, slack, limits, work, move)
     if change_sideways == 0.0 and change_flexion == 0.0:
@@ -244,14 +259,14 @@ def _arm(
     work: Array,
     move: bool,
 ) -> None:
-    direction = _bone(points, shoulder, shoulder + 1)
-    b, m = _dot(direction, back), _dot(direction, across)
+    direction = bone_of(points, shoulder, shoulder + 1)
+    b, m = dot(direction, back), dot(direction, across)
     change_b = _change(index, _arcsin(b), 0.0, limits, work, move)
     change_m = _change(index + 1, _arcsin(m), 0.0, limits, work, move)
     if not move:
         return
-    up = _cross(back, across)
-    rest = _dot(direction, up)
+    up = cross(back, across)
+    rest = dot(direction, up)
     most_b, most_m = math.sin(limits[1, index]), math.sin(limits[1, index + 1])
     side_of = -1.0 if rest < 0 else 1.0
     is_moved = change_b != 0.0 or change_m != 0.0
@@ -282,15 +297,15 @@ def _hinge(
     work: Array,
     move: bool,
 ) -> None:
-    above, below = _bone(points, joint, joint + 1), _bone(points, joint + 1, joint + 2)
-    along = _dot(above, below)
+    above, below = bone_of(points, joint, joint + 1), bone_of(points, joint + 1, joint + 2)
+    along = dot(above, below)
     across = _mix(1.0, below, -along, above)
-    sine = math.sqrt(_dot(across, across))
+    sine = math.sqrt(dot(across, across))
     flexion = math.atan2(sine, along)
     change_flexion = _change(flexion_index, flexion, 0.0, limits, work, move)
     certainty = sine if along > 0 else 1.0
-    carried_bend, carried_out = _carry(rest, above, bend), _carry(rest, above, outward)
-    rotation = math.atan2(_dot(across, carried_out), _dot(across, carried_bend)) if sine > _TINY else 0.0
+    carried_bend, carried_out = carry(rest, above, bend), carry(rest, above, outward)
+    rotation = math.atan2(dot(across, carried_out), dot(across, carried_bend)) if sine > _TINY else 0.0
     slack = _SLACK / max(certainty, _TINY)
     change = _change(rotation_index, rotation, slack, limits, work, move)
     if change_flexion != 0.0:
@@ -298,49 +313,49 @@ def _hinge(
         after = _mix(math.cos(bent), above, math.sin(bent), _unit(across))
         _turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
     if change != 0.0:
-        handed = -1.0 if _dot(_cross(carried_bend, carried_out), above) < 0 else 1.0
+        handed = -1.0 if dot(cross(carried_bend, carried_out), above) < 0 else 1.0
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))
 
 
 @_inner
 def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
-    y = _bone(points, PELVIS, SPINE)
+    y = bone_of(points, PELVIS, SPINE)
     _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, limits, work, move)
-    x = _frame_x(points, LEFT_HIP, RIGHT_HIP, y)
-    z = _cross(x, y)
+    x = frame_x(points, LEFT_HIP, RIGHT_HIP, y)
+    z = cross(x, y)
     _swing(points, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE, limits, work, move)
-    up = _bone(points, SPINE, CHEST)
+    up = bone_of(points, SPINE, CHEST)
     _girdle(
         points, CHEST, up, LEFT_SHOULDER, RIGHT_SHOULDER, _SHOULDER_ELEVATION, _SHOULDER_SPREAD,
         limits, work, move,
     )  # fmt: skip
-    shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
-    carried = _carry(y, up, x)
-    torsion = math.atan2(_dot(_cross(carried, shoulders_x), up), _dot(carried, shoulders_x))
+    shoulders_x = frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
+    carried = carry(y, up, x)
+    torsion = math.atan2(dot(cross(carried, shoulders_x), up), dot(carried, shoulders_x))
     change = _change(_TORSION, torsion, 0.0, limits, work, move)
     if change != 0.0:
         _turn(points, NECK, RIGHT_WRIST, CHEST, up, math.cos(change), math.sin(change))
-        shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
-    front = _cross(shoulders_x, up)
+        shoulders_x = frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
+    front = cross(shoulders_x, up)
     _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, limits, work, move)
-    up_neck = _bone(points, CHEST, NECK)
-    neck_x = _unit(_mix(1.0, shoulders_x, -_dot(shoulders_x, up_neck), up_neck))
-    neck_z = _cross(neck_x, up_neck)
+    up_neck = bone_of(points, CHEST, NECK)
+    neck_x = _unit(_mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
+    neck_z = cross(neck_x, up_neck)
     _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, limits, work, move)
     for side in range(2):
         sign = 1.0 if side == 0 else -1.0
-        outward = _scale(sign, shoulders_x)
+        outward = scale(sign, shoulders_x)
         shoulder = LEFT_SHOULDER if side == 0 else RIGHT_SHOULDER
         arm = _ARM + 3 * side
-        _arm(points, shoulder, _scale(-1.0, front), _scale(-1.0, outward), arm, limits, work, move)
+        _arm(points, shoulder, scale(-1.0, front), scale(-1.0, outward), arm, limits, work, move)
         _hinge(points, shoulder, outward, front, up, arm + 2, _ELBOW + side, limits, work, move)
-        outward = _scale(sign, x)
-        down = _scale(-1.0, y)
+        outward = scale(sign, x)
+        down = scale(-1.0, y)
         hip = LEFT_HIP if side == 0 else RIGHT_HIP
         leg = _HIP + 3 * side
         _swing(points, hip, hip + 1, hip + 1, hip + 2, down, outward, z, leg, limits, work, move)
         _hinge(
-            points, hip, down, _scale(-1.0, z), _scale(-1.0, outward), leg + 2, _KNEE + side,
+            points, hip, down, scale(-1.0, z), scale(-1.0, outward), leg + 2, _KNEE + side,
             limits, work, move,
         )  # fmt: skip
 

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from storage_schema.columns import Table
 from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKES
-from storage_schema.tables.lifting import CHAIN_INFO, CHAIN_STATES, DRAWS, JOINT_LIMITS, SEEDS, TORSO_BASIS, VIEWS
+from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
+from storage_schema.tables.lifting import (
+    CHAIN_INFO,
+    CHAIN_STATES,
+    DRAWS,
+    JOINT_LIMITS,
+    POSE_PRIOR,
+    SEEDS,
+    TORSO_BASIS,
+    VIEWS,
+)
 from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_QUALITY, VARIANTS
 from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
 
@@ -19,11 +29,14 @@ TABLES: dict[str, Table] = {
         CAMERAS,
         TORSO_BASIS,
         JOINT_LIMITS,
+        POSE_PRIOR,
         VIEWS,
         SEEDS,
         DRAWS,
         CHAIN_STATES,
         CHAIN_INFO,
+        LIFTED_PAIRS,
+        IN_BETWEENS,
         PROJECTIONS,
         CODEBOOK,
         MOTIONS,

@@ -6,7 +6,7 @@ import pyarrow as pa
 
 from storage_schema.columns import Table, array, float64, integer, text
 
-__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "SEEDS", "TORSO_BASIS", "VIEWS"]
+__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "POSE_PRIOR", "SEEDS", "TORSO_BASIS", "VIEWS"]
 
 TORSO_BASIS = Table(
     name="torso_basis",
@@ -33,6 +33,18 @@ JOINT_LIMITS = Table(
         float64("lower_rad", "Least valid angle", unit="rad"),
         float64("upper_rad", "Greatest valid angle", unit="rad"),
         text("source", "Published table or prior takes the range came from"),
+    ),
+)
+
+POSE_PRIOR = Table(
+    name="pose_prior",
+    meaning="Where the bones of prior takes pointed: one row per bone, direction of the bone above it and direction.",
+    sorted_by=("bone", "above", "cell"),
+    columns=(
+        text("bone", "chest, neck, head, upper_arm, forearm, thigh or shank; left and right are mirrored into one"),
+        integer("above", "Direction of the bone above, of 60 points spread over the sphere"),
+        integer("cell", "Direction of the bone in its parent's frame, of 500 points spread over the sphere"),
+        integer("num_poses", "Poses seen there"),
     ),
 )
 
@@ -155,5 +167,6 @@ CHAIN_INFO = Table(
         float64("travelled_m", "Mean joint distance between the last draw and the seed", unit="m"),
         text("verdict", "ok, stuck or left_range"),
         text("reason", "The verdict in words; empty when ok"),
+        text("note", "What is unusual about the annotations it was sampled with; empty when nothing is"),
     ),
 )

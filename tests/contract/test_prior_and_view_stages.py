@@ -10,7 +10,7 @@ import pytest
 
 from pasdedeux.cameras import PinholeCamera, angle_between_directions, frame_take, sample_views, true_direction
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import ANGLES, JointLimits
+from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import priors, views
 from tasks.seeds import read_limits
@@ -138,6 +138,9 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert (limits.lower_rad <= JointLimits.published().lower_rad).all()
     table = open_table(ref, store, table="joint_limits")
     assert list(table["joint"]) == [angle.joint for angle in ANGLES]
+    poses = np.asarray(store.read(takes[0].ref, "poses")["pair17_m"], dtype=np.float64)
+    learned = Occupancy.empty().extended(poses)
+    np.testing.assert_array_equal(priors.read_occupancy(shard, store).counts, learned.counts)
     assert store.manifest(ref).sources[0].name == "dancers"
 
 
@@ -148,6 +151,8 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
     assert facts["takes"] == []
     assert "no prior take" in facts["origin"]
     assert len(views.read_torso_basis(store, (ref,)).components_m) == 4
+    shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
+    assert not priors.read_occupancy(shard, store).counts.any()
 
 
 def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path: Path) -> None:

@@ -1,0 +1,50 @@
+"""What draws are good for: annotations lifted to 3D, and the pairs between them."""
+
+from __future__ import annotations
+
+from storage_schema.columns import Table, array, float64, integer, text
+
+__all__ = ["IN_BETWEENS", "LIFTED_PAIRS"]
+
+_PAIR = array(
+    "pair17_m",
+    "Positions of both people, camera axes (x right, y up, z towards the camera), the middle of the pair at the origin",
+    axes={"person": 2, "joint": 17, "xyz": 3},
+    unit="m",
+    joints="pair17",
+)
+
+LIFTED_PAIRS = Table(
+    name="lifted_pairs",
+    meaning="One row per annotated pair and method: the 3D pair it was lifted to.",
+    sorted_by=("sequence_id", "frame", "method"),
+    columns=(
+        text("sequence_id", "Sequence of the annotation"),
+        integer("frame", "Frame of the annotation"),
+        text(
+            "method",
+            "nearest (the nearest draw), neighbours (mean of near draws), fitted (that, fitted to the joints seen), "
+            "completed (joints not seen from the draws nearest in D_I), or a baseline: mean_pair, lifting, lifting_ik, "
+            "naive_sampling",
+        ),
+        integer("num_joints_seen", "Joints of the two people that were seen, of 34"),
+        float64("residual_m", "Root mean square distance of the joints seen from the image", unit="m"),
+        text("draw", "Reference of the nearest draw; null for baselines", is_nullable=True),
+        integer("hypothesis", "View hypothesis under which that draw was seen; null for baselines", is_nullable=True),
+        _PAIR,
+    ),
+)
+
+IN_BETWEENS = Table(
+    name="in_betweens",
+    meaning="One row per frame between two lifted annotations of a sequence and method.",
+    sorted_by=("sequence_id", "frame", "method"),
+    columns=(
+        text("sequence_id", "Sequence"),
+        integer("frame", "Frame of the sequence"),
+        text("method", "draws (led past draws) or straight (the baseline)"),
+        integer("first_frame", "Lifted frame before"),
+        integer("last_frame", "Lifted frame after"),
+        _PAIR,
+    ),
+)

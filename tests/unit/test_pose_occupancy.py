@@ -1,0 +1,129 @@
+"""The pose prior and the limits learned from capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.working_poses import derive_working_poses
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, weakest_bone
+from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_directions, sphere_cells
+from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons.layouts import LAYOUTS
+from tests.unit.test_joint_limits import put, standing, wild
+
+TABLE = JointLimits.published()
+MIRROR = list(PAIR17.mirror)
+
+
+def near_standing(seed: int, count: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return standing() + rng.normal(scale=0.02, size=(count, 17, 3))
+
+
+LEARNED = Occupancy.empty().extended(near_standing(0, 400))
+
+
+def test_cells_are_spread_evenly() -> None:
+    cells = sphere_cells(NUM_CELLS)
+    np.testing.assert_allclose(np.linalg.norm(cells, axis=1), 1.0, atol=1e-12)
+    points = normalise(np.random.default_rng(0).normal(size=(20_000, 3)))
+    share = np.bincount((points @ cells.T).argmax(axis=1), minlength=NUM_CELLS) / len(points)
+    # 40 points a cell are expected: five standard deviations of a count.
+    assert (np.abs(share * NUM_CELLS - 1.0) < 5.0 / np.sqrt(40.0)).all()
+    assert np.rad2deg(np.arccos((points @ cells.T).max(axis=1))).max() < 9.0
+
+
+def test_rigid_motion_changes_no_direction_and_mirroring_swaps_the_sides() -> None:
+    poses = wild(3, 100)
+    turn = rotmat_from_unitquat(normalise(np.array([0.1, 0.5, -0.4, 0.7])))
+    own = bone_directions(poses).own
+    np.testing.assert_allclose(bone_directions(poses @ turn.T + 3.0).own, own, atol=1e-9)
+    mirrored = bone_directions((poses * [-1.0, 1.0, 1.0])[:, MIRROR]).own
+    swapped = own[:, [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9]]
+    swapped[:, :3, 0] *= -1.0
+    np.testing.assert_allclose(mirrored, swapped, atol=1e-9)
+
+
+def test_hanging_limbs_point_where_the_frames_say() -> None:
+    own = bone_directions(standing()).own
+    np.testing.assert_allclose(own[0], [0.0, 1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(own[7:9], [[0.0, -1.0, 0.0]] * 2, atol=0.1)
+    bent = put(put(standing(), "right_knee", [0, -1, 0]), "right_ankle", [0, 0, -1])
+    np.testing.assert_allclose(bone_directions(bent).own[10], [0.0, 0.0, -1.0], atol=0.05)
+
+
+def test_the_prior_prefers_what_was_seen_and_knows_nothing_without_capture() -> None:
+    assert (Occupancy.empty().log_prior(wild(4, 50)) == 0.0).all()
+    seen, unseen = LEARNED.log_prior(near_standing(1, 200)), LEARNED.log_prior(wild(5, 200))
+    assert np.quantile(seen, 0.05) > np.median(unseen)
+    knee_forward = put(standing(), "left_ankle", [0.0, -0.5, 1.0])
+    assert LEARNED.log_prior(knee_forward) < seen.min()
+
+
+def test_shares_given_the_bone_above_sum_to_one() -> None:
+    np.testing.assert_allclose(np.exp(LEARNED.log_share).mean(axis=-1), 1.0, atol=1e-9)
+
+
+def test_capture_comes_in_parts_and_broken_poses_are_left_out() -> None:
+    poses = near_standing(0, 400)
+    parts = Occupancy.empty().extended(poses[:123]).extended(poses[123:])
+    np.testing.assert_array_equal(parts.counts, LEARNED.counts)
+    np.testing.assert_array_equal(LEARNED.extended(poses[:3] * np.nan).counts, LEARNED.counts)
+    assert LEARNED.counts.sum() == 400 * 11
+    with pytest.raises(InputError, match="occupancy"):
+        Occupancy(np.zeros((2, 3), dtype=np.int64))
+
+
+def test_the_compiled_prior_agrees_with_the_plain_one() -> None:
+    poses = np.concatenate([wild(6, 200), near_standing(2, 100)])
+    compiled = [weakest_bone(pose, LEARNED.log_share) for pose in poses]
+    np.testing.assert_allclose(compiled, LEARNED.log_prior(poses), atol=1e-12)
+    assert np.isfinite(weakest_bone(np.zeros((17, 3)), LEARNED.log_share))
+
+
+def test_learned_limits_allow_what_table_or_capture_allow() -> None:
+    split = put(standing(), "left_knee", [1.0, -0.2, 0.0])
+    assert not TABLE.is_valid(split)
+    limits = LearnedLimits(TABLE, Occupancy.empty().extended(split[None]))
+    assert limits.is_valid(split)
+    assert limits.is_valid((split * [-1.0, 1.0, 1.0])[MIRROR])
+    poses = wild(7, 500)
+    assert limits.is_valid(poses)[TABLE.is_valid(poses)].all()
+    np.testing.assert_array_equal(LearnedLimits(TABLE, Occupancy.empty()).num_invalid(poses), TABLE.num_invalid(poses))
+
+
+def test_the_nearest_valid_pose_of_learned_limits_is_valid_and_keeps_bones() -> None:
+    limits = LearnedLimits(TABLE, LEARNED)
+    poses = wild(8, 300)
+    nearest = limits.nearest_valid(poses)
+    assert limits.num_invalid(nearest.positions).max() == 0
+    np.testing.assert_allclose(bone_lengths(PAIR17, nearest.positions), bone_lengths(PAIR17, poses), atol=1e-9)
+    is_valid = limits.is_valid(poses)
+    assert 10 < is_valid.sum() < 290
+    np.testing.assert_array_equal(nearest.positions[is_valid], poses[is_valid])
+    assert (nearest.squared_distance_m2[~is_valid] > 0).all()
+
+
+@pytest.mark.data
+def test_learned_limits_accept_a_subject_they_have_not_seen(data_dir: Path) -> None:
+    folder = data_dir / "cmu_asfamc"
+    poses: dict[str, list[np.ndarray]] = {}
+    for file in sorted(folder.glob("0[123]_*.amc")):
+        asf = read_asf((folder / f"{file.stem[:2]}.asf").read_bytes())
+        motion = read_amc(file.read_bytes(), asf).to_motion(metres_per_unit=asf.metres_per_unit, rate_hz=120.0)
+        pair17 = derive_working_poses(motion.resample(12.0), LAYOUTS["cmu_asf"]).pair17_m
+        poses.setdefault(file.stem[:2], []).append(pair17)
+    accepted = []
+    for held_out, own in poses.items():
+        others = np.concatenate([one for subject, parts in poses.items() if subject != held_out for one in parts])
+        accepted.append(LearnedLimits(TABLE, Occupancy.empty().extended(others)).is_valid(np.concatenate(own)))
+    share = np.concatenate(accepted)
+    assert len(share) > 1000
+    assert share.mean() >= 0.995

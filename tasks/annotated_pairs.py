@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
+from pasdedeux.sampling.velocity import NEIGHBOUR_FRAMES
+from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks.stage import Shard, StageInputs
 
-__all__ = ["PlacedPairs", "annotated_pairs", "gather", "views_of"]
+__all__ = ["PlacedPairs", "annotated_pairs", "gather", "gather_tracks", "views_of"]
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,36 @@ def gather(shard: Shard, store: Store) -> PlacedPairs:
             pairs=gathered.pairs,
             weights=gathered.weights,
             num_skipped=gathered.num_skipped + sum(1 for place in keypoints if place not in index),
+            metres_per_pixel=gathered.metres_per_pixel,
         ),
         places=tuple(index),
     )
+
+
+def gather_tracks(shard: Shard, store: Store, placed: PlacedPairs) -> np.ndarray:
+    """Give the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
+
+    Frames without either of the two people are NaN.
+    """
+    seen: dict[tuple[str, int], dict[int, np.ndarray]] = {}
+    for ref in shard.inputs:
+        if "annotations" not in store.manifest(ref).tables:
+            continue
+        table = store.read(
+            ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_held_out", "pair17_px"]
+        )
+        sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
+        points = np.asarray(table["pair17_px"], dtype=np.float64)
+        for row in np.flatnonzero(~np.asarray(table["is_held_out"])).tolist():
+            seen.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
+    around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
+    tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
+    for place, (sequence, frame) in enumerate(placed.places):
+        people = sorted(seen[sequence, frame])[:2]
+        for column, offset in enumerate(around):
+            there = seen.get((sequence, frame + offset), {})
+            for person, name in enumerate(people):
+                if name in there:
+                    tracks[place, column, person] = there[name]
+    own = tracks[placed.gathered.pairs.annotation_index]
+    return pair_in_metres(own, placed.gathered.metres_per_pixel[:, None])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -16,25 +16,37 @@ from pasdedeux.sampling import (
     Evaluation,
     GaussianBlocks,
     InteractionLikelihood,
+    MoveKind,
+    MoveMixture,
     PairChart,
     PairDensity,
     PhysicalPrior,
+    Scales,
+    Speeds,
+    VelocityBias,
+    annotation_speeds,
     build_bank,
     diagnose,
     generator_from_json,
     generator_to_json,
+    kernel_from_json,
+    kernel_to_json,
     run_segment,
+    undo_swaps,
+    warm_up,
 )
+from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import annotated_pairs, gather, views_of
+from tasks.annotated_pairs import annotated_pairs, gather, gather_tracks, views_of
 from tasks.seeds import read_limits, start_indices
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 DensityName = Literal["ic", "prior_only"]
+KernelName = Literal["unbiased", "velocity"]
 
 _LIKELIHOOD_PARAMETERS = (
     "num_views",
@@ -44,6 +56,7 @@ _LIKELIHOOD_PARAMETERS = (
     "sigma_l",
     "sigma_v_rad",
     "beta_m",
+    "kernel",
 )
 _PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
 _STEP_PARAMETERS = (
@@ -54,6 +67,9 @@ _STEP_PARAMETERS = (
     "joint_rotation_rad",
     "length_change",
     "most_blocks",
+    "moves",
+    "num_warm_up",
+    "target_acceptance",
 )
 
 
@@ -83,7 +99,30 @@ class ChainsParameters(Parameters):
     root_position_m: float = Field(0.005, ge=0, description="Step of a root's position, metres")
     joint_rotation_rad: float = Field(0.04, ge=0, description="Step of a bone's rotation, radians")
     length_change: float = Field(0.005, ge=0, description="Step of a bone's relative length")
-    most_blocks: int = Field(4, ge=1, le=34, description="Roots and bones moved by one step, at most")
+    most_blocks: int = Field(4, ge=1, le=34, description="Roots and bones moved by one step of `few`, at most")
+    kernel: KernelName = Field(
+        "unbiased", description="Steps: unbiased, or velocity, wider where nearby annotations move (eq. 12); ic only"
+    )
+    moves: dict[MoveKind, Annotated[float, Field(ge=0)]] = Field(
+        {MoveKind.FEW: 1.0},
+        min_length=1,
+        description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
+    )
+    num_warm_up: int = Field(
+        0, ge=0, description="Draws before the first kept one, in which step sizes are learned; they are dropped"
+    )
+    target_acceptance: float = Field(0.234, gt=0, lt=1, description="Accepted share that step sizes are learned for")
+
+    @model_validator(mode="after")
+    def _something_moves(self) -> ChainsParameters:
+        if not sum(self.moves.values()) > 0.0:
+            raise ValueError("chains.moves gives every kind of move the weight 0; one must be drawn")
+        scales = (self.root_rotation_rad, self.root_position_m, self.joint_rotation_rad)
+        if self.kernel == "velocity" and not min(scales) > 0.0:
+            raise ValueError(
+                "chains.kernel = 'velocity' needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
+            )
+        return self
 
     @model_validator(mode="after")
     def _densities_are_named_once(self) -> ChainsParameters:
@@ -157,7 +196,7 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
     chain, segment, count = int(options["chain"]), int(options["segment"]), int(options["segment_draws"])
     seed = _read_seed(store, shard.inputs[0], seed_index)
     chart = PairChart(seed.pair_m)
-    likelihood, num_skipped = _likelihood(shard, store) if density == "ic" else (None, 0)
+    seen = _look_at_annotations(shard, store) if density == "ic" else None
     target = PairDensity(
         chart,
         PhysicalPrior(
@@ -168,7 +207,7 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
             most_invalid=options["most_invalid_angles"],
             length_tolerance=options["length_tolerance"],
         ),
-        likelihood,
+        None if seen is None else seen.likelihood,
         truncation=options["truncation"],
     )
     propose = GaussianBlocks(
@@ -176,13 +215,27 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
         root_position_m=options["root_position_m"],
         joint_rotation_rad=options["joint_rotation_rad"],
         length_change=options["length_change"],
-        most_blocks=options["most_blocks"],
+        mixture=MoveMixture(
+            weights={MoveKind(kind): weight for kind, weight in options["moves"].items()},
+            most_blocks=options["most_blocks"],
+        ),
+        bias=None if seen is None else seen.bias(chart),
     )
     if segment == 0:
         rng = stream(shard.seed, "chains", density, seed_index, chain)
-        state = ChainState(chart.seed_parameters(), target.seed_evaluation)
+        start = chart.seed_parameters()
+        state, propose = warm_up(
+            rng,
+            ChainState(start, target.seed_evaluation, propose.look_round(start)),
+            target,
+            propose,
+            num_steps=int(options["num_warm_up"]) * int(options["thin"]),
+            target_acceptance=options["target_acceptance"],
+            settle=chart.gauge_fixed,
+        )
     else:
-        rng, state = _resume(shard, store)
+        rng, state, scales = _resume(shard, store)
+        propose = propose.with_scales(scales)
     state, draws = run_segment(
         rng, state, target, propose, num_draws=count, thin=int(options["thin"]), settle=chart.gauge_fixed
     )
@@ -208,7 +261,7 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
             "log_prior": [state.evaluation.log_prior],
             "log_likelihood": [state.evaluation.log_likelihood],
             "generator_state": [generator_to_json(rng)],
-            "kernel_state": ["{}"],
+            "kernel_state": [kernel_to_json(propose.scales, state.local)],
         },
     }
     facts = {
@@ -220,14 +273,15 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
         "num_draws": count,
         "log_seed": target.log_seed,
         "log_ceiling": target.log_ceiling,
-        "num_annotations_skipped": num_skipped,
+        "num_annotations_skipped": 0 if seen is None else seen.num_skipped,
+        "note": "" if seen is None else seen.note(),
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
     }
     return commit(shard, store, tables=tables, facts=facts)
 
 
-def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState]:
-    """Give generator and state as the previous segment left them."""
+def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
+    """Give generator, state and learned scales as the previous segment left them."""
     table = store.read(_done(shard.after[0], store).ref, "chain_states")
     evaluation = Evaluation(
         log_density=float(table["log_density"][0]),
@@ -235,7 +289,9 @@ def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState
         log_likelihood=float(table["log_likelihood"][0]),
     )
     parameters = np.array(table["parameters"][0], dtype=np.float64)
-    return generator_from_json(str(table["generator_state"][0])), ChainState(parameters, evaluation)
+    scales, local = kernel_from_json(str(table["kernel_state"][0]))
+    rng = generator_from_json(str(table["generator_state"][0]))
+    return rng, ChainState(parameters, evaluation, local), scales
 
 
 def _done(key: str, store: Store) -> Manifest:
@@ -260,36 +316,74 @@ def _read_seed(store: Store, ref: ArtifactRef, seed_index: int) -> _Seed:
     return _Seed(np.array(table["pair17_m"][row], dtype=np.float64), None if take_id is None else str(take_id))
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """What the annotations say about pairs near one seed."""
+
+    likelihood: InteractionLikelihood
+    speeds: Speeds | None
+    num_annotations: int
+    num_skipped: int
+    num_swapped: int
+
+    def bias(self, chart: PairChart) -> VelocityBias | None:
+        """Give what the velocity-biased kernel looks round with; None for the unbiased one."""
+        if self.speeds is None:
+            return None
+        return VelocityBias(self.speeds, lambda parameters: self.likelihood.nearest(chart.positions_fast(parameters)))
+
+    def note(self) -> str:
+        """Say what is unusual about the annotations; nothing when all is well."""
+        notes = []
+        if self.num_annotations < LEAST_CANDIDATES:
+            notes.append(
+                f"{self.num_annotations} annotations are fewer than the {LEAST_CANDIDATES} that a view should be "
+                "compared with: the likelihood says little"
+            )
+        if self.num_skipped:
+            total = self.num_annotations + self.num_skipped
+            notes.append(
+                f"{self.num_skipped} of {total} annotations lack a joint, a person or a view and were left out"
+            )
+        if self.num_swapped:
+            notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
+        return "; ".join(notes)
+
+
 # Building a likelihood reads every annotation; the segments that one worker runs in a row mostly share it.
-_KEPT: OrderedDict[str, tuple[InteractionLikelihood, int]] = OrderedDict()
+_KEPT: OrderedDict[str, _Seen] = OrderedDict()
 _MOST_KEPT = 2
 
 
-def _likelihood(shard: Shard, store: Store) -> tuple[InteractionLikelihood, int]:
-    """Give the likelihood of a seed and how many annotations it left out."""
+def _look_at_annotations(shard: Shard, store: Store) -> _Seen:
+    """Give what the annotations say about pairs near a seed."""
     options = {name: shard.parameters[name] for name in _LIKELIHOOD_PARAMETERS}
     seed_index = int(shard.parameters["seed_index"])
     identity = json.dumps(
         [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
     )
     if identity not in _KEPT:
-        gathered = gather(shard, store).gathered
+        placed = gather(shard, store)
+        pairs = placed.gathered.pairs
         rng = stream(shard.seed, "chains", "views", seed_index)
-        views = gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
+        views = placed.gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
         bank = build_bank(
-            views,
-            gathered.pairs,
-            num_candidates=options["num_candidates"],
-            view_bandwidth_rad=options["sigma_v_rad"],
+            views, pairs, num_candidates=options["num_candidates"], view_bandwidth_rad=options["sigma_v_rad"]
         )
         likelihood = InteractionLikelihood(
-            gathered.pairs,
+            pairs,
             bank,
             sigma_l=options["sigma_l"],
             beta_m=options["beta_m"],
             num_ranked=options["num_ranked"],
         )
-        _KEPT[identity] = (likelihood, gathered.num_skipped)
+        speeds, num_swapped = None, 0
+        if options["kernel"] == "velocity":
+            tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))
+            speeds = annotation_speeds(tracks)
+            num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
+        num_annotations = len(np.unique(pairs.annotation_index))
+        _KEPT[identity] = _Seen(likelihood, speeds, num_annotations, placed.gathered.num_skipped, num_swapped)
         while len(_KEPT) > _MOST_KEPT:
             _KEPT.popitem(last=False)
     return _KEPT[identity]
@@ -333,6 +427,7 @@ def _summarise(shard: Shard, store: Store) -> ArtifactRef:
         "travelled_m": [report.travelled_m for report in reports],
         "verdict": [report.verdict for report in reports],
         "reason": [report.reason for report in reports],
+        "note": [str(facts["note"])] * num_chains,
     }
     return commit(
         shard,

@@ -23,10 +23,13 @@ from pasdedeux.sampling.likelihood import (
     build_bank,
     plain_log_likelihood,
 )
+from pasdedeux.sampling.moves import MoveKind, MoveMixture
 from pasdedeux.sampling.parameters import NUM_PARAMETERS, PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
-from pasdedeux.sampling.proposals import GaussianBlocks, Proposed
+from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, Resolved, Scales, VelocityBias
 from pasdedeux.sampling.seeds import SeedQuality, choose_seeds, seed_quality
+from pasdedeux.sampling.velocity import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.warm_up import kernel_from_json, kernel_to_json, warm_up
 
 __all__ = [
     "NUM_PARAMETERS",
@@ -43,15 +46,22 @@ __all__ = [
     "InteractionLikelihood",
     "LiftedSeeds",
     "Match",
+    "MoveKind",
+    "MoveMixture",
     "PairChart",
     "PairDensity",
     "PhysicalPrior",
     "PriorTerms",
     "Proposed",
+    "Resolved",
+    "Scales",
     "SeedQuality",
     "Segment",
+    "Speeds",
     "StepInfo",
+    "VelocityBias",
     "ViewBank",
+    "annotation_speeds",
     "build_bank",
     "choose_seeds",
     "coverage_curve",
@@ -62,10 +72,14 @@ __all__ = [
     "generator_to_json",
     "grow",
     "invariants",
+    "kernel_from_json",
+    "kernel_to_json",
     "lift_seeds",
     "plain_log_likelihood",
     "run_segment",
     "seed_quality",
     "spread",
     "step",
+    "undo_swaps",
+    "warm_up",
 ]

@@ -26,11 +26,13 @@ class GatheredPairs:
         pairs: Annotated pairs, an entry per annotation and view hypothesis.
         weights: Weight of each entry's view in the view density, (entry,).
         num_skipped: Annotations left out because a joint, the scale or the view was missing.
+        metres_per_pixel: Scale of each person in each entry, (entry, person=2).
     """
 
     pairs: AnnotatedPairs
     weights: Array
     num_skipped: int
+    metres_per_pixel: Array
 
     def view_density(self, *, deviation_rad: float = 0.5) -> ViewDensity:
         """Give the density of views over these annotations (Yin et al. 2018, eq. 5)."""
@@ -71,4 +73,9 @@ def gather_pairs(
         directions=normalise(directions[is_whole]),
         annotation_index=np.asarray(annotation_index[is_whole], dtype=np.int64),
     )
-    return GatheredPairs(pairs=pairs, weights=weights[is_whole], num_skipped=num_skipped)
+    return GatheredPairs(
+        pairs=pairs,
+        weights=weights[is_whole],
+        num_skipped=num_skipped,
+        metres_per_pixel=np.asarray(metres_per_pixel, dtype=np.float64)[is_whole],
+    )

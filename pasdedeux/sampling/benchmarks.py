@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import edge_table
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage, plain_coverage
 from pasdedeux.sampling.density import PairDensity
@@ -38,7 +38,7 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 4000, spread_rad=0.2)
     annotations = random_annotations(rng, pairs, NUM_ANNOTATIONS)
-    views = GatheredPairs(annotations, np.ones(NUM_ANNOTATIONS), 0).view_density().sample(rng, NUM_VIEWS)
+    views = ViewDensity(annotations.directions, np.ones(NUM_ANNOTATIONS), 0.5).sample(rng, NUM_VIEWS)
     return pairs, annotations, build_bank(views, annotations, num_candidates=NUM_CANDIDATES)
 
 
@@ -73,7 +73,7 @@ def _chain() -> BenchmarkResult:
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
 
     def plain_step() -> None:
-        parameters = propose(state.parameters, rng).parameters
+        parameters = propose(state.parameters, None, rng).parameters
         pair = chart.positions(parameters)
         prior.terms(parameters, pair)
         plain_log_likelihood(pair, annotations, bank, table=table)

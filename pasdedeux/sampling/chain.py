@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.density import Evaluation
-from pasdedeux.sampling.proposals import Proposed
+from pasdedeux.sampling.moves import Move
+from pasdedeux.sampling.proposals import Local, Proposed
 
 __all__ = [
     "ChainState",
@@ -25,23 +26,25 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 LogDensity = Callable[[Array, float], Evaluation]
-Proposal = Callable[[Array, np.random.Generator], Proposed]
+Proposal = Callable[[Array, Local | None, np.random.Generator], Proposed]
 Settle = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """What the next step needs: where the chain is, and the target there."""
+    """What the next step needs: where the chain is, the target there, and what the proposal must know of the place."""
 
     parameters: Array
     evaluation: Evaluation
+    local: Local | None = None
 
 
 @dataclass(frozen=True)
 class StepInfo:
-    """What a person wants to know of a step."""
+    """What a person wants to know of a step, and what learns scales from it."""
 
     is_accepted: bool
+    move: Move | None = None
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,9 @@ def step(
 ) -> tuple[ChainState, StepInfo]:
     """Take one Metropolis-Hastings step (eq. 10 of Yin et al. 2018).
 
-    The level that the proposed point must reach is drawn first, so the density may stop as soon as it is missed.
+    The level that the proposed point must reach is drawn first, so the density may stop as soon as it is missed.  Where
+    the ratio of the proposal's densities is only known after a dear look round at the proposed point, its bound decides
+    whether that look is worth it; the result is as if it had been known at once.
 
     Args:
         rng: Source of randomness.
@@ -76,12 +81,20 @@ def step(
         log_density: Target; called with a point and the level below which its value does not matter.
         propose: Proposal.
     """
-    proposed = propose(state.parameters, rng)
-    level = state.evaluation.log_density - rng.standard_exponential() - proposed.log_correction
+    proposed = propose(state.parameters, state.local, rng)
+    uncorrected = state.evaluation.log_density - rng.standard_exponential()
+    level = uncorrected - proposed.log_correction
+    refused = state, StepInfo(is_accepted=False, move=proposed.move)
     evaluation = log_density(proposed.parameters, level)
-    if evaluation.log_density >= level and evaluation.log_density > -np.inf:
-        return ChainState(proposed.parameters, evaluation), StepInfo(is_accepted=True)
-    return state, StepInfo(is_accepted=False)
+    if not (evaluation.log_density >= level and evaluation.log_density > -np.inf):
+        return refused
+    local = None
+    if proposed.resolve is not None:
+        resolved = proposed.resolve()
+        if not evaluation.log_density >= uncorrected - resolved.log_correction:
+            return refused
+        local = resolved.local
+    return ChainState(proposed.parameters, evaluation, local), StepInfo(is_accepted=True, move=proposed.move)
 
 
 def run_segment(
@@ -103,7 +116,8 @@ def run_segment(
         propose: Proposal.
         num_draws: Draws kept.
         thin: Steps per kept draw.
-        settle: Moves a kept draw to another representative of the same point (a gauge); the target there is the same.
+        settle: Moves a kept draw to another representative of the same point (a gauge); the target there is the same,
+            and so is what the proposal must know of it.
 
     Raises:
         InputError: `num_draws` or `thin` is not positive.
@@ -117,7 +131,7 @@ def run_segment(
             state, info = step(rng, state, log_density, propose)
             num_accepted[draw] += info.is_accepted
         if settle is not None and num_accepted[draw]:
-            state = ChainState(settle(state.parameters), state.evaluation)
+            state = ChainState(settle(state.parameters), state.evaluation, state.local)
         draws.append(state)
     segment = Segment(
         parameters=np.stack([draw.parameters for draw in draws]),

@@ -241,6 +241,22 @@ class InteractionLikelihood:
         scale = 2.0 * self.sigma_l**2
         # The mean over views is at most the best view: it alone must reach the floor.
         limit = np.inf if at_least == -np.inf else -at_least * scale
+        entry = self._search(pair_m, limit, self._margin)
+        best = self._best.copy()
+        log_likelihood = _log_mean(best, self.sigma_l)
+        if log_likelihood < at_least:
+            log_likelihood = -np.inf
+        return Match(log_likelihood=log_likelihood, dissimilarity_m=best, entry=entry)
+
+    def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
+        """Give the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
+
+        This is D* of eq. 12 among the ranked candidates; -1 for a view without any.
+        """
+        return self._search(pair_m, np.inf, np.inf)
+
+    def _search(self, pair_m: Array, limit: float, margin: float) -> npt.NDArray[np.int64]:
+        """Fill the least d_I of each view as far as it matters, and give its entry."""
         best_per_view(
             np.ascontiguousarray(pair_m).reshape(-1, 3),
             self._directions,
@@ -258,16 +274,11 @@ class InteractionLikelihood:
             self._beta_m,
             self._num_ranked,
             limit,
-            self._margin,
+            margin,
             self._best,
             self._slot,
         )
-        best = self._best.copy()
-        log_likelihood = _log_mean(best, self.sigma_l)
-        if log_likelihood < at_least:
-            log_likelihood = -np.inf
-        entry = np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
-        return Match(log_likelihood=log_likelihood, dissimilarity_m=best, entry=entry)
+        return np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Give the log likelihood alone."""

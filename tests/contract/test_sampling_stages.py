@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior
+from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior, kernel_from_json
 from pasdedeux.sampling.synthetic import random_pairs
 from storage_schema import Manifest, SourceCredit, Store, artifact_key
 from tasks import chains, seeds
@@ -81,25 +82,33 @@ def put_take(store: Store, take_id: str, *, is_held_out: bool = False, num_perso
     return put(store, "ingest", take_id, {"poses": columns}, facts)
 
 
-def put_annotations(store: Store, take_id: str, *, is_held_out: bool = False) -> tuple[Manifest, Manifest]:
-    """Commit annotations of a take from random views, one with a missing joint, and their views."""
+def put_annotations(
+    store: Store, take_id: str, *, is_held_out: bool = False, spoil: Callable[[np.ndarray], None] = lambda _: None
+) -> tuple[Manifest, Manifest]:
+    """Commit annotations of a take from random views, one with a missing joint, each with the frames next to it.
+
+    `spoil` changes the pixels (annotation, frame, person, joint, 2) in place; the annotated frame is the middle one.
+    """
     rng = np.random.default_rng(5)
     pairs = pairs_of(take_id)
     directions = normalise(rng.normal(size=(NUM_FRAMES, 3)) * [1.0, 0.2, 1.0])
-    pixels = project_pair(pairs, directions) * [100.0, -100.0] + 500.0
-    pixels[3, 1, 4] = np.nan
-    count = 2 * NUM_FRAMES
+    images = project_pair(pairs, directions) * [100.0, -100.0] + 500.0
+    drift = rng.normal(scale=1.5, size=images.shape)
+    pixels = np.stack([images - drift, images, images + drift], axis=1)
+    pixels[3, 1, 1, 4] = np.nan
+    spoil(pixels)
+    count = 2 * 3 * NUM_FRAMES
     sequence = [f"{take_id}/view{row:05d}" for row in range(NUM_FRAMES)]
     columns = {
-        "sequence_id": np.repeat(sequence, 2).tolist(),
-        "frame": np.zeros(count, dtype=int),
-        "person_id": np.tile([0, 1], NUM_FRAMES),
+        "sequence_id": np.repeat(sequence, 6).tolist(),
+        "frame": np.tile(np.repeat([-1, 0, 1], 2), NUM_FRAMES),
+        "person_id": np.tile([0, 1], 3 * NUM_FRAMES),
         "time_s": np.zeros(count),
-        "is_key": np.ones(count, dtype=bool),
+        "is_key": np.tile(np.repeat([False, True, False], 2), NUM_FRAMES),
         "is_virtual": np.ones(count, dtype=bool),
         "is_held_out": np.full(count, is_held_out),
         "take_id": [take_id] * count,
-        "take_frame": np.repeat(np.arange(NUM_FRAMES), 2),
+        "take_frame": np.repeat(np.arange(NUM_FRAMES), 6),
         "layout": ["pair17"] * count,
         "keypoints_px": [np.zeros(34)] * count,
         "keypoint_confidence": [np.ones(17)] * count,
@@ -316,11 +325,17 @@ def test_prior_only_does_not_depend_on_annotations_or_the_likelihood(inputs: Any
     assert [shard.key for shard in chains.plan(other, changed)] == base
 
 
-def test_segments_continue_exactly_and_order_of_chains_does_not_matter(inputs: Any, tmp_path: Path) -> None:
+ALL_MOVES = {"few": 2.0, "limb": 1.0, "person": 1.0, "roots": 1.0}
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 6}], ids=["plain", "everything"]
+)
+def test_segments_continue_exactly_and_order_of_chains_does_not_matter(inputs: Any, options: dict[str, Any]) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1)
-    short = chains.plan(given, ChainsParameters(**QUICK))
-    long = chains.plan(given, ChainsParameters(**{**QUICK, "segment_draws": 8}))
+    short = chains.plan(given, ChainsParameters(**QUICK, **options))
+    long = chains.plan(given, ChainsParameters(**{**QUICK, **options, "segment_draws": 8}))
     first = draws_of(run(short, chains, store), store)
     second = draws_of(run(long, chains, store), store)
     assert first.keys() == second.keys()
@@ -342,7 +357,8 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
     for shard in planned:
         table = store.read(chains.run_shard(shard, store), "draws")
         chart = PairChart(np.asarray(store.read(shard.inputs[0], "seeds")["pair17_m"][0]))
-        likelihood = chains._likelihood(shard, store)[0] if shard.parameters["density"] == "ic" else None
+        is_full = shard.parameters["density"] == "ic"
+        likelihood = chains._look_at_annotations(shard, store).likelihood if is_full else None
         density = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
         for row in range(table.num_rows):
             evaluation = density(np.asarray(table["parameters"][row]))
@@ -351,6 +367,38 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
             assert evaluation.log_likelihood == pytest.approx(table["log_likelihood"][row], rel=1e-9, abs=1e-9)
             positions = chart.positions(np.asarray(table["parameters"][row]))
             np.testing.assert_allclose(table["pair17_m"][row], positions, atol=1e-6)
+
+
+def test_warm_up_learns_scales_that_every_later_segment_keeps(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    options = {**QUICK, "kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 20, "num_chains": 1}
+    made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+    states = [store.read(one.ref, "chain_states") for one in made if "chain_states" in one.tables]
+    for first, second in zip(states[::2], states[1::2], strict=True):
+        kernels = [kernel_from_json(str(one["kernel_state"][0]))[0] for one in (first, second)]
+        assert np.count_nonzero(kernels[0].log_block) > 10
+        np.testing.assert_array_equal(kernels[0].log_block, kernels[1].log_block)
+        np.testing.assert_array_equal(kernels[0].log_move, kernels[1].log_move)
+        assert list(first["num_draws"]) == [4]
+
+
+def test_the_kernel_does_not_enter_the_keys_of_densities_without_annotations(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    options = {**QUICK, "densities": ("prior_only",)}
+    keys = [
+        [shard.key for shard in chains.plan(given, ChainsParameters(**options, kernel=kernel))]
+        for kernel in ("unbiased", "velocity")
+    ]
+    assert keys[0] == keys[1]
+
+
+def test_kernels_that_cannot_be_are_refused_before_anything_runs() -> None:
+    with pytest.raises(ValueError, match="every kind of move the weight 0"):
+        ChainsParameters(moves={"few": 0.0})
+    with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
+        ChainsParameters(kernel="velocity", root_position_m=0.0)
 
 
 def test_no_views_means_no_chains_of_the_full_density(inputs: Any) -> None:

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras import pair_frame, project_pair
+from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import (
     AnnotatedPairs,
-    GatheredPairs,
     GaussianBlocks,
     InteractionLikelihood,
+    MoveMixture,
     PairChart,
     PairDensity,
     PhysicalPrior,
@@ -71,7 +72,7 @@ def annotated() -> tuple[AnnotatedPairs, ViewBank]:
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 200, spread_rad=0.15)
     annotations = random_annotations(rng, pairs, 600)
-    views = GatheredPairs(annotations, np.ones(600), 0).view_density().sample(rng, 8)
+    views = ViewDensity(annotations.directions, np.ones(600), 0.5).sample(rng, 8)
     return annotations, build_bank(views, annotations, num_candidates=80)
 
 
@@ -283,10 +284,10 @@ def test_a_seed_without_bones_or_with_nan_is_refused() -> None:
 
 def test_proposals_keep_ties_and_move_few_blocks() -> None:
     rng = np.random.default_rng(13)
-    propose = GaussianBlocks(most_blocks=3)
+    propose = GaussianBlocks(mixture=MoveMixture(most_blocks=3))
     parameters = random_parameters(rng)
     for _ in range(200):
-        proposed = propose(parameters, rng).parameters
+        proposed = propose(parameters, None, rng).parameters
         np.testing.assert_allclose(proposed[LENGTH_INDICES], proposed[MIRRORED_LENGTH], atol=1e-12)
         changed = [
             block

@@ -1,0 +1,141 @@
+"""How fast annotated pairs move: what biases proposals towards the way people really go (Yin et al. 2018, eq. 12).
+
+Every annotation has neighbours in its own sequence, seen by the same camera.  Their slope in time gives, per frame, how
+fast each bone turns in the image plane against the bone above it (the parameter is a rotation about the parent joint,
+in the parent's frame), how fast each person's backbone turns, and how fast each root is displaced against the centre of
+the pair (rigid motion of the pair is no parameter of the density).  Depth is not seen: the same variance goes to every
+axis of a rotation, and half the squared displacement, which has two axes, to each of a root's three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling.parameters import NUM_BLOCKS
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["NEIGHBOUR_FRAMES", "Speeds", "annotation_speeds", "undo_swaps"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+NEIGHBOUR_FRAMES = 2
+"""Frames on each side of an annotation that its speed is taken from."""
+
+LEAST_BONE_M = 0.05
+"""Length below which a foreshortened bone counts as so long: its direction in the image says little, metres."""
+
+_PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
+_PARENTS = np.array([max(parent, 0) for parent in PAIR17.parents])
+
+
+@dataclass(frozen=True)
+class Speeds:
+    """Squared speeds of annotated pairs, per frame.
+
+    Args:
+        turn: Of each block's rotation (entry, 34), squared radians: for a root that of the backbone, for a bone that
+            against its parent bone.
+        shift: Of each root along one axis (entry, person=2), squared metres.
+    """
+
+    turn: Array
+    shift: Array
+
+    def __post_init__(self) -> None:
+        """Check shapes and values."""
+        count = len(self.turn)
+        if self.turn.shape != (count, NUM_BLOCKS) or self.shift.shape != (count, 2):
+            raise InputError(f"speeds have shapes {self.turn.shape} and {self.shift.shape}: expected (n, 34), (n, 2)")
+        if not (np.isfinite(self.turn).all() and np.isfinite(self.shift).all()):
+            raise InputError("a squared speed is not finite")
+
+    def mean(self, entries: Indices) -> tuple[Array, Array]:
+        """Give the mean squared speeds, (34,) and (2,), over a set of entries; negative ones are nobody.
+
+        This is the second term of eq. 12: an annotation that is nearest under several views counts once.
+        """
+        own = np.unique(entries[entries >= 0])
+        if not len(own):
+            return np.zeros(NUM_BLOCKS), np.zeros(2)
+        return self.turn[own].mean(axis=0), self.shift[own].mean(axis=0)
+
+
+def annotation_speeds(tracks_m: Array) -> Speeds:
+    """Give the speeds of annotations from the frames round them.
+
+    Args:
+        tracks_m: Image points of the frames round each annotation, (entry, frame, person=2, joint=17, 2), metres, the
+            annotation itself in the middle; NaN where a frame or a joint is missing.
+
+    Returns:
+        Squared speeds by the least-squares slope over the frames there are; 0 where a joint of the two bones concerned
+        is there in fewer than two frames.
+    """
+    num_frames = tracks_m.shape[1]
+    time = np.arange(num_frames) - (num_frames - 1) / 2
+    here = tracks_m[:, num_frames // 2]
+    centred = tracks_m - tracks_m.mean(axis=(2, 3), keepdims=True)
+    drift = _slope(tracks_m, time)
+    bones = here - here[:, :, _PARENTS]
+    rate = _rate(bones, drift - drift[:, :, _PARENTS])
+    backbone = _rate(here[:, :, _NECK] - here[:, :, _PELVIS], drift[:, :, _NECK] - drift[:, :, _PELVIS])
+    rate[:, :, _PELVIS] = backbone
+    turn = rate - rate[:, :, _PARENTS]
+    turn[:, :, _PELVIS] = backbone
+    shift = _slope(centred[:, :, :, _PELVIS], time)
+    return Speeds(
+        turn=np.nan_to_num(turn.reshape(-1, NUM_BLOCKS), nan=0.0) ** 2,
+        shift=np.nan_to_num(0.5 * (shift**2).sum(axis=-1), nan=0.0),
+    )
+
+
+def undo_swaps(tracks_m: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Give tracks whose people are who they are in the middle frame, and which entries had them swapped somewhere.
+
+    Detectors number people anew in every frame.  Walking away from the middle, a frame's two people are exchanged when
+    that brings their joints closer to the frame before.
+
+    Args:
+        tracks_m: As for `annotation_speeds`.
+    """
+    tracks = np.array(tracks_m, dtype=np.float64)
+    was_swapped = np.zeros(len(tracks), dtype=bool)
+    middle = tracks.shape[1] // 2
+    for direction in (-1, 1):
+        before = tracks[:, middle].copy()
+        for frame in range(middle + direction, tracks.shape[1] if direction > 0 else -1, direction):
+            own = tracks[:, frame]
+            kept, exchanged = _gap(own, before), _gap(own[:, ::-1], before)
+            is_swapped = exchanged < kept
+            tracks[is_swapped, frame] = own[is_swapped, ::-1]
+            was_swapped |= is_swapped
+            before = np.where(np.isfinite(tracks[:, frame]), tracks[:, frame], before)
+    return tracks, was_swapped
+
+
+def _gap(points: Array, others: Array) -> Array:
+    """Give the sum of squared distances (entry,) over the joints that both have."""
+    return np.nansum((points - others) ** 2, axis=(1, 2, 3))
+
+
+def _slope(tracks: Array, time: Array) -> Array:
+    """Give the slope over axis 1 by least squares over the frames there are; NaN for fewer than two."""
+    is_there = np.isfinite(tracks)
+    moment = time.reshape(1, -1, *([1] * (tracks.ndim - 2)))
+    count = is_there.sum(axis=1, keepdims=True)
+    centre = (moment * is_there).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+    offset = np.where(is_there, moment - centre, 0.0)
+    spread = (offset**2).sum(axis=1)
+    rise = (offset * np.nan_to_num(tracks, nan=0.0)).sum(axis=1)
+    return np.where(spread > 0.0, rise / np.where(spread > 0.0, spread, 1.0), np.nan)
+
+
+def _rate(bone: Array, change: Array) -> Array:
+    """Give how fast a bone (..., 2) turns in the image plane, radians per frame."""
+    across = bone[..., 0] * change[..., 1] - bone[..., 1] * change[..., 0]
+    return np.asarray(across / np.maximum((bone**2).sum(axis=-1), LEAST_BONE_M**2))

@@ -1,0 +1,222 @@
+"""The kernels over pairs sample what they are told to, whatever moves together and however variances depend on place.
+
+Targets are known: positions of the roots skewed, truncated and normal, bones normal.  As in the tests of the chain
+itself, comparisons are gated on the effective sample size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling import (
+    ChainState,
+    Evaluation,
+    GaussianBlocks,
+    InteractionLikelihood,
+    MoveKind,
+    MoveMixture,
+    PairChart,
+    PairDensity,
+    PhysicalPrior,
+    Proposed,
+    Resolved,
+    Speeds,
+    VelocityBias,
+    build_bank,
+    gauge_fix,
+    invariants,
+    run_segment,
+    warm_up,
+)
+from pasdedeux.sampling.diagnostics import effective_sample_size
+from pasdedeux.sampling.parameters import POSITION_INDICES, block_indices
+from pasdedeux.sampling.proposals import Local
+from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
+from pasdedeux.skeletons import PAIR17
+
+NUM_ERRORS = 4.5
+LEAST_ESS = 90.0
+CHART = PairChart(gauge_fix(standing_pair()))
+X, Y, Z = POSITION_INDICES[0]
+KNEE = block_indices(PAIR17.index("left_knee"))[0]
+SHOULDER = block_indices(17 + PAIR17.index("right_shoulder"))[1]
+BONES = np.array([index for block in range(34) if block % 17 for index in block_indices(block)[:2]])
+ROOTS_ONLY = MoveMixture(weights={MoveKind.ROOTS: 1.0})
+EVERYTHING = MoveMixture(weights={MoveKind.FEW: 4.0, MoveKind.LIMB: 4.0, MoveKind.PERSON: 1.0, MoveKind.ROOTS: 4.0})
+
+
+def log_target(parameters: np.ndarray, at_least: float) -> Evaluation:
+    """x of root A is Gamma(3, 1) (skewed), y a standard normal cut to [-0.5, 2], z standard normal, root B wider.
+
+    Bones are normal with deviation 0.5.
+    """
+    x, y, z = parameters[[X, Y, Z]]
+    if x <= 0.0 or abs(y - 0.75) > 1.25:
+        return Evaluation(-np.inf)
+    value = 2.0 * np.log(x) - x - 0.5 * (y * y + z * z + (parameters[POSITION_INDICES[1]] ** 2).sum() / 9.0)
+    return Evaluation(float(value - 0.5 * (parameters[BONES] ** 2).sum() / 0.25))
+
+
+def moments_of_y() -> tuple[float, float]:
+    y = np.linspace(-0.5, 2.0, 100_001)
+    weight = np.exp(-0.5 * y * y)
+    return float((weight * y).sum() / weight.sum()), float((weight * y * y).sum() / weight.sum())
+
+
+KNOWN = {X: (3.0, 12.0), Y: moments_of_y(), Z: (0.0, 1.0)}
+KNOWN_BONES = {KNEE: (0.0, 0.25), SHOULDER: (0.0, 0.25)}
+
+
+def bias() -> VelocityBias:
+    """Variances that depend strongly on where the chain is: by x and z of root A, and by a knee."""
+    count = 8
+    turn, shift = np.zeros((count, 34)), np.zeros((count, 2))
+    shift[1] = [3.0, 0.0]
+    shift[4] = [0.3, 0.0]
+    turn[2] = 0.1
+
+    def nearest(parameters: np.ndarray) -> Local:
+        x, z = parameters[[X, Z]]
+        return np.array([int(x > 2.5), 4 if z > 0.3 else 6, 2 if parameters[KNEE] > 0.1 else 7, -1])
+
+    return VelocityBias(Speeds(turn, shift), nearest)
+
+
+def kernel(mixture: MoveMixture, *, is_biased: bool) -> GaussianBlocks:
+    return GaussianBlocks(
+        root_rotation_rad=0.2,
+        root_position_m=0.3,
+        joint_rotation_rad=0.35,
+        mixture=mixture,
+        bias=bias() if is_biased else None,
+    )
+
+
+@dataclass(frozen=True)
+class WithoutRatio:
+    """The velocity-biased kernel as one would write it who forgets that its densities differ."""
+
+    right: GaussianBlocks
+
+    def __call__(self, parameters: np.ndarray, local: Local | None, rng: np.random.Generator) -> Proposed:
+        proposed = self.right(parameters, local, rng)
+        assert proposed.resolve is not None
+        there = proposed.resolve().local
+        return replace(proposed, log_correction=0.0, resolve=lambda: Resolved(0.0, there))
+
+
+def sample(propose: object, right: GaussianBlocks, *, num_draws: int, thin: int, num_chains: int = 3) -> np.ndarray:
+    chains = []
+    for chain in range(num_chains):
+        rng = np.random.default_rng([17, chain])
+        start = CHART.seed_parameters()
+        start[[X, Y, Z]] = [3.0, 0.5, 0.0]
+        state = ChainState(start, log_target(start, -np.inf), right.look_round(start))
+        state, _ = run_segment(rng, state, log_target, propose, num_draws=50, thin=thin)
+        _, segment = run_segment(rng, state, log_target, propose, num_draws=num_draws, thin=thin)
+        chains.append(segment.parameters)
+    return np.stack(chains)
+
+
+def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> float:
+    worst = 0.0
+    for index, moments in known.items():
+        for power, expected in zip((1, 2), moments, strict=True):
+            values = draws[..., index] ** power
+            ess = effective_sample_size(values[..., None])[0]
+            assert ess > LEAST_ESS, f"only {ess:.0f} independent draws of parameter {index}"
+            worst = max(worst, abs(values.mean() - expected) / (values.std() / np.sqrt(ess)))
+    return worst
+
+
+@pytest.mark.parametrize("is_biased", [False, True], ids=["unbiased", "velocity"])
+def test_roots_moved_together_have_the_moments_of_a_skewed_and_a_truncated_target(*, is_biased: bool) -> None:
+    propose = kernel(ROOTS_ONLY, is_biased=is_biased)
+    assert worst_error(sample(propose, propose, num_draws=700, thin=20), KNOWN) < NUM_ERRORS
+
+
+@pytest.mark.parametrize("is_biased", [False, True], ids=["unbiased", "velocity"])
+def test_a_mixture_of_all_moves_has_the_moments_of_its_target(*, is_biased: bool) -> None:
+    propose = kernel(EVERYTHING, is_biased=is_biased)
+    draws = sample(propose, propose, num_draws=350, thin=50)
+    assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
+
+
+def test_a_velocity_biased_kernel_without_its_ratio_is_caught() -> None:
+    right = kernel(ROOTS_ONLY, is_biased=True)
+    assert worst_error(sample(WithoutRatio(right), right, num_draws=400, thin=20), KNOWN) > 2 * NUM_ERRORS
+
+
+def test_giving_up_early_changes_nothing() -> None:
+    """The bound on the ratio only saves looks round: a target that never stops early gives the same draws."""
+    propose = kernel(EVERYTHING, is_biased=True)
+
+    def impatient(parameters: np.ndarray, at_least: float) -> Evaluation:
+        evaluation = log_target(parameters, at_least)
+        return evaluation if evaluation.log_density >= at_least else Evaluation(-np.inf)
+
+    start = CHART.seed_parameters()
+    start[[X, Y, Z]] = [3.0, 0.5, 0.0]
+    state = ChainState(start, log_target(start, -np.inf), propose.look_round(start))
+    runs = [
+        run_segment(np.random.default_rng(3), state, target, propose, num_draws=60, thin=5)[1]
+        for target in (log_target, impatient)
+    ]
+    np.testing.assert_array_equal(runs[0].parameters, runs[1].parameters)
+    assert 0 < runs[0].num_accepted.sum() < 300
+
+
+def test_warm_up_finds_scales_with_the_acceptance_asked_for_and_then_the_target_is_still_right() -> None:
+    begun = replace(kernel(EVERYTHING, is_biased=True), joint_rotation_rad=3.0, root_position_m=12.0)
+    start = CHART.seed_parameters()
+    start[[X, Y, Z]] = [3.0, 0.5, 0.0]
+    rng = np.random.default_rng(5)
+    state = ChainState(start, log_target(start, -np.inf), begun.look_round(start))
+    state, learned = warm_up(rng, state, log_target, begun, num_steps=4000, target_acceptance=0.3)
+    _, before = run_segment(np.random.default_rng(6), state, log_target, begun, num_draws=200, thin=5)
+    _, after = run_segment(np.random.default_rng(6), state, log_target, learned, num_draws=200, thin=5)
+    assert before.num_accepted.sum() / 1000 < 0.1
+    assert after.num_accepted.sum() / 1000 == pytest.approx(0.3, abs=0.08)
+    draws = sample(learned, learned, num_draws=300, thin=40)
+    assert worst_error(draws, KNOWN) < NUM_ERRORS
+
+
+def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_unbiased_ones() -> None:
+    """On a real density, over 30 annotations: limb angles and distances have the same means and spreads."""
+    rng = np.random.default_rng(1)
+    pairs = random_pairs(rng, 60, spread_rad=0.05)
+    annotated = random_annotations(rng, pairs, 30)
+    bank = build_bank(ViewDensity(annotated.directions, np.ones(30), 0.5).sample(rng, 3), annotated)
+    likelihood = InteractionLikelihood(annotated, bank, sigma_l=0.03)
+    chart = PairChart(gauge_fix(pairs[0]))
+    target = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
+    turn, shift = (0.08 * rng.random((30, 34))) ** 2, (0.04 * rng.random((30, 2))) ** 2
+    velocity = VelocityBias(Speeds(turn, shift), lambda x: likelihood.nearest(chart.positions_fast(x)))
+    watched = []
+    for own, scale in ((None, 0.03), (velocity, 0.015)):
+        propose = GaussianBlocks(
+            root_rotation_rad=scale, root_position_m=scale / 2, joint_rotation_rad=0.1, mixture=ROOTS_ONLY, bias=own
+        )
+        chains = []
+        for chain in range(2):
+            rng = np.random.default_rng([19, chain])
+            start = chart.seed_parameters()
+            state = ChainState(start, target.seed_evaluation, propose.look_round(start))
+            state, _ = run_segment(rng, state, target, propose, num_draws=20, thin=20, settle=chart.gauge_fixed)
+            _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=30, settle=chart.gauge_fixed)
+            chains.append(invariants(chart.positions(segment.parameters)))
+        watched.append(np.stack(chains))
+    moving = np.flatnonzero(np.ptp(watched[0], axis=(0, 1)) > 1e-6)
+    assert len(moving) >= 8
+    for index in moving:
+        for power in (1, 2):
+            values = [draws[..., index] ** power for draws in watched]
+            ess = [effective_sample_size(own[..., None])[0] for own in values]
+            assert min(ess) > 40
+            error = np.hypot(*(own.std() / np.sqrt(size) for own, size in zip(values, ess, strict=True)))
+            assert abs(values[0].mean() - values[1].mean()) < NUM_ERRORS * error

@@ -1,0 +1,179 @@
+"""Speeds of annotated pairs, the moves that use them, and the ratio of the kernel's densities."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling import (
+    GaussianBlocks,
+    MoveKind,
+    MoveMixture,
+    Scales,
+    Speeds,
+    VelocityBias,
+    annotation_speeds,
+    kernel_from_json,
+    kernel_to_json,
+    undo_swaps,
+)
+from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
+from pasdedeux.sampling.proposal_kernels import _log_ratio
+from pasdedeux.sampling.synthetic import standing_pair
+from pasdedeux.skeletons import PAIR17
+
+ELBOW, WRIST = PAIR17.indices(("left_elbow", "left_wrist"))
+STILL = standing_pair()[..., [2, 1]]
+
+
+def tracks_of(change: np.ndarray) -> np.ndarray:
+    """Five frames (1, 5, 2, 17, 2) round the standing pair seen from the side, moved by `change` per frame."""
+    return (STILL + np.arange(-2, 3)[:, None, None, None] * change)[None]
+
+
+def test_a_forearm_that_turns_gives_its_own_block_its_rate_and_no_other() -> None:
+    rate = 0.03
+    tracks = np.repeat(STILL[None], 5, axis=0)
+    for row, frame in enumerate(range(-2, 3)):
+        c, s = np.cos(rate * frame), np.sin(rate * frame)
+        bone = STILL[0, WRIST] - STILL[0, ELBOW]
+        tracks[row, 0, WRIST] = STILL[0, ELBOW] + [c * bone[0] - s * bone[1], s * bone[0] + c * bone[1]]
+    speeds = annotation_speeds(tracks[None])
+    assert np.sqrt(speeds.turn[0, WRIST]) == pytest.approx(rate, rel=2e-3)
+    np.testing.assert_allclose(np.delete(speeds.turn[0], WRIST), 0.0, atol=1e-20)
+
+
+def test_a_person_who_turns_as_a_whole_moves_the_root_alone() -> None:
+    rate = 0.02
+    tracks = np.repeat(STILL[None], 5, axis=0)
+    for row, frame in enumerate(range(-2, 3)):
+        c, s = np.cos(rate * frame), np.sin(rate * frame)
+        around = STILL[1] - STILL[1, 0]
+        tracks[row, 1] = STILL[1, 0] + around @ np.array([[c, s], [-s, c]])
+    turn = np.sqrt(annotation_speeds(tracks[None]).turn[0])
+    assert turn[NUM_JOINTS] == pytest.approx(rate, rel=1e-3)
+    np.testing.assert_allclose(np.delete(turn, NUM_JOINTS), 0.0, atol=1e-12)
+
+
+def test_roots_are_displaced_against_the_centre_of_the_pair() -> None:
+    together = annotation_speeds(tracks_of(np.broadcast_to([0.05, -0.02], STILL.shape)))
+    np.testing.assert_allclose(together.shift, 0.0, atol=1e-20)
+    apart = np.zeros(STILL.shape)
+    apart[1] = [0.03, 0.04]
+    speeds = annotation_speeds(tracks_of(apart))
+    # Each root goes half the way from the centre: 0.025 m a frame, shared by the two axes of the image.
+    np.testing.assert_allclose(speeds.shift[0], 0.5 * 0.025**2, rtol=1e-9)
+    np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
+
+
+def test_identical_frames_and_lone_annotations_have_no_speed() -> None:
+    still = annotation_speeds(tracks_of(np.zeros(STILL.shape)))
+    alone = tracks_of(np.full(STILL.shape, 0.1))
+    alone[:, [0, 1, 3, 4]] = np.nan
+    for speeds in (still, annotation_speeds(alone)):
+        np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
+        np.testing.assert_allclose(speeds.shift, 0.0, atol=1e-20)
+
+
+def test_missing_neighbours_do_not_change_a_steady_speed() -> None:
+    change = np.zeros(STILL.shape)
+    change[0] = [0.01, 0.0]
+    whole = tracks_of(change)
+    part = whole.copy()
+    part[:, [0, 3]] = np.nan
+    one, other = annotation_speeds(whole), annotation_speeds(part)
+    np.testing.assert_allclose(other.shift, one.shift, rtol=1e-12)
+    part[:, :, 1, WRIST] = np.nan
+    missing = annotation_speeds(part)
+    assert np.isfinite(missing.turn).all()
+    assert missing.turn[0, NUM_JOINTS + WRIST] == 0.0
+
+
+def test_people_swapped_between_frames_are_put_back() -> None:
+    change = np.zeros(STILL.shape)
+    change[0] = [0.01, 0.02]
+    right = np.concatenate([tracks_of(change), tracks_of(-change)])
+    swapped = right.copy()
+    swapped[0, [0, 3]] = swapped[0, [0, 3], ::-1]
+    undone, was_swapped = undo_swaps(swapped)
+    np.testing.assert_array_equal(undone, right)
+    assert was_swapped.tolist() == [True, False]
+    gone = right.copy()
+    gone[:, 1] = np.nan
+    np.testing.assert_array_equal(undo_swaps(gone)[0], gone)
+
+
+def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None:
+    speeds = Speeds(np.array([[1.0] * NUM_BLOCKS, [3.0] * NUM_BLOCKS]), np.array([[1.0, 1.0], [3.0, 5.0]]))
+    turn, shift = speeds.mean(np.array([0, 1, 1, 1, -1]))
+    assert turn[0] == 2.0
+    assert shift.tolist() == [2.0, 3.0]
+    np.testing.assert_array_equal(speeds.mean(np.array([-1, -1]))[0], 0.0)
+    with pytest.raises(InputError, match="not finite"):
+        Speeds(np.full((1, NUM_BLOCKS), np.nan), np.zeros((1, 2)))
+
+
+@given(
+    count=st.integers(2, 3),
+    square=st.floats(0.0, 50.0),
+    here=st.floats(0.01, 10.0),
+    least=st.floats(0.01, 10.0),
+    beyond=st.floats(0.0, 10.0),
+)
+def test_the_bound_on_the_ratio_is_never_exceeded(
+    count: int, square: float, here: float, least: float, beyond: float
+) -> None:
+    there = least + beyond
+    assert _log_ratio(count, square, here, there, False) <= _log_ratio(count, square, here, least, True) + 1e-9
+
+
+def test_the_ratio_is_that_of_two_normal_densities() -> None:
+    noise = np.array([0.4, -1.2, 0.3])
+    here, there = 0.7, 1.9
+    step = here * noise
+
+    def log_normal(x: np.ndarray, deviation: float) -> float:
+        return float(-0.5 * (x @ x) / deviation**2 - len(x) * np.log(deviation))
+
+    expected = log_normal(-step, there) - log_normal(step, here)
+    assert _log_ratio(3, float(noise @ noise), here, there, False) == pytest.approx(expected)
+
+
+def test_every_move_is_drawn_as_often_as_its_weight_says_and_moves_what_it_names() -> None:
+    rng = np.random.default_rng(2)
+    weights = {MoveKind.FEW: 1.0, MoveKind.LIMB: 2.0, MoveKind.PERSON: 0.0, MoveKind.ROOTS: 1.0}
+    moves = [MoveMixture(weights=weights).draw(rng) for _ in range(4000)]
+    share = np.mean([move.index == 0 for move in moves]), np.mean([move.blocks == (0, 17) for move in moves])
+    # Four standard errors of a share of a quarter among 4,000.
+    assert share == pytest.approx((0.25, 0.25), abs=0.028)
+    limbs = {move.blocks for move in moves if 0 < move.index <= 10}
+    assert len(limbs) == 10
+    assert sorted(block for limb in limbs for block in limb) == [block for block in range(34) if block % 17]
+    with pytest.raises(InputError, match="one must be positive"):
+        MoveMixture(weights={MoveKind.FEW: 0.0})
+
+
+def test_a_kernel_survives_being_written_down() -> None:
+    rng = np.random.default_rng(3)
+    scales = Scales(rng.normal(size=NUM_BLOCKS), rng.normal(size=MoveMixture.NUM_MOVES))
+    read, local = kernel_from_json(kernel_to_json(scales, np.array([3, -1, 8])))
+    np.testing.assert_array_equal(read.log_block, scales.log_block)
+    np.testing.assert_array_equal(read.log_move, scales.log_move)
+    assert local is not None
+    assert local.tolist() == [3, -1, 8]
+    assert kernel_from_json(kernel_to_json(scales, None))[1] is None
+    for text in ("{}", "[", '{"log_block": [1], "log_move": [2], "local": null}'):
+        with pytest.raises(InputError):
+            kernel_from_json(text)
+
+
+def test_the_velocity_biased_kernel_refuses_what_it_cannot_divide_by() -> None:
+    bias = VelocityBias(Speeds(np.zeros((1, NUM_BLOCKS)), np.zeros((1, 2))), lambda _: np.zeros(1, dtype=np.int64))
+    with pytest.raises(InputError, match="needs positive scales"):
+        GaussianBlocks(root_position_m=0.0, bias=bias)
+    propose = GaussianBlocks(bias=bias)
+    with pytest.raises(InputError, match="must look round"):
+        propose(PairChart(standing_pair()).seed_parameters(), None, np.random.default_rng(0))

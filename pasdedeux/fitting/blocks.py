@@ -34,11 +34,13 @@ class BlockMatrix:
 def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
     """Solve for a right-hand side (T, n); 6 n^3 operations a frame, all of them in matrix products.
 
+    The factor takes the place of the diagonal blocks.
+
     Raises:
         NotPositiveDefinite: No Cholesky factor exists.
     """
     frames, n = rhs.shape
-    lower = np.empty((frames, n, n))
+    lower = matrix.diagonal
     panels = np.empty((frames, 2 * n, n))
     pending = np.zeros((2 * n, 2 * n))
     solution = np.array(rhs)

@@ -97,6 +97,7 @@ def fit_bones(
         if term.is_quadratic:
             term.add_curvature(positions, constant)
     carried = _carry(forest, constant)
+    del constant
     energies = [energy]
     damping, is_converged, iteration = settings.damping, False, 0
     is_fresh = False
@@ -149,11 +150,14 @@ def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
 
 
 def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
-    """Sum curvature over the points each pair of bones carries: C K C' (3, T, N, N), and the same between frames."""
+    """Sum curvature over what bones carry: C K C' within frames (3, T, N, N), and C l between them (3, T - lag, N).
+
+    Between frames K is a diagonal l, and C l C' has an entry only where one bone carries the other: the sum of l over
+    what the further one carries.
+    """
     carries = forest.carries
     within = carries @ normal.matrix @ carries.T
-    between = [np.matmul(carries * lag[:, :, None, :], carries.T) for lag in (normal.lag1, normal.lag2)]
-    return np.ascontiguousarray(within), between[0], between[1]
+    return np.ascontiguousarray(within), normal.lag1 @ carries.T, normal.lag2 @ carries.T
 
 
 def _reduce(
@@ -178,10 +182,11 @@ def _reduce(
     diagonal = np.zeros((frames, n, n))
     below = np.zeros((frames, 2, n, n))
     _reduce_within(carried[0], basis, bending, starts, diagonal)
-    if frames > 1:
-        _reduce_between(carried[1], basis, starts, 1, below)
-    if frames > 2:
-        _reduce_between(carried[2], basis, starts, 2, below)
+    related = np.argwhere((carries > 0) | (carries.T > 0))
+    further = np.where(carries[related[:, 0], related[:, 1]] > 0, related[:, 1], related[:, 0])
+    for lag in (1, 2):
+        if frames > lag:
+            _reduce_between(carried[lag], basis, related, further, starts, lag, below)
     for pairs, weights, unit in normal.pairs:
         moves = carries[:, pairs[:, 1]] - carries[:, pairs[:, 0]]
         rows = np.einsum("gm,tma,tgak->tmgk", moves, unit, basis, optimize=True)[:, :, generators, columns]
@@ -222,19 +227,19 @@ def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices
 
 
 @numba.njit(cache=True, nogil=True)
-def _reduce_between(carried: Array, basis: Array, starts: Indices, lag: int, below: Array) -> None:
-    _, frames, points, _ = carried.shape
+def _reduce_between(
+    summed: Array, basis: Array, related: Indices, further: Indices, starts: Indices, lag: int, below: Array
+) -> None:
+    frames = summed.shape[1]
     for t in range(frames):
-        for g in range(points):
-            for h in range(points):
-                a, b, c = carried[0, t, g, h], carried[1, t, g, h], carried[2, t, g, h]
-                if a == 0.0 and b == 0.0 and c == 0.0:
-                    continue
-                for i in range(starts[g + 1] - starts[g]):
-                    x = a * basis[t + lag, g, 0, i]
-                    y = b * basis[t + lag, g, 1, i]
-                    z = c * basis[t + lag, g, 2, i]
-                    for j in range(starts[h + 1] - starts[h]):
-                        below[t, lag - 1, starts[g] + i, starts[h] + j] = (
-                            x * basis[t, h, 0, j] + y * basis[t, h, 1, j] + z * basis[t, h, 2, j]
-                        )
+        for row in range(len(related)):
+            g, h, carried = related[row, 0], related[row, 1], further[row]
+            a, b, c = summed[0, t, carried], summed[1, t, carried], summed[2, t, carried]
+            for i in range(starts[g + 1] - starts[g]):
+                x = a * basis[t + lag, g, 0, i]
+                y = b * basis[t + lag, g, 1, i]
+                z = c * basis[t + lag, g, 2, i]
+                for j in range(starts[h + 1] - starts[h]):
+                    below[t, lag - 1, starts[g] + i, starts[h] + j] = (
+                        x * basis[t, h, 0, j] + y * basis[t, h, 1, j] + z * basis[t, h, 2, j]
+                    )

@@ -19,7 +19,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Reconstructed", "motion_sheet", "reconstruction_scores", "reconstruction_sheet"]
+__all__ = ["Reconstructed", "motion_sheet", "pair_scores", "reconstruction_scores", "reconstruction_sheet"]
 
 Array = npt.NDArray[np.float64]
 _BASELINE = "nearest"
@@ -33,11 +33,13 @@ class Reconstructed:
         item: Sequence and person, for the table.
         truth_m: True op14 positions (frame, 14, 3), metres.
         found_m: By method, positions (frame, 14, 3) of the same frames.
+        frames: Frames of the sequence (frame,), rising.
     """
 
     item: str
     truth_m: Array
     found_m: Mapping[str, Array]
+    frames: npt.NDArray[np.int64]
 
 
 def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
@@ -70,6 +72,49 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
             for metric, value in figures.items()
         ]
     scores.append(Score("reconstruction", "jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
+    return scores
+
+
+def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item: str) -> list[Score]:
+    """Score where two people are found relative to each other, over the frames that have both.
+
+    `pair_distance_error` is how far the distance of their mid-hips is off, `pair_place_error` how far the vector
+    between them is, `pair_depth_error` its part along the camera's axis.  The baseline
+    `equal_depth` takes both people to be equally far from the camera (of the last method).
+    """
+    common = np.intersect1d(first.frames, second.frames)
+    if not len(common):
+        return []
+    at = [np.searchsorted(person.frames, common) for person in (first, second)]
+    true = mid_hip(second.truth_m[at[1]]) - mid_hip(first.truth_m[at[0]])
+    between = {
+        method: mid_hip(second.found_m[method][at[1]]) - mid_hip(first.found_m[method][at[0]])
+        for method in first.found_m
+        if method in second.found_m
+    }
+    if between:
+        between["equal_depth"] = list(between.values())[-1] * [1.0, 1.0, 0.0]
+    scores = []
+    for method, found in between.items():
+        figures = {
+            "pair_distance_error": np.abs(np.linalg.norm(found, axis=-1) - np.linalg.norm(true, axis=-1)),
+            "pair_place_error": np.linalg.norm(found - true, axis=-1),
+            "pair_depth_error": np.abs(found[:, 2] - true[:, 2]),
+        }
+        scores += [
+            Score(
+                "reconstruction",
+                metric,
+                method,
+                float(values.mean()),
+                "m",
+                method in (_BASELINE, "equal_depth"),
+                split,
+                item,
+                count=len(common),
+            )
+            for metric, values in figures.items()
+        ]
     return scores
 
 

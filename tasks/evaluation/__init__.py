@@ -14,6 +14,7 @@ from tasks.evaluation import (
     coverage,
     density,
     models,
+    people,
     reconstruction,
     report,
     takes,
@@ -49,6 +50,9 @@ class EvaluationParameters(Parameters):
     has_unseen_view_sweeps: bool = Field(
         False, description="Also at growing noise and with more and more joints missing, from the same directions"
     )
+    num_crowd_views: int = Field(
+        0, ge=0, description="Random views per take of two people that identities are followed through; 0: none"
+    )
     has_left_out_clips: bool = Field(
         False, description="Each take of the projection database against the rest of it, from the same directions"
     )
@@ -63,6 +67,7 @@ _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
     density.TOPIC: density.run,
     reconstruction.TOPIC: reconstruction.run,
     **dict.fromkeys(unseen_views.TOPICS, unseen_views.run),
+    people.TOPIC: people.run,
     unseen_views.LEFT_OUT_TOPIC: unseen_views.run_left_out,
     augmentation.TOPIC: augmentation.run,
     models.TOPIC: models.run,
@@ -88,6 +93,7 @@ def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
         *unseen_views.left_out_shards(
             inputs, yaws_deg=parameters.unseen_views_deg, is_wanted=parameters.has_left_out_clips
         ),
+        *people.shards(inputs, num_views=parameters.num_crowd_views),
         *augmentation.shards(inputs),
         *models.shards(inputs),
     ]

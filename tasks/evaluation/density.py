@@ -8,12 +8,13 @@ from scipy.stats import spearmanr
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth import GrowthOptions, grow
-from pasdedeux.sampling.judging import Corruption, corrupt, separation, term_values
+from pasdedeux.sampling.judging import Corruption, Judge, corrupt, separation, told_apart
 from pasdedeux.sampling.likelihood import build_bank
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_takes
+from tasks.priors import read_occupancy
 from tasks.seeds import read_limits
 from tasks.stage import Shard, StageInputs, stream
 
@@ -21,6 +22,8 @@ __all__ = ["TOPIC", "run", "shards"]
 
 TOPIC = "density"
 NUM_VIEWS, NUM_CANDIDATES = 12, 250
+FAR_M = 0.2
+"""Corruptions that move no joint as far as this are left out of a score of their own, metres."""
 NUM_REAL = 1500
 """Real pairs that the distance of lifted pairs from the truth is measured to, at most."""
 
@@ -50,7 +53,7 @@ def shards(inputs: StageInputs, *, num_judged_pairs: int) -> list[Shard]:
 
 
 def run(shard: Shard, store: Store) -> TopicResult:
-    """Score every term by AUC for every corruption, and by rank correlation with the distance to the truth."""
+    """Score every term, by AUC and pair by pair for every corruption, and by rank correlation with distance to truth."""
     count, num_takes = int(shard.parameters["num_judged_pairs"]), int(shard.parameters["num_takes"])
     take_refs = shard.inputs[:num_takes]
     grown_refs = shard.inputs[num_takes : num_takes + int(shard.parameters["num_grown"])]
@@ -70,16 +73,24 @@ def run(shard: Shard, store: Store) -> TopicResult:
     bank = build_bank(density.sample(rng, NUM_VIEWS), gathered.pairs, num_candidates=NUM_CANDIDATES)
     real = hidden[rng.permutation(len(hidden))[:count]].astype(np.float64)
     directions = density.sample(rng, len(real))
-    own = term_values(real, limits, gathered.pairs, bank, grown)
+    judge = Judge(limits, read_occupancy(shard, store), gathered.pairs, bank, grown)
+    own = judge.values(real)
     scores: list[Score] = []
     for kind in Corruption:
-        rows, corrupted = corrupt(rng, real, directions, kind)
-        if not len(rows):
-            continue
-        false = term_values(corrupted, limits, gathered.pairs, bank, grown)
-        for term, values in own.items():
-            auc = separation(values[rows], false[term])
-            scores.append(Score(TOPIC, f"auc_{kind}", term, auc, split="held_out", count=len(rows)))
+        corrupted = corrupt(rng, real, directions, kind)
+        false = judge.values(corrupted.pairs_m)
+        is_far = corrupted.moved_m >= FAR_M
+        for name, chosen in ((str(kind), np.ones_like(is_far)), (f"{kind}_from_20_cm", is_far)):
+            rows = corrupted.rows[chosen]
+            if not len(rows) or (name != kind and kind is not Corruption.LIMB_FLIPPED):
+                continue
+            for term, values in own.items():
+                auc, paired = (
+                    separation(values[rows], false[term][chosen]),
+                    told_apart(values[rows], false[term][chosen]),
+                )
+                scores.append(Score(TOPIC, f"auc_{name}", term, auc, split="held_out", count=len(rows)))
+                scores.append(Score(TOPIC, f"told_apart_{name}", term, paired, split="held_out", count=len(rows)))
     if len(grown) and len(shown):
         alone = GrowthOptions(num_sweeps=0, num_neighbours=1)
         lifted = grow(grown[:1], gathered.pairs, limits, num_grown=3 * count, options=alone).pairs_m[::3]
@@ -94,12 +105,14 @@ def run(shard: Shard, store: Store) -> TopicResult:
                 split="annotated",
                 count=len(lifted),
             )
-            for term, values in term_values(lifted, limits, gathered.pairs, bank, grown).items()
+            for term, values in judge.values(lifted).items()
             # A term that says the same of every pair has no rank.
             if np.ptp(values) > 0.0
         ]
     note = (
-        f"{len(real)} real pairs of {', '.join(held_out)}; an AUC of 0.5 is chance. The rank correlation is between "
-        "minus the term and the distance of pairs lifted without agreement from the nearest real one."
+        f"{len(real)} real pairs of {', '.join(held_out)}, and corruptions that their own image does not show; that "
+        "image counts as annotated, so the best view of both is perfect. `auc`: the chance that a real pair scores "
+        "above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is chance. The rank correlation "
+        "is between minus the term and the distance of pairs lifted without agreement from the nearest real one."
     )
     return TopicResult(scores=scores, notes=[note])

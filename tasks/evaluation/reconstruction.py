@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
-from pasdedeux.evaluation.reconstruction import Reconstructed, motion_sheet, reconstruction_scores, reconstruction_sheet
+from pasdedeux.evaluation.reconstruction import (
+    Reconstructed,
+    motion_sheet,
+    pair_scores,
+    reconstruction_scores,
+    reconstruction_sheet,
+)
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
@@ -56,6 +64,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
     table = _read_motions(store, motions)
     scores, pictures, captions = [], {}, {}
+    people: list[Reconstructed] = []
     for person in np.unique(table["person_id"]):
         is_person = table["person_id"] == person
         sequence_id = str(table["sequence_id"][0])
@@ -64,15 +73,19 @@ def run(shard: Shard, store: Store) -> TopicResult:
             for method in dict.fromkeys(table["method"])
         }
         first = next(iter(found))
-        seen = [frames[sequence_id, int(frame)] for frame in table["frame"][is_person & (table["method"] == first)]]
+        at = table["frame"][is_person & (table["method"] == first)]
+        seen = [frames[sequence_id, int(frame)] for frame in at]
         world = np.stack([takes[take][frame, person] for take, frame in seen])
         truth = world @ cameras[sequence_id].camera_from_world_rotmat.T
-        result = Reconstructed(item=f"{sequence_id} person {person}", truth_m=truth, found_m=found)
+        result = Reconstructed(item=f"{sequence_id} person {person}", truth_m=truth, found_m=found, frames=at)
+        people.append(result)
         scores += reconstruction_scores(result, split=split)
         best = list(found)[-1]
         name = f"reconstruction-{sequence_id.replace('/', '-')}-{person}.png"
         pictures[name] = reconstruction_sheet(result, best)
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
+    for one, other in combinations(people, 2):
+        scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
 
 

@@ -54,6 +54,12 @@ _SECTIONS = {
         "Clips left out",
         "Each take of the projection database on the database's body by parallel rays, reconstructed from the rest.",
     ),
+    "people": (
+        "People kept apart",
+        "Virtual video of the takes of two people from random views, people in random order in every frame: how often "
+        "those who are followed by pose and motion are taken for each other, and what the repair does with injected "
+        "faults of detectors. Noise is at 1080 lines.",
+    ),
     "augmentation": (
         "Augmentation",
         "Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",

@@ -16,7 +16,7 @@ from pasdedeux.evaluation.coverage import (
 from pasdedeux.evaluation.model_metrics import ModelErrors
 from pasdedeux.evaluation.models import model_figure, model_scores
 from pasdedeux.evaluation.overlay import floor_grid
-from pasdedeux.evaluation.reconstruction import Reconstructed, reconstruction_scores
+from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_scores
 from pasdedeux.evaluation.score_tables import format_value, score_table
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.variants import (
@@ -111,11 +111,26 @@ def test_a_perfect_reconstruction_scores_zero_and_standing_still_does_not() -> N
     rng = np.random.default_rng(3)
     truth = rng.normal(size=(20, 14, 3))
     scores = reconstruction_scores(
-        Reconstructed("s person 0", truth, {"viterbi": truth + np.array([1.0, 2.0, 3.0])}), split="held_out"
+        Reconstructed("s person 0", truth, {"viterbi": truth + np.array([1.0, 2.0, 3.0])}, np.arange(20)),
+        split="held_out",
     )
     errors = _by_method(scores, "error_root_kept")
     assert errors["viterbi"] == pytest.approx(0.0, abs=1e-12)
     assert errors["standing_still"] > 0.5
+
+
+def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_have_both() -> None:
+    truth = np.random.default_rng(4).normal(size=(10, 14, 3))
+    other = truth + np.array([3.0, 0.0, 4.0])
+    here = Reconstructed("s person 0", truth, {"fit": truth + 7.0}, np.arange(10))
+    there = Reconstructed("s person 1", other[4:], {"fit": other[4:] + 7.0}, np.arange(4, 10))
+    scores = pair_scores(here, there, split="held_out", item="s")
+    assert {score.count for score in scores} == {6}
+    assert _by_method(scores, "pair_place_error") == pytest.approx({"fit": 0.0, "equal_depth": 4.0})
+    assert _by_method(scores, "pair_depth_error") == pytest.approx({"fit": 0.0, "equal_depth": 4.0})
+    assert _by_method(scores, "pair_distance_error") == pytest.approx({"fit": 0.0, "equal_depth": 2.0})
+    apart = Reconstructed("s person 1", other, {"fit": other}, np.arange(20, 30))
+    assert pair_scores(here, apart, split="held_out", item="s") == []
 
 
 def test_model_scores_leave_out_a_distance_that_no_take_has() -> None:

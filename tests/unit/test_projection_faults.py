@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.detections import film, people_of
+from pasdedeux.evaluation.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
 from pasdedeux.projections.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
 from pasdedeux.projections.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
-from tests.crowds import SALSA_TAKES, duet_couple, film, salsa_couple
-from tests.faulty import KINDS, Faulty, inject, people_of, score
+from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
 
 LEAST_RECALL = {"stolen": 0.6, "merged": 0.6}
 """Places that are the partner's cannot be told where the partner's limb is nearly there."""
@@ -39,31 +40,29 @@ def test_clean_keypoints_are_left_alone(name: str, noise_px: float) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_injected_faults_are_found_and_little_else(kind: str) -> None:
-    total = np.zeros(5)
+    total = JointCounts()
     for name in ("waltz", "push_hands"):
         points, confidence = filmed(name, 3.0)
         faulty = inject(np.random.default_rng(len(kind)), points, confidence, kind)
-        total += score(faulty, points, repaired(faulty))
-    wrong, hit, changed, right, _ = total
-    assert wrong > 20
-    assert hit / wrong > LEAST_RECALL.get(kind, 0.95)
-    assert hit / changed > 0.8
+        total += count_joints(faulty, points, repaired(faulty))
+    assert total.wrong > 20
+    assert total.recall > LEAST_RECALL.get(kind, 0.95)
+    assert total.precision > 0.8
     if kind not in LEAST_RECALL:
-        assert right / wrong > 0.95
+        assert total.repaired_share > 0.95
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_injected_faults_are_found_in_salsa(data_dir: Path, kind: str) -> None:
-    total = np.zeros(5)
+    total = JointCounts()
     for take in SALSA_TAKES[::4]:
         seen = film(np.random.default_rng([int(take), 1]), salsa_couple(data_dir, take), noise_px=5.0)
         points, confidence = people_of(seen)
         faulty = inject(np.random.default_rng(int(take)), points, confidence, kind)
-        total += score(faulty, points, repaired(faulty))
-    wrong, hit, changed, *_ = total
-    assert hit / wrong > LEAST_RECALL.get(kind, 0.95)
-    assert hit / changed > 0.65
+        total += count_joints(faulty, points, repaired(faulty))
+    assert total.recall > LEAST_RECALL.get(kind, 0.95)
+    assert total.precision > 0.65
 
 
 def test_missing_joints_stay_missing_and_are_no_fault() -> None:

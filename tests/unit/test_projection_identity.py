@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.detections import Detections, film
 from pasdedeux.projections.identity import (
     FollowedRows,
     IdentityOptions,
@@ -16,7 +17,7 @@ from pasdedeux.projections.identity import (
     follow_people,
     identity_switches,
 )
-from tests.crowds import SALSA_TAKES, Detections, duet_couple, film, salsa_couple
+from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.walkers import walk
 
 

@@ -10,9 +10,8 @@ import numpy.typing as npt
 from pasdedeux.projections.faults import RepairedCrowd
 from pasdedeux.projections.identity import body_size_px
 from pasdedeux.skeletons import OP14
-from tests.crowds import Detections
 
-__all__ = ["KINDS", "Faulty", "inject", "people_of", "score"]
+__all__ = ["KINDS", "Faulty", "JointCounts", "count_joints", "inject"]
 
 Array = npt.NDArray[np.float64]
 
@@ -41,13 +40,6 @@ class Faulty:
     is_wrong: npt.NDArray[np.bool_]
 
 
-def people_of(seen: Detections) -> tuple[Array, Array]:
-    """Give keypoints (person, frame, 14, 2) and confidences in true order."""
-    order = np.lexsort([seen.frame, seen.true_id])
-    people = int(seen.true_id.max()) + 1
-    return seen.keypoints_px[order].reshape(people, -1, 14, 2), seen.confidence[order].reshape(people, -1, 14)
-
-
 def inject(
     rng: np.random.Generator, keypoints_px: Array, confidence: Array, kind: str, *, every: int = 40, longest: int = 6
 ) -> Faulty:
@@ -74,8 +66,57 @@ def inject(
     return Faulty(points, confidence, moved > _VISIBLE * np.nanmedian(body_size_px(keypoints_px, confidence)))
 
 
-def score(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> Array:
-    """Give counts of joints: wrong; wrong and changed; changed at all; wrong and now right; wrong and left so."""
+@dataclass(frozen=True)
+class JointCounts:
+    """What a repair did, in joints over people and frames; counts of several videos add up.
+
+    Args:
+        wrong: Visibly wrong before.
+        found: Of these, changed or masked.
+        changed: Changed or masked at all, by more than can be missed.
+        repaired: Of the wrong ones, right afterwards.
+        left: Of the wrong ones, still wrong and not masked.
+    """
+
+    wrong: int = 0
+    found: int = 0
+    changed: int = 0
+    repaired: int = 0
+    left: int = 0
+
+    def __add__(self, other: JointCounts) -> JointCounts:
+        """Add up."""
+        return JointCounts(
+            self.wrong + other.wrong,
+            self.found + other.found,
+            self.changed + other.changed,
+            self.repaired + other.repaired,
+            self.left + other.left,
+        )
+
+    @property
+    def recall(self) -> float:
+        """Share of the wrong joints that was found; NaN where none is wrong."""
+        return self.found / self.wrong if self.wrong else float("nan")
+
+    @property
+    def precision(self) -> float:
+        """Share of the changed joints that was wrong; NaN where none was changed."""
+        return self.found / self.changed if self.changed else float("nan")
+
+    @property
+    def repaired_share(self) -> float:
+        """Share of the wrong joints that is right afterwards; NaN where none is wrong."""
+        return self.repaired / self.wrong if self.wrong else float("nan")
+
+    @property
+    def left_share(self) -> float:
+        """Share of the wrong joints that is still wrong and believed; NaN where none is wrong."""
+        return self.left / self.wrong if self.wrong else float("nan")
+
+
+def count_joints(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> JointCounts:
+    """Count what a repair of injected faults did, against the true keypoints (person, frame, 14, 2)."""
     is_changed = found.is_swapped | found.is_exchanged | found.is_masked
     # Joints that a repair moved by less than can be seen are neither found nor falsely accused.
     moved = np.linalg.norm(found.keypoints_px - faulty.keypoints_px, axis=-1)
@@ -85,4 +126,4 @@ def score(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> Array:
     is_right = off < 0.5 * _VISIBLE * size
     wrong = faulty.is_wrong
     counts = [wrong, wrong & is_changed, is_changed, wrong & is_right, wrong & ~is_right & ~found.is_masked]
-    return np.array([np.count_nonzero(one) for one in counts], dtype=float)
+    return JointCounts(*(int(np.count_nonzero(one)) for one in counts))

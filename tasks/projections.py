@@ -5,6 +5,7 @@ For comparison also the codebook of the published search, when asked: clusters o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
 from typing import Any
 
@@ -12,18 +13,20 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
-from pasdedeux.skeletons import BODY22, PAIR17
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
-__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "plan", "run_shard"]
+__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "plan", "read_pairs", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 
 class ProjectionsParameters(Parameters):
@@ -156,6 +159,24 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
     return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources)
 
 
+def read_pairs(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
+    """Give the pairs (row, person, 14, 3) of all parts, for `pairs.PairDatabase`; people who were alone are left out.
+
+    The rows of a frame give back its people in their place to each other: heading and place are put on again.
+    """
+    pairs = [np.zeros((0, 2, OP14.num_joints, 3))]
+    for ref in refs:
+        columns = ["person", "partner_row", "op14_m", "heading_rad", "root_translation_m"]
+        table = store.read(ref, "projections", columns=columns)
+        is_alone = np.asarray(table.is_null("partner_row"))
+        rows = np.flatnonzero((np.asarray(table["person"]) == 0) & ~is_alone)
+        both = np.stack([rows, np.asarray(table["partner_row"])[rows].astype(np.int64)], axis=1)
+        turn = yaw_rotmat(np.asarray(table["heading_rad"], dtype=np.float64)[both])
+        poses = np.einsum("npij,npkj->npki", turn, np.asarray(table["op14_m"], dtype=np.float64)[both])
+        pairs.append(centre_pairs(poses + np.asarray(table["root_translation_m"], dtype=np.float64)[both][:, :, None]))
+    return np.concatenate(pairs)
+
+
 def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Give the poses of every person of a take at the database's rate."""
     poses = store.read(ref, "poses", columns=["take_id", "person", "frame", "time_s", "op14_m"])
@@ -169,6 +190,7 @@ def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
             np.asarray(poses["op14_m"], dtype=np.float64)[chosen], from_hz=from_hz, to_hz=shard.parameters["rate_hz"]
         )
         parts.append(_one_motion(moved, take_ids[chosen[0]], int(one)))
+    _set_partners(parts)
     return _joined(parts)
 
 
@@ -190,6 +212,7 @@ def _draw_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
                 "positions": pairs[:, person],
             }
         )
+    _set_partners(parts)
     return _joined(parts)
 
 
@@ -199,7 +222,7 @@ def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any
     variant = np.array(list(table["variant_id"]), dtype=object)
     take_ids = list(table["take_id"])
     poses = np.asarray(table["body22_m"], dtype=np.float64)
-    parts = []
+    parts: list[dict[str, Any]] = []
     for one in sorted(set(variant)):
         chosen = np.flatnonzero(variant == one)
         chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
@@ -207,7 +230,9 @@ def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any
         pair = resample_positions(
             op14_from_working(poses[chosen], BODY22), from_hz=from_hz, to_hz=shard.parameters["rate_hz"]
         )
-        parts += [_one_motion(pair[:, person], take_ids[chosen[0]], person) for person in range(2)]
+        both = [_one_motion(pair[:, person], take_ids[chosen[0]], person) for person in range(2)]
+        _set_partners(both, first_row=sum(len(part["positions"]) for part in parts))
+        parts += both
     return _joined(parts)
 
 
@@ -222,12 +247,24 @@ def _one_motion(positions: np.ndarray, take_id: str, person: int) -> dict[str, A
     }
 
 
+def _set_partners(parts: list[dict[str, Any]], *, first_row: int = 0) -> None:
+    """Note for two people of a motion, whose rows will start at `first_row`, where the other's row is."""
+    lengths = [len(part["positions"]) for part in parts]
+    if len(parts) != 2:
+        for part, length in zip(parts, lengths, strict=True):
+            part["partner_row"] = [None] * length
+        return
+    for part, other, start in ((parts[0], 1, first_row + lengths[0]), (parts[1], 0, first_row)):
+        rows = range(len(part["positions"]))
+        part["partner_row"] = [start + row if row < lengths[other] else None for row in rows]
+
+
 def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         name: list(chain.from_iterable(part[name] for part in parts))
-        if name == "take_id"
+        if name in ("take_id", "partner_row")
         else np.concatenate([part[name] for part in parts])
-        for name in ("take_id", "person", "frame", "is_sequence_start", "positions")
+        for name in ("take_id", "partner_row", "person", "frame", "is_sequence_start", "positions")
     }
 
 

@@ -28,6 +28,13 @@ class DatabaseCamera(ABC):
     def project(self, poses_m: Floats) -> Floats:
         """Project poses (*batch, 14, 3), mid-hip at the origin, to (*batch, 14, 2), mid-hip at the origin."""
 
+    def project_pairs(self, pairs_m: Floats) -> Floats:
+        """Project pairs (*batch, person, 14, 3), the middle of both mid-hips at the origin, to (*batch, person, 14, 2).
+
+        For parallel rays nothing but the axes counts, so people project one by one.
+        """
+        return self.project(pairs_m)
+
     @property
     def camera_from_upright_rotmat(self) -> Floats:
         """Rotation (3, 3) from upright axes before the camera to the camera's own (x right, y up, z towards it)."""
@@ -79,12 +86,18 @@ class PinholeCamera(DatabaseCamera):
 
     def project(self, poses_m: Floats) -> Floats:
         """Divide by depth, then put the mid-hip's image at the origin and scale to metres at its depth."""
-        hip_height = _ANKLE_HEIGHT_M - np.min(poses_m[..., _ANKLES, 1], axis=-1, keepdims=True)
-        below = hip_height - poses_m.dtype.type(self.height_m)
-        shrink = self.distance_m / (self.distance_m - poses_m[..., 2])
-        x = poses_m[..., 0] * shrink
-        y = (poses_m[..., 1] + below) * shrink - below
-        return np.stack([x, y], axis=-1).astype(poses_m.dtype, copy=False)
+        return self._project(poses_m, np.min(poses_m[..., _ANKLES, 1], axis=-1, keepdims=True))
+
+    def project_pairs(self, pairs_m: Floats) -> Floats:
+        """Divide by depth as for one, about the middle of both; the lowest ankle of the two stands on the floor."""
+        return self._project(pairs_m, np.min(pairs_m[..., _ANKLES, 1], axis=(-2, -1), keepdims=True))
+
+    def _project(self, points_m: Floats, lowest_ankle: Floats) -> Floats:
+        below = _ANKLE_HEIGHT_M - lowest_ankle - points_m.dtype.type(self.height_m)
+        shrink = self.distance_m / (self.distance_m - points_m[..., 2])
+        x = points_m[..., 0] * shrink
+        y = (points_m[..., 1] + below) * shrink - below
+        return np.stack([x, y], axis=-1).astype(points_m.dtype, copy=False)
 
 
 def camera_from_name(name: str, *, pitch_rad: float, height_m: float, distance_m: float) -> DatabaseCamera:

@@ -17,6 +17,7 @@ PROJECTIONS = Table(
         text("take_id", "Take the pose comes from; for a draw the take of its seed"),
         integer("person", "Person of the take, from 0"),
         integer("frame", "Frame at the database's rate; the row of the draw for draws"),
+        integer("partner_row", "Row of this table with the other person of the frame", is_nullable=True),
         boolean("is_sequence_start", "No previous frame of the same motion in the row above"),
         array(
             "op14_m",

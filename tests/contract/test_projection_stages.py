@@ -10,7 +10,9 @@ import pytest
 
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.pairs import PairDatabase, build_pair_index
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import TABLES, ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import projections, reconstruction
@@ -142,6 +144,7 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
 
 def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
     rng = np.random.default_rng(0)
+    drawn_pairs = rng.normal(size=(3, 2, 17, 3))
     draws = put(
         store,
         "chains",
@@ -152,7 +155,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
                 "seed_index": [0, 0, 0],
                 "chain": [0, 0, 1],
                 "draw": [0, 1, 2],
-                "pair17_m": rng.normal(size=(3, 2, 17, 3)),
+                "pair17_m": drawn_pairs,
                 "parameters": np.zeros((3, 108)),
                 "log_density": np.zeros(3),
                 "log_prior": np.zeros(3),
@@ -190,6 +193,18 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     table = open_table(varied.ref, store)
     assert table["frame"].tolist() == [0, 1] * 4
     assert table["is_sequence_start"].tolist() == [True, False] * 4
+    assert table["partner_row"].tolist() == [2, 3, 0, 1, 6, 7, 4, 5]
+    refs = [take.ref, drawn.ref, varied.ref]
+    pairs = projections.read_pairs(store, refs)
+    assert pairs.shape == (72 + 2 + 4, 2, 14, 3)
+    # The people of a draw stand to each other as they were drawn: retargeting keeps the mid-hips.
+    across = np.diff(mid_hip(pairs[72:74]), axis=1)[:, 0]
+    truth = np.diff(mid_hip(op14_from_working(np.asarray(drawn_pairs), PAIR17)), axis=1)[[0, 2], 0]
+    np.testing.assert_allclose(across[:, 1], truth[:, 1], atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(across, axis=-1), np.linalg.norm(truth, axis=-1), atol=1e-5)
+    np.testing.assert_allclose(across[:, 2], 0.0, atol=1e-5)
+    index = build_pair_index(PairDatabase(pairs))
+    assert index.search(PairDatabase(pairs).project()[73, 4], num_neighbours=1).neighbours.row.tolist() == [73]
     assert (PAIR17.num_joints, BODY22.num_joints, OP14.num_joints) == (17, 22, 14)
 
 

@@ -1,0 +1,235 @@
+"""An index over draws: which of many pairs look most like an annotation, seen from the annotation's own view.
+
+The distance is that of the image under the view after the best turn in the plane, over the joints that are seen.  Over
+fewer joints it is never greater, so a few far-apart joints rule nearly every draw out; what is left is measured in
+full.  The answer is the exact one, ties aside: `plain_nearest` is the definition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import pair_frame, project_pair
+from pasdedeux.cameras.orthographic import view_rotmat
+from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import plane_residual
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["DrawIndex", "Nearest", "plain_nearest"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+LEAST_SEEN = 4
+"""Joints of both people together that must be seen for a comparison to mean anything."""
+_NUM_JOINTS = 2 * PAIR17.num_joints
+_FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis")
+_NUM_FIRST = 2 * len(_FAR_APART)
+_SLACK_M2 = 1e-4
+"""What single precision may be wrong by in a sum of squares over 34 joints, with a wide margin."""
+_BATCH = 32_768
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Draws nearest to an image, nearest first.
+
+    Args:
+        draw: Index of each draw, (k,).
+        view: Which of the views it was seen from, (k,).
+        distance_m: Root mean square distance over the joints seen, after the best turn in the plane, (k,), metres.
+    """
+
+    draw: Indices
+    view: Indices
+    distance_m: Array
+
+
+class DrawIndex:
+    """Draws kept for retrieval by image, in single precision; 820 bytes a draw.
+
+    Args:
+        pairs_m: Draws (draw, person=2, joint=17, 3), metres, at least one, all finite.
+
+    Raises:
+        InputError: There is no draw, or a coordinate is not finite.
+    """
+
+    def __init__(self, pairs_m: npt.NDArray[np.floating]) -> None:
+        if not len(pairs_m) or pairs_m.shape[1:] != (2, PAIR17.num_joints, 3):
+            raise InputError(f"an index needs draws of shape (draw, 2, 17, 3), at least one; found {pairs_m.shape}")
+        self.num_draws = len(pairs_m)
+        num_blocks = -(-self.num_draws // LANES)
+        self._mean: tuple[Array, Array] | None = None
+        self._order = _comparison_order()
+        self._points = np.zeros((num_blocks, _NUM_JOINTS, 3, LANES), dtype=np.float32)
+        # Once more, draw by draw: what is measured in full is scattered over all of them.
+        self._rows = np.empty((self.num_draws, _NUM_JOINTS, 3), dtype=np.float32)
+        self._tilt = np.zeros((num_blocks, 2, LANES), dtype=np.float32)
+        for start in range(0, self.num_draws, _BATCH):
+            stop = min(start + _BATCH, self.num_draws)
+            local, tilt = _own_frames(np.asarray(pairs_m[start:stop], dtype=np.float64))
+            self._rows[start:stop] = local[:, self._order]
+            block, lane = np.divmod(np.arange(start, stop), LANES)
+            self._points[block, :, :, lane] = local[:, self._order]
+            self._tilt[block, :, lane] = tilt
+        if not np.isfinite(self._points).all():
+            raise InputError("an index needs draws with finite coordinates")
+
+    def nearest(self, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
+        """Give the draws nearest to an image under any of some views; a draw comes once, under its best view.
+
+        Args:
+            image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
+            directions: Views in the pair's local frame, (view, 3).
+            count: Draws wanted; fewer come back when there are fewer.
+
+        Raises:
+            InputError: No view, or fewer than 4 joints seen.
+        """
+        joints, image = self._seen(image_m)
+        if not len(directions):
+            raise InputError("retrieval needs at least one view of the annotation")
+        count = min(count, self.num_draws)
+        views = normalise(np.asarray(directions, dtype=np.float64))
+        first = joints < _NUM_FIRST
+        few = joints[first] if first.sum() >= 3 else joints
+        near = image[first] if first.sum() >= 3 else image
+        coarse = np.empty((len(views), len(self._points), LANES), dtype=np.float32)
+        centred = (near - near.mean(axis=0)).astype(np.float32)
+        for view, direction in enumerate(views):
+            fill_residuals(self._points, self._tilt, direction.astype(np.float32), centred, few, coarse[view])
+        flat = coarse.reshape(len(views), -1)[:, : self.num_draws]
+        bound = flat.min(axis=0) if len(views) > 1 else flat[0]
+        # The draws that a few joints find nearest give a level that the true answers cannot exceed.
+        tried = np.argpartition(bound, min(4 * count, self.num_draws - 1))[: 4 * count]
+        level = np.partition(self._measured(tried, views, image, joints).min(axis=1), count - 1)[count - 1] + _SLACK_M2
+        left = np.flatnonzero(bound <= level)
+        squared = self._measured(left, views, image, joints, ceiling_m2=level)
+        best = squared.min(axis=1)
+        order = np.lexsort((left, best))[:count]
+        return Nearest(
+            draw=left[order],
+            view=np.argmin(squared[order], axis=1).astype(np.int64),
+            distance_m=np.sqrt(best[order] / len(joints)),
+        )
+
+    def placed(self, draws: Indices, directions: Array, image_m: Array) -> Array:
+        """Give draws as a camera with the image saw them, (n, person=2, joint=17, 3), metres.
+
+        Args:
+            draws: Which draws, (n,).
+            directions: View of each, (n, 3).
+            image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
+
+        Returns:
+            Camera axes: x right, y up, z towards the camera.  Over the joints seen the image is the best rigid fit in
+            the plane and the mean depth is 0.
+        """
+        tilt = self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
+        return self._seen_as(self._rows[draws].astype(np.float64), tilt, directions, image_m)
+
+    def placed_mean(self, direction: Array, image_m: Array) -> Array:
+        """Give the mean of all draws, in their local frames, as a camera with the image saw it, (2, 17, 3), metres."""
+        if self._mean is None:
+            tilts = self._tilt.transpose(0, 2, 1).reshape(-1, 2)[: self.num_draws]
+            self._mean = (self._rows.mean(axis=0, dtype=np.float64), tilts.mean(axis=0, dtype=np.float64))
+        points, tilt = self._mean
+        return np.asarray(self._seen_as(points[None], tilt[None], direction[None], image_m)[0])
+
+    def _seen_as(self, points: Array, tilt: Array, directions: Array, image_m: Array) -> Array:
+        joints, _ = self._seen(image_m)
+        seen_from = view_rotmat(_towards(tilt, normalise(directions)), np.array([0.0, 1.0, 0.0]))
+        points = np.einsum("nij,nkj->nki", seen_from, points)
+        points = points - points[:, joints].mean(axis=1, keepdims=True)
+        image = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order][joints]
+        centre = image.mean(axis=0)
+        a = np.sum(points[:, joints, :2] * (image - centre), axis=(1, 2))
+        b = np.sum(
+            points[:, joints, 0] * (image - centre)[:, 1] - points[:, joints, 1] * (image - centre)[:, 0], axis=1
+        )
+        angle = np.arctan2(b, a)[:, None]
+        cosine, sine = np.cos(angle), np.sin(angle)
+        out = np.empty(points.shape)
+        out[:, self._order, 0] = cosine * points[..., 0] - sine * points[..., 1] + centre[0]
+        out[:, self._order, 1] = sine * points[..., 0] + cosine * points[..., 1] + centre[1]
+        out[:, self._order, 2] = points[..., 2]
+        return out.reshape(len(points), 2, PAIR17.num_joints, 3)
+
+    def _seen(self, image_m: Array) -> tuple[Indices, Array]:
+        """Give the joints seen, by their place in the index, and their centred image points."""
+        points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order]
+        joints = np.flatnonzero(np.isfinite(points).all(axis=1))
+        if len(joints) < LEAST_SEEN:
+            raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {LEAST_SEEN}")
+        image = points[joints]
+        return joints, image - image.mean(axis=0)
+
+    def _measured(
+        self, draws: Indices, views: Array, image: Array, joints: Indices, *, ceiling_m2: float = np.inf
+    ) -> Array:
+        """Give squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
+        tilt = self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
+        squared = np.empty((len(draws), len(views)))
+        for view, direction in enumerate(views):
+            world = _towards(tilt, direction)
+            own = np.empty(len(draws))
+            refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, own)
+            squared[:, view] = own
+        return squared
+
+
+def plain_nearest(pairs_m: Array, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
+    """Give the same straight from the definition, draw by draw and view by view: the oracle of `DrawIndex.nearest`."""
+    is_seen = np.isfinite(image_m).all(axis=-1).ravel()
+    image = image_m.reshape(-1, 2)[is_seen]
+    squared = np.stack(
+        [
+            plane_residual(project_pair(pairs_m, view).reshape(len(pairs_m), -1, 2)[:, is_seen], image)
+            for view in directions
+        ],
+        axis=1,
+    )
+    best = squared.min(axis=1)
+    order = np.lexsort((np.arange(len(best)), best))[:count]
+    return Nearest(
+        draw=order.astype(np.int64),
+        view=np.argmin(squared[order], axis=1).astype(np.int64),
+        distance_m=np.sqrt(best[order] / is_seen.sum()),
+    )
+
+
+def _comparison_order() -> Indices:
+    """Give the joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
+    first = [person * PAIR17.num_joints + PAIR17.index(name) for name in _FAR_APART for person in range(2)]
+    rest = [joint for joint in range(_NUM_JOINTS) if joint not in first]
+    return np.array([*first, *rest], dtype=np.int64)
+
+
+def _towards(tilt: Array, direction: Array) -> Array:
+    """Give the unit directions (n, 3) towards the camera, in the frames of draws with these tilts (n, 2), of a view."""
+    a, b, c = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)
+    sine, cosine = tilt[:, 0], tilt[:, 1]
+    return normalise(np.stack([sine * a, cosine * a + b, sine * c], axis=-1))
+
+
+def _own_frames(pairs_m: Array) -> tuple[Array, Array]:
+    """Give pairs (n, 34, 3) in their local frames with j along y and i in the plane of x and y, and the tilt of i.
+
+    The published frame is not square: i and j stand at an angle whose sine and cosine are the tilt (n, 2).
+    """
+    axes = pair_frame(pairs_m).axes
+    i, j = axes[..., 0], axes[..., 1]
+    cosine = np.sum(i * j, axis=-1, keepdims=True)
+    across = normalise(i - cosine * j)
+    square = np.stack([across, j, np.cross(across, j)], axis=-1)
+    points = pairs_m.reshape(len(pairs_m), _NUM_JOINTS, 3)
+    points = points - points.mean(axis=1, keepdims=True)
+    sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+    return np.einsum("nji,nik->njk", points, square), np.concatenate([sine, cosine], axis=1)

@@ -1,0 +1,132 @@
+"""What lifting by sampling is compared with: lifting + IK, and naive sampling round it (Yin et al. 2018, Fig. 10).
+
+Both know one image, joint limits and bodies that do not pass through each other; neither knows how people interact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.completion.fit import FitOptions, fit_people
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility.capsules import capsule_model, penetration
+from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.parameters import LENGTH_INDICES, POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["NaiveSamples", "lift_by_ik", "resolve_penetration", "sample_naively"]
+
+Array = npt.NDArray[np.float64]
+
+_NUM_ROUNDS = 5
+_IMAGE_DEVIATION_M, _VALID_DEVIATION_M, _DEPTH_DEVIATION_M = 0.01, 0.02, 0.3
+_SLIDES_M = np.linspace(-0.6, 0.6, 61)
+_TOUCHING_M = 0.01
+"""Summed penetration that counts as none, metres: captured bodies touch."""
+
+
+def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLimits) -> Array:
+    """Give the pair (person=2, joint=17, 3), metres, that minimises E_2D + E_isvalid from a lifted one.
+
+    Args:
+        image_m: Image points (2, 17, 2), metres; NaN where not seen.
+        pair_m: Lifted pair (2, 17, 3), metres, camera axes.
+        lengths_m: Bone lengths (2, 17), metres, kept exactly.
+        limits: Joint limits.
+
+    E_2D is the squared distance of the seen joints from the image, E_isvalid that of all joints from the closest valid
+    pose; the closest valid pose is found anew between fits.  Then one person slides along the line of sight, as little
+    as it takes, until the two do not pass through each other.
+    """
+    pair = np.asarray(pair_m, dtype=np.float64)
+    options = FitOptions(bone_deviation_m=_DEPTH_DEVIATION_M)
+    deviation = np.array([_VALID_DEVIATION_M, _VALID_DEVIATION_M, _VALID_DEVIATION_M])
+    image_weight, valid_weight = _IMAGE_DEVIATION_M**-2, _VALID_DEVIATION_M**-2
+    is_seen = np.isfinite(image_m).all(axis=-1, keepdims=True)
+    for _ in range(_NUM_ROUNDS):
+        targets = limits.nearest_valid(pair).positions
+        blended = (image_weight * np.where(is_seen, image_m, 0.0) + valid_weight * targets[..., :2]) / (
+            image_weight + valid_weight
+        )
+        width = np.broadcast_to(deviation, targets.shape).copy()
+        width[..., :2] = np.where(is_seen, (image_weight + valid_weight) ** -0.5, _VALID_DEVIATION_M)
+        targets[..., :2] = np.where(is_seen, blended, targets[..., :2])
+        pair = fit_people(targets, width, pair, lengths_m, options)
+    return resolve_penetration(pair)
+
+
+def resolve_penetration(pair_m: Array) -> Array:
+    """Slide person B along z, as little as it takes, until a pair (person=2, joint=17, 3), metres, does not penetrate.
+
+    Where no slide up to 0.6 m is enough the one with the least penetration is taken.
+    """
+    model = capsule_model(PAIR17)
+    slid = np.repeat(pair_m[None], len(_SLIDES_M), axis=0)
+    slid[:, 1, :, 2] += _SLIDES_M[:, None]
+    between = penetration(slid, model.radii_of(pair_m[None]), model).between_m
+    excess = np.maximum(between - between.min(), 0.0)
+    order = np.lexsort((np.abs(_SLIDES_M), excess > _TOUCHING_M))
+    return np.asarray(slid[order[0]])
+
+
+@dataclass(frozen=True)
+class NaiveSamples:
+    """Pairs sampled round a lifted one.
+
+    Args:
+        pairs_m: Pairs (n, person=2, joint=17, 3), metres, camera axes.
+        nearest: The one whose image is nearest to the annotation.
+    """
+
+    pairs_m: Array
+    nearest: int
+
+
+def sample_naively(
+    rng: np.random.Generator,
+    image_m: Array,
+    pair_m: Array,
+    limits: JointLimits,
+    *,
+    num_samples: int = 1000,
+    rotation_rad: float = 0.15,
+    position_m: float = 0.03,
+) -> NaiveSamples:
+    """Sample pairs round a pair (person=2, joint=17, 3), metres, camera axes, and find the nearest to the image.
+
+    Bone lengths are kept exactly.  Samples are drawn with probability in proportion to exp(-v / (2 sigma_p^2)), v the
+    violation of eq. 2 (distance to valid poses and penetration), from twice as many normal perturbations.
+
+    Args:
+        rng: Random generator.
+        image_m: Image points (2, 17, 2), metres; NaN where not seen.
+        pair_m: Pair in camera axes, over the image.
+        limits: Joint limits.
+        num_samples: Samples in the database (Yin et al. 2018: 1,000).
+        rotation_rad: Deviation of a bone's turn, radians.
+        position_m: Deviation of a root, metres.
+
+    Raises:
+        InputError: No sample was asked for.
+    """
+    if num_samples < 1:
+        raise InputError(f"{num_samples} samples were asked for, at least 1 is needed")
+    chart = PairChart(pair_m)
+    start = chart.seed_parameters()
+    step = np.full(len(start), rotation_rad)
+    step[POSITION_INDICES.ravel()] = position_m
+    step[ROTATION_INDICES.ravel()] = 0.5 * rotation_rad
+    step[LENGTH_INDICES.ravel()] = 0.0
+    tried = start + step * rng.normal(size=(2 * num_samples, len(start)))
+    pairs = chart.positions(tried)
+    log_weight = -seed_quality(pairs, limits).violation_m2 / (2.0 * SIGMA_P_M**2)
+    # Gumbel keys: drawing without replacement in proportion to the weights.
+    keys = log_weight + rng.gumbel(size=len(pairs))
+    kept = pairs[np.sort(np.argsort(-keys, kind="stable")[:num_samples])]
+    is_seen = np.isfinite(image_m).all(axis=-1)
+    distance = np.sum((kept[..., :2] - image_m)[:, is_seen] ** 2, axis=(1, 2))
+    return NaiveSamples(pairs_m=kept, nearest=int(np.argmin(distance)))

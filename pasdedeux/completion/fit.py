@@ -1,0 +1,103 @@
+"""The last step of lifting: a retrieved pair fitted to the joints seen, bone lengths exact, depth as it was retrieved.
+
+The image decides where it sees; each bone's vector, and the depth of each person, come from what was retrieved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
+from pasdedeux.fitting.observed_pose import BoneVectorTerm
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["FitOptions", "fit_pair", "fit_people", "pooled_lengths"]
+
+Array = npt.NDArray[np.float64]
+
+_PARENTS = np.array([parent if parent >= 0 else joint for joint, parent in enumerate(PAIR17.parents)])
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What is believed of the image and of the retrieved pair.
+
+    Args:
+        image_deviation_m: Error of a seen joint, metres.
+        bone_deviation_m: Error of each coordinate of a retrieved bone's vector, metres.
+        depth_deviation_m: Error of the retrieved depth of a joint against the whole pair, metres.
+        max_iterations: Steps of the fit.
+
+    Raises:
+        InputError: A width is not positive.
+    """
+
+    image_deviation_m: float = 0.015
+    bone_deviation_m: float = 0.03
+    depth_deviation_m: float = 0.1
+    max_iterations: int = 10
+
+    def __post_init__(self) -> None:
+        """Check the widths."""
+        if not (self.image_deviation_m > 0.0 and self.bone_deviation_m > 0.0 and self.depth_deviation_m > 0.0):
+            raise InputError(f"a fit needs positive widths: {self}")
+
+
+def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None) -> Array:
+    """Give the pair (person=2, joint=17, 3), metres, that fits the joints seen, with exact bone lengths.
+
+    Args:
+        image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
+        pair_m: Retrieved pair (2, 17, 3), metres, camera axes; it is also the first guess.
+        lengths_m: Bone lengths (2, 17), metres; those of roots are unused.
+        options: What is believed.
+
+    Raises:
+        InputError: A position or length is not finite.
+    """
+    options = options or FitOptions()
+    targets = np.concatenate([image_m, pair_m[..., 2:]], axis=-1)
+    deviation = np.array([options.image_deviation_m, options.image_deviation_m, options.depth_deviation_m])
+    return fit_people(targets, deviation, pair_m, lengths_m, options)
+
+
+def fit_people(
+    targets_m: Array, deviation_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None
+) -> Array:
+    """Give the pair (person=2, joint=17, 3), metres, nearest to targets and to the bone vectors of a pair.
+
+    Args:
+        targets_m: Where joints should be, (2, 17, 3), metres; NaN leaves a coordinate free.
+        deviation_m: Errors of the targets, (2, 17, 3) or what broadcasts to it, metres.
+        pair_m: Pair (2, 17, 3), metres, whose bone vectors decide where targets are silent; also the first guess.
+        lengths_m: Bone lengths (2, 17), metres, kept exactly; those of roots are unused.
+        options: How far bone vectors are trusted, and when to stop.
+
+    Raises:
+        InputError: A position or length is not finite.
+    """
+    options = options or FitOptions()
+    if not np.isfinite(pair_m).all():
+        raise InputError("the pair to be fitted has a position that is not finite")
+    weights = np.broadcast_to(np.asarray(deviation_m, dtype=np.float64) ** -2, targets_m.shape)
+    bones = pair_m - pair_m[:, _PARENTS]
+    bone_weight = np.array(options.bone_deviation_m**-2)
+    settings = FitSettings(options.max_iterations, 1e-4)
+    fitted = np.empty(pair_m.shape)
+    for person in range(2):
+        forest = BoneForest((PAIR17,), np.asarray(lengths_m[person], dtype=np.float64))
+        one = slice(person, person + 1)
+        terms = [PointTerm(targets_m[one], weights[one]), BoneVectorTerm(PAIR17, bones[one], bone_weight)]
+        fitted[person] = fit_bones(forest, forest.state_of(pair_m[one]), terms, settings).positions_m[0]
+    return fitted
+
+
+def pooled_lengths(pairs_m: Array, weight: Array) -> Array:
+    """Give the bone lengths (person=2, joint=17), metres, of pairs (k, 2, 17, 3): their weighted mean, sides tied."""
+    lengths = np.tensordot(weight, bone_lengths(PAIR17, pairs_m), axes=1)
+    return np.asarray(0.5 * (lengths + lengths[..., list(PAIR17.mirror)]))

@@ -1,0 +1,129 @@
+"""The pairs between two pairs, led past draws instead of straight.
+
+A straight line between the joints of two poses shortens limbs and cuts through what people do not do.  Draws near the
+line say where such pairs lie; the path is the compromise of both that is smooth, with exact bone lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.completion.neighbours import nearest_rigid
+from pasdedeux.errors import InputError
+from pasdedeux.fitting import BoneForest, DifferenceTerm, FitSettings, PointTerm, fit_bones
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["InBetweenOptions", "fill_between", "straight_between"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InBetweenOptions:
+    """What is believed of the line, of draws and of motion.
+
+    Args:
+        num_nearest: Draws that say where pairs lie, for each pair between.
+        line_deviation_m: How far a true pair is from the straight line half-way, metres.
+        draw_deviation_m: How far a true pair is from the mean of its nearest draws, metres.
+        bend_m: Second difference of a joint's path between neighbouring frames, metres.
+        num_rounds: How often draws are looked up near the path and the path is led past them.
+
+    Raises:
+        InputError: A width is not positive or a count is below 1.
+    """
+
+    num_nearest: int = 16
+    line_deviation_m: float = 0.05
+    draw_deviation_m: float = 0.1
+    bend_m: float = 0.005
+    num_rounds: int = 2
+
+    def __post_init__(self) -> None:
+        """Check widths and counts."""
+        widths = (self.line_deviation_m, self.draw_deviation_m, self.bend_m)
+        if not all(width > 0.0 for width in widths) or self.num_nearest < 1 or self.num_rounds < 1:
+            raise InputError(f"in-betweens need positive widths, a draw and a round: {self}")
+
+
+def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
+    """Give the pairs on the straight lines between two pairs (person=2, joint=17, 3), ends not among them.
+
+    Returns:
+        Pairs (num_between, 2, 17, 3), metres, evenly spaced in time.
+
+    Raises:
+        InputError: `num_between` is below 1.
+    """
+    if num_between < 1:
+        raise InputError(f"{num_between} pairs between two were asked for, at least 1 is needed")
+    share = (np.arange(1, num_between + 1) / (num_between + 1))[:, None, None, None]
+    return np.asarray((1.0 - share) * first_m + share * last_m)
+
+
+def fill_between(
+    first_m: Array,
+    last_m: Array,
+    num_between: int,
+    draws_m: npt.NDArray[np.floating],
+    options: InBetweenOptions | None = None,
+) -> Array:
+    """Give the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
+
+    Args:
+        first_m: Pair before, metres.
+        last_m: Pair after, metres, in the same axes.
+        num_between: Pairs wanted, evenly spaced in time.
+        draws_m: Draws (draw, 2, 17, 3), metres.
+        options: What is believed.
+
+    Returns:
+        Pairs (num_between, 2, 17, 3), metres; bone lengths are those of the two ends, from one to the other.
+
+    Raises:
+        InputError: There is no draw, a position is not finite, or `num_between` is below 1.
+    """
+    options = options or InBetweenOptions()
+    if not (np.isfinite(first_m).all() and np.isfinite(last_m).all()):
+        raise InputError("in-betweens need two pairs with all joints")
+    line = straight_between(first_m, last_m, num_between)
+    share = np.arange(1, num_between + 1) / (num_between + 1)
+    # As a bridge pinned at both ends: the line is surest near them.
+    line_weight = (4.0 * share * (1.0 - share) * options.line_deviation_m**2) ** -1
+    ends = np.stack([first_m, last_m])
+    lengths = bone_lengths(PAIR17, ends).mean(axis=0)
+    path = line
+    for _ in range(options.num_rounds):
+        shown = np.stack([_local_mean(draws_m, pair, options.num_nearest) for pair in path])
+        path = np.stack(
+            [_lead(ends[:, p], line[:, p], shown[:, p], line_weight, lengths[p], options) for p in (0, 1)], 1
+        )
+    return path
+
+
+def _local_mean(draws_m: npt.NDArray[np.floating], pair_m: Array, count: int) -> Array:
+    """Give the mean of the draws nearest to a pair, moved onto it, weighted by how much farther than the nearest."""
+    near = nearest_rigid(draws_m, pair_m, count=count)
+    squared = near.distance_m**2
+    scale = max(float(squared[0]), 1e-8)
+    weight = np.exp(-0.5 * (squared - squared[0]) / scale)
+    return np.tensordot(weight / weight.sum(), near.pairs_m, axes=1)
+
+
+def _lead(
+    ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, lengths_m: Array, options: InBetweenOptions
+) -> Array:
+    """Give one person's path (frame, joint, 3) between two poses: near line and draws, smooth, bone lengths exact."""
+    draw_weight = options.draw_deviation_m**-2
+    total = line_weight + draw_weight
+    middle = (line_weight[:, None, None] * line_m + draw_weight * shown_m) / total[:, None, None]
+    targets = np.concatenate([ends_m[:1], middle, ends_m[1:]])
+    weights = np.concatenate([[1e8], total, [1e8]])[:, None, None]
+    forest = BoneForest((PAIR17,), lengths_m)
+    smooth = DifferenceTerm(np.zeros(targets.shape), np.array(options.bend_m**-2), 2)
+    result = fit_bones(forest, forest.state_of(targets), [PointTerm(targets, weights), smooth], FitSettings(10, 1e-4))
+    return result.positions_m[1:-1]

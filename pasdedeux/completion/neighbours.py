@@ -1,0 +1,89 @@
+"""Draws near a pair in 3D, over the joints of it that are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.completion.kernels import fill_rigid_residuals
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
+from pasdedeux.kinematics import align_rigid
+
+__all__ = ["Neighbours", "nearest_by_interaction", "nearest_rigid"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+LEAST_KNOWN = 5
+"""Joints of both people together that must be known: fewer have no tetrahedra, or nearly none."""
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Draws near a pair, nearest first, moved onto it.
+
+    Args:
+        pairs_m: The draws (k, person=2, joint=17, 3), metres, moved rigidly onto the known joints.
+        draw: Which draws they are, (k,).
+        distance_m: How far each is, (k,), metres.
+    """
+
+    pairs_m: Array
+    draw: Indices
+    distance_m: Array
+
+
+def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int) -> Neighbours:
+    """Give the draws nearest over the known joints: root mean square after the best proper rigid motion.
+
+    Args:
+        draws_m: Draws (draw, person=2, joint=17, 3), metres; single precision costs least.
+        pair_m: Pair (2, 17, 3), metres; NaN where a joint is not known.
+        count: Draws wanted; fewer come back when there are fewer.
+
+    Raises:
+        InputError: There is no draw, or fewer than 5 joints are known.
+    """
+    points = np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
+    joints = np.flatnonzero(np.isfinite(points).all(axis=1))
+    if not len(draws_m):
+        raise InputError("there are no draws to look among")
+    if len(joints) < LEAST_KNOWN:
+        raise InputError(f"{len(joints)} joints of the two people are known; comparing needs at least {LEAST_KNOWN}")
+    known = points[joints]
+    squared = np.empty(len(draws_m))
+    flat = np.ascontiguousarray(draws_m, dtype=np.float32).reshape(len(draws_m), -1, 3)
+    fill_rigid_residuals(flat, joints, known - known.mean(axis=0), squared)
+    count = min(count, len(squared))
+    near = np.argpartition(squared, count - 1)[:count]
+    near = near[np.lexsort((near, squared[near]))]
+    found = flat[near].astype(np.float64)
+    moved = align_rigid(found[:, joints], np.broadcast_to(known, (count, *known.shape))).apply(found)
+    return Neighbours(
+        pairs_m=moved.reshape(count, *pair_m.shape),
+        draw=near.astype(np.int64),
+        distance_m=np.sqrt(np.maximum(squared[near], 0.0) / len(joints)),
+    )
+
+
+def nearest_by_interaction(
+    draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int, num_ranked: int
+) -> Neighbours:
+    """Give the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
+
+    D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; with `num_ranked` as large as the number of
+    draws the answer is exact.
+
+    Raises:
+        InputError: As `nearest_rigid`.
+    """
+    ranked = nearest_rigid(draws_m, pair_m, count=max(num_ranked, count))
+    is_known = np.isfinite(pair_m).all(axis=-1).ravel()
+    known = np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)[is_known]
+    moved = ranked.pairs_m.reshape(len(ranked.draw), -1, 3)[:, is_known]
+    distance = np.array([interaction_dissimilarity(one, known) for one in moved])
+    order = np.argsort(distance, kind="stable")[:count]
+    return Neighbours(pairs_m=ranked.pairs_m[order], draw=ranked.draw[order], distance_m=distance[order])

@@ -1,0 +1,110 @@
+"""Occluded joints completed from draws (Yin et al. 2018, section 6, Fig. 12).
+
+The draws nearest to an incomplete pair in D_I over its visible joints give a median pair; the median is deformed onto
+what is visible by Gaussian-weighted linear blending.  A final fit, ours, puts the bone lengths right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.completion.fit import FitOptions, fit_people
+from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["Completion", "blend_onto", "complete_pair", "known_lengths"]
+
+Array = npt.NDArray[np.float64]
+
+NUM_NEAREST = 100
+"""Draws a median is taken over (Yin et al. 2018: 100)."""
+BLEND_DEVIATION_M = 0.2
+"""Width of the Gaussian weights of visible joints, metres; the paper names none."""
+_VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M = 0.005, 0.05
+
+
+@dataclass(frozen=True)
+class Completion:
+    """A completed pair.
+
+    Args:
+        pair_m: Visible joints as given, the others blended, (person=2, joint=17, 3), metres, the axes of the input.
+        fitted_m: The same with exact bone lengths, (2, 17, 3), metres; visible joints may move by millimetres.
+        median_m: Median of the draws, moved onto the visible joints, (2, 17, 3), metres.
+        neighbours: The draws.
+    """
+
+    pair_m: Array
+    fitted_m: Array
+    median_m: Array
+    neighbours: Neighbours
+
+
+def complete_pair(
+    pair_m: Array,
+    draws_m: npt.NDArray[np.floating],
+    *,
+    num_nearest: int = NUM_NEAREST,
+    num_ranked: int = 2 * NUM_NEAREST,
+    blend_deviation_m: float = BLEND_DEVIATION_M,
+) -> Completion:
+    """Complete the joints of a pair that are NaN.
+
+    Args:
+        pair_m: Pair (person=2, joint=17, 3), metres; NaN where a joint is hidden.
+        draws_m: Draws (draw, 2, 17, 3), metres.
+        num_nearest: Draws the median is taken over.
+        num_ranked: Draws that D_I is measured for.
+        blend_deviation_m: Width of the blending, metres.
+
+    Raises:
+        InputError: There is no draw, fewer than 5 joints are visible, or a width is not positive.
+    """
+    found = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked)
+    median = np.median(found.pairs_m, axis=0)
+    blended = blend_onto(median, pair_m, deviation_m=blend_deviation_m)
+    is_visible = np.isfinite(pair_m).all(axis=-1)
+    lengths = known_lengths(pair_m, found.pairs_m)
+    deviation = np.where(is_visible, _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)[..., None]
+    fitted = fit_people(blended, deviation, blended, lengths, FitOptions())
+    return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=found)
+
+
+def blend_onto(median_m: Array, pair_m: Array, *, deviation_m: float = BLEND_DEVIATION_M) -> Array:
+    """Deform a pair (person=2, joint=17, 3) onto the visible joints of another, metres.
+
+    A visible joint goes where it is seen.  A hidden one moves by the mean of the visible ones' moves, weighted by
+    exp(-d^2 / (2 deviation^2)) of their distances d in the median; far from all of them the nearest decides.
+
+    Raises:
+        InputError: No joint is visible, or the width is not positive.
+    """
+    is_visible = np.isfinite(pair_m).all(axis=-1).ravel()
+    if not is_visible.any() or not deviation_m > 0.0:
+        raise InputError(f"blending needs a visible joint and a positive width; the width is {deviation_m} m")
+    points, target = median_m.reshape(-1, 3), np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
+    moves = target[is_visible] - points[is_visible]
+    squared = np.sum((points[:, None] - points[None, is_visible]) ** 2, axis=-1)
+    weight = np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True)) / deviation_m**2)
+    moved = points + (weight / weight.sum(axis=1, keepdims=True)) @ moves
+    return np.where(is_visible[:, None], target, moved).reshape(median_m.shape)
+
+
+def known_lengths(pair_m: Array, pairs_m: Array) -> Array:
+    """Give bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others.
+
+    Args:
+        pair_m: Pair (2, 17, 3), metres; NaN where not known.
+        pairs_m: Other pairs (k, 2, 17, 3), metres.
+    """
+    own = bone_lengths(PAIR17, np.asarray(pair_m, dtype=np.float64))
+    other = own[:, list(PAIR17.mirror)]
+    usual = np.median(bone_lengths(PAIR17, pairs_m), axis=0)
+    lengths = np.where(np.isfinite(own), own, np.where(np.isfinite(other), other, usual))
+    lengths[:, PAIR17.root] = 0.0
+    return np.asarray(lengths)

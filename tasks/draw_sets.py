@@ -1,0 +1,68 @@
+"""Draws of chains, and grown seeds beside them, as `lifting` and the evaluation read them from the store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.stage import StageInputs
+
+__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_draw_sets"]
+
+GROWN = "grown_seeds"
+"""Name under which grown seeds stand beside the densities."""
+
+
+@dataclass(frozen=True)
+class DrawSet:
+    """Draws of one density, or grown seeds.
+
+    Args:
+        name: The density, or `grown_seeds`.
+        pairs_m: Pairs (draw, person=2, joint=17, 3), metres, single precision as stored.
+        artifacts: Artifact of each draw, by index into `refs`, (draw,).
+        rows: Row of each draw in its artifact, (draw,).
+        refs: References `draws@key` or `seeds@key` of the artifacts.
+    """
+
+    name: str
+    pairs_m: np.ndarray
+    artifacts: np.ndarray
+    rows: np.ndarray
+    refs: tuple[str, ...]
+
+    def reference(self, draw: int) -> str:
+        """Give the reference of a draw as the command line takes it."""
+        return f"{self.refs[int(self.artifacts[draw])]}#{int(self.rows[draw])}"
+
+
+def draw_manifests(inputs: StageInputs) -> list[Manifest]:
+    """Give the artifacts with draws, and those with grown seeds, which count as draws."""
+    return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if seed.facts["kind"] == GROWN)]
+
+
+def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
+    """Give the draws of each density, all seeds and chains, and the grown seeds, by name in order."""
+    found: dict[str, list[tuple[str, np.ndarray]]] = {}
+    for ref in refs:
+        table = "seeds" if "seeds" in store.manifest(ref).tables else "draws"
+        name = GROWN if table == "seeds" else str(store.manifest(ref).facts["density"])
+        pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
+        if len(pairs):
+            found.setdefault(name, []).append((f"{table}@{ref.key[:16]}", pairs))
+    return {name: join_draws(name, found[name]) for name in sorted(found)}
+
+
+def join_draws(name: str, parts: Sequence[tuple[str, np.ndarray]]) -> DrawSet:
+    """Give the draws of several artifacts, each with its reference, as one set."""
+    counts = [len(pairs) for _, pairs in parts]
+    return DrawSet(
+        name=name,
+        pairs_m=np.concatenate([pairs for _, pairs in parts]),
+        artifacts=np.repeat(np.arange(len(parts)), counts),
+        rows=np.concatenate([np.arange(count) for count in counts]),
+        refs=tuple(ref for ref, _ in parts),
+    )

@@ -1,41 +1,48 @@
 """Judging a density before it is sampled: can its terms tell real pairs from corrupted ones?
 
-A corrupted pair looks like the real one in one image, or nearly: mirrored in depth, with one limb bent the other way,
-with one person nearer or further, with bodies in each other, or with depths that are another pair's.  A term that
-cannot tell them apart says nothing about 3D truth, however well it scores.
+A corrupted pair looks exactly like the real one in one image: mirrored in depth, with one limb bent the other way, with
+one person nearer or further, with bodies in each other, or with every bone's depth turned as in another pair.  That
+image is counted as annotated, so the best view of both is perfect (d_I = 0) and cannot tell them apart.  A term that
+cannot either says nothing about 3D truth, however well it scores.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import logsumexp
 
 from pasdedeux.cameras import pair_frame, view_rotmat
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import gap_m
-from pasdedeux.interaction.kernels import edge_table
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.capsules_kernel import clip_penetration
-from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.occupancy import KIND_OF_BONE, bone_cells, bone_directions
+from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth_kernels import place_bones
-from pasdedeux.sampling.likelihood import AnnotatedPairs, ViewBank, plain_log_likelihood
+from pasdedeux.sampling.likelihood import AnnotatedPairs, InteractionLikelihood, ViewBank
 from pasdedeux.sampling.seeds import SIGMA_P_M
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Corruption", "corrupt", "separation", "term_values"]
+__all__ = ["Corrupted", "Corruption", "Judge", "corrupt", "separation", "told_apart"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 CLOSE_GAP_M = 0.2
 """Pairs with a smaller gap than this are slid in depth; with a larger one a slide may be as real as the pair."""
-_TIGHTNESS = 0.16
-_GROWN_WIDTH_M = 0.02
-_PRIOR_SHARE = 0.05
+_TIGHTNESS = 1e-4
+"""Weight of the depths against the image when a pair is lifted badly: the image stays within a millimetre."""
+SIGMA_L = 0.01
+"""Bandwidth of the published likelihood; 2 sigma_l^2 is in metres (Yin et al. 2018, eq. 9)."""
+_ANKLES = PAIR17.indices(("left_ankle", "right_ankle"))
 _LIMBS = [
     PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
     for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
@@ -60,47 +67,68 @@ _SLIDE_M = {Corruption.SLID_10: 0.1, Corruption.SLID_20: 0.2, Corruption.SLID_40
 _INSIDE_M = {Corruption.INSIDE_5: 0.05, Corruption.INSIDE_10: 0.10}
 
 
-def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: Corruption) -> tuple[Indices, Array]:
+@dataclass(frozen=True)
+class Corrupted:
+    """Corrupted pairs.
+
+    Args:
+        rows: Which real pairs they are, (m,): those it could be done to.
+        pairs_m: The corrupted pairs (m, person=2, joint=17, 3), metres, in camera axes: x right, y up, z to the camera.
+        seen_m: The real pairs in the same axes; the images are the same.
+        moved_m: How far the joint moved most, (m,), metres.
+    """
+
+    rows: Indices
+    pairs_m: Array
+    seen_m: Array
+
+    @property
+    def moved_m(self) -> Array:
+        """Greatest distance that a joint moved, (m,), metres."""
+        return np.asarray(np.linalg.norm(self.pairs_m - self.seen_m, axis=-1).max(axis=(1, 2), initial=0.0))
+
+
+def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: Corruption) -> Corrupted:
     """Corrupt pairs as one image of each does not show.
 
     Args:
         rng: Chooses limbs, signs and the pairs that depths are taken from.
         pairs_m: Real pairs (n, person=2, joint=17, 3), metres.
-        directions: View of each pair that the corruption hides from, in its local frame, (n, 3).
+        directions: View of each pair that the corruption hides from, in its local frame, (n, 3).  Bodies are pushed
+            into each other along the line between the people, so there that is the view.
         kind: What is done.
-
-    Returns:
-        Indices (m,) of the pairs it could be done to, and the corrupted pairs (m, 2, 17, 3), metres, camera axes.
     """
     frame = pair_frame(pairs_m)
-    axes = view_rotmat(frame.direction(directions), frame.axes[..., 1])
+    towards = frame.direction(directions)
+    if kind in _INSIDE_M:
+        towards = normalise(pairs_m[:, 0, 0] - pairs_m[:, 1, 0])
+    axes = view_rotmat(towards, frame.axes[..., 1])
     seen = np.einsum("nij,npkj->npki", axes, pairs_m)
     rows: Indices = np.arange(len(pairs_m), dtype=np.int64)
     sign = rng.choice([-1.0, 1.0], size=len(seen))
+    false = seen.copy()
     if kind is Corruption.DEPTH_MIRRORED:
-        return rows, seen * np.array([1.0, 1.0, -1.0])
-    if kind is Corruption.LIMB_FLIPPED:
+        false[..., 2] *= -1.0
+    elif kind is Corruption.LIMB_FLIPPED:
         for row, person, limb in zip(
             rows, rng.integers(2, size=len(rows)), rng.integers(4, size=len(rows)), strict=True
         ):
             root, *rest = _LIMBS[limb]
-            seen[row, person, rest, 2] = 2.0 * seen[row, person, root, 2] - seen[row, person, rest, 2]
-        return rows, seen
-    if kind in _SLIDE_M:
+            false[row, person, rest, 2] = 2.0 * seen[row, person, root, 2] - seen[row, person, rest, 2]
+    elif kind in _SLIDE_M:
         rows = np.flatnonzero(gap_m(pairs_m) < CLOSE_GAP_M)
-        slid = seen[rows]
-        slid[:, 1, :, 2] += (_SLIDE_M[kind] * sign[rows])[:, None]
-        return rows, slid
-    if kind in _INSIDE_M:
+        false[:, 1, :, 2] += (_SLIDE_M[kind] * sign)[:, None]
+    elif kind in _INSIDE_M:
         moved = [_pushed(pair, _INSIDE_M[kind]) for pair in seen]
         rows = np.array([row for row in rows if moved[row] is not None], dtype=np.int64)
-        return rows, np.array([pair for pair in moved if pair is not None]).reshape(-1, *seen.shape[1:])
-    order, parents = np.array(PAIR17.order), np.array(PAIR17.parents)
-    lifted = np.empty_like(seen)
-    for own, other in enumerate(rng.permutation(len(seen)).tolist()):
-        image, depth = np.ascontiguousarray(seen[own, ..., :2]), np.ascontiguousarray(seen[other, ..., 2])
-        place_bones(image, depth, bone_lengths(PAIR17, seen[own]), order, parents, _TIGHTNESS, lifted[own])
-    return rows, lifted
+        for row in rows:
+            false[row] = moved[row]
+    else:
+        order, parents = np.array(PAIR17.order), np.array(PAIR17.parents)
+        for own, other in enumerate(rng.permutation(len(seen)).tolist()):
+            image, depth = np.ascontiguousarray(seen[own, ..., :2]), np.ascontiguousarray(seen[other, ..., 2])
+            place_bones(image, depth, bone_lengths(PAIR17, seen[own]), order, parents, _TIGHTNESS, false[own])
+    return Corrupted(rows=rows, pairs_m=false[rows], seen_m=seen[rows])
 
 
 def _pushed(pair: Array, depth_m: float) -> Array | None:
@@ -127,39 +155,76 @@ def _penetration(pairs_m: Array) -> Array:
     )
 
 
-def term_values(
-    pairs_m: Array, limits: JointLimits, annotated: AnnotatedPairs, bank: ViewBank, grown_m: Array
-) -> dict[str, Array]:
-    """Give terms a density can be made of, each (n,), larger where a pair is the likelier.
+@dataclass(frozen=True)
+class Judge:
+    """Everything that terms of a density are made from.
 
-    - `joint_limits`, `penetration`: minus the squared distances of eq. 2 (Yin et al. 2018); `prior`: its log;
-    - `likelihood`: eqs. 6 and 9 as published; `mean_view`, `worst_view`: minus the mean and the 90th percentile of the
-      least d_I over the views of the bank;
-    - `grown_D_I`, `grown_D_C`: minus the least distance to the grown pairs (grown, 2, 17, 3), when there are any, and
-      `grown_and_prior`: the first at 2 cm with eq. 2 at a twentieth.
+    Args:
+        limits: Ranges of joint angles.
+        occupancy: Pose prior learned from capture; an empty one knows nothing.
+        annotated: Annotated pairs.
+        bank: Views and the annotations compared with each.
+        grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; may be none.
     """
-    nearest = limits.nearest_valid(pairs_m)
-    inside = _penetration(pairs_m).sum(axis=1)
-    table = edge_table(annotated.points_m.reshape(len(annotated.points_m), -1, 2))
-    matches = [plain_log_likelihood(pair, annotated, bank, table=table) for pair in pairs_m]
-    views = np.array([match.dissimilarity_m for match in matches])
-    distance = nearest.squared_distance_m2.sum(axis=-1)
-    prior = -(distance + 10.0 * inside**2) / (2.0 * SIGMA_P_M**2)
-    terms = {
-        "joint_limits": -distance,
-        "penetration": -(inside**2),
-        "prior": prior,
-        "likelihood": np.array([match.log_likelihood for match in matches]),
-        "mean_view": -views.mean(axis=1),
-        "worst_view": -np.percentile(views, 90.0, axis=1),
-    }
-    if len(grown_m):
-        coverage = Coverage(pairs_m)
-        coverage.add(grown_m)
-        terms["grown_D_I"] = -coverage.interaction_m
-        terms["grown_D_C"] = -coverage.cartesian_m
-        terms["grown_and_prior"] = terms["grown_D_I"] / _GROWN_WIDTH_M + _PRIOR_SHARE * prior
-    return {name: np.asarray(values) for name, values in terms.items()}
+
+    limits: JointLimits
+    occupancy: Occupancy
+    annotated: AnnotatedPairs
+    bank: ViewBank
+    grown_m: Array
+
+    def values(self, pairs_m: Array) -> dict[str, Array]:
+        """Give the terms of pairs (n, person=2, joint=17, 3), each (n,), larger where a pair is the likelier.
+
+        - `joint_limits`, `penetration`: minus the squared distances of eq. 2 (Yin et al. 2018); `prior`: its log;
+          `learned_limits`: as the first, with the limits learned from capture;
+        - `contact`: minus the penetration of one body by the other alone; `ground`: minus how much higher the lowest
+          ankle of one person is than the other's, along both backbones;
+        - `pose_prior`: the least likely bone of the learned prior; `pose_prior_sum`: the sum over the bones;
+        - `likelihood`: eqs. 6 and 9 as published, `mean_view` (a geometric mean of likelihoods), `median_view`,
+          `worst_view`: minus the mean, median and 90th percentile of the least d_I over the views of the bank, all with
+          one more view that fits perfectly;
+        - with grown pairs: `grown_D_I`, `grown_D_C`, minus the least distance to one; `placement`, `limbs` and
+          `agreement` of `agreement`, and `agreement_and_prior`: that and eq. 2, what chains sample.
+        """
+        pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
+        distance = self.limits.nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
+        learned = LearnedLimits(self.limits, self.occupancy).nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
+        inside = _penetration(pairs)
+        prior = -(distance + 10.0 * inside.sum(axis=1) ** 2) / (2.0 * SIGMA_P_M**2)
+        # So wide that no view is left out as too far behind the best.
+        matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)
+        views = np.array([[*matcher.match(pair).dissimilarity_m, 0.0] for pair in pairs])
+        above, cell = bone_cells(bone_directions(pairs))
+        shares = self.occupancy.log_share[KIND_OF_BONE, above, cell]
+        up = pair_frame(pairs).axes[..., 1]
+        lowest = np.einsum("npki,ni->npk", pairs[:, :, _ANKLES], up).min(axis=-1)
+        terms = {
+            "joint_limits": -distance,
+            "learned_limits": -learned,
+            "penetration": -(inside.sum(axis=1) ** 2),
+            "contact": -inside[:, 2],
+            "ground": -np.abs(lowest[:, 1] - lowest[:, 0]),
+            "prior": prior,
+            "pose_prior": shares.min(axis=(1, 2)),
+            "pose_prior_sum": shares.sum(axis=(1, 2)),
+            "likelihood": logsumexp(-views / (2.0 * SIGMA_L**2), axis=1) - np.log(views.shape[1]),
+            "mean_view": -views.mean(axis=1),
+            "median_view": -np.median(views, axis=1),
+            "worst_view": -np.percentile(views, 90.0, axis=1),
+        }
+        if len(self.grown_m):
+            coverage = Coverage(pairs)
+            coverage.add(self.grown_m)
+            agreement = Agreement(self.grown_m, self.occupancy)
+            parts = [agreement.terms(pair) for pair in pairs]
+            terms["grown_D_I"] = -coverage.interaction_m
+            terms["grown_D_C"] = -coverage.cartesian_m
+            terms["placement"] = np.array([part.placement for part in parts])
+            terms["limbs"] = np.array([part.limbs for part in parts])
+            terms["agreement"] = np.array([part.total for part in parts])
+            terms["agreement_and_prior"] = terms["agreement"] + prior
+        return {name: np.asarray(values) for name, values in terms.items()}
 
 
 def separation(real: Array, corrupted: Array) -> float:
@@ -172,3 +237,16 @@ def separation(real: Array, corrupted: Array) -> float:
         raise InputError(f"an AUC needs real and corrupted pairs, found {len(real)} and {len(corrupted)}")
     above = (real[:, None] > corrupted[None]).mean()
     return float(above + 0.5 * (real[:, None] == corrupted[None]).mean())
+
+
+def told_apart(real: Array, corrupted: Array) -> float:
+    """Give the share of pairs whose value (n,) exceeds that of their own corruption (n,); ties count half.
+
+    Both are lifts of one image: what a chain that starts from a wrong one would have to know.
+
+    Raises:
+        InputError: There is no pair, or the numbers differ.
+    """
+    if not len(real) or len(real) != len(corrupted):
+        raise InputError(f"pairs are compared one by one, found {len(real)} real and {len(corrupted)} corrupted")
+    return float((real > corrupted).mean() + 0.5 * (real == corrupted).mean())

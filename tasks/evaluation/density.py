@@ -53,7 +53,7 @@ def shards(inputs: StageInputs, *, num_judged_pairs: int) -> list[Shard]:
 
 
 def run(shard: Shard, store: Store) -> TopicResult:
-    """Score every term, by AUC and pair by pair for every corruption, and by rank correlation with distance to truth."""
+    """Score every term by AUC and pair by pair for every corruption, and by its rank correlation with the truth."""
     count, num_takes = int(shard.parameters["num_judged_pairs"]), int(shard.parameters["num_takes"])
     take_refs = shard.inputs[:num_takes]
     grown_refs = shard.inputs[num_takes : num_takes + int(shard.parameters["num_grown"])]
@@ -112,7 +112,8 @@ def run(shard: Shard, store: Store) -> TopicResult:
     note = (
         f"{len(real)} real pairs of {', '.join(held_out)}, and corruptions that their own image does not show; that "
         "image counts as annotated, so the best view of both is perfect. `auc`: the chance that a real pair scores "
-        "above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is chance. The rank correlation "
-        "is between minus the term and the distance of pairs lifted without agreement from the nearest real one."
+        "above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is chance. The rank "
+        "correlation is between minus the term and the distance from the nearest real pair, over pairs lifted without "
+        "agreement."
     )
     return TopicResult(scores=scores, notes=[note])

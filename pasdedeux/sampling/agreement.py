@@ -1,0 +1,226 @@
+"""What pairs that look alike agree on: where the other person stands, and where each limb points.
+
+Grown pairs come from annotations under many views, so what one image hides another shows.  Given how the two bodies of
+a pair are posed, each centred on its own, a kernel density over the grown pairs posed alike says where person B is
+against person A (`placement`), and where the two bones of each limb point (`limbs`, the least likely of eight).  Being
+conditional, they do not mistake a rare pair for a wrong one.  With the least likely bone of the learned pose prior and
+the depth to which the *two* bodies penetrate each other they make `agreement`, the log of a density that chains can
+sample.  Our own; the study `density` says how its parts were chosen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.kernels import best_turn
+from pasdedeux.kinematics import align_rigid
+from pasdedeux.plausibility import Occupancy, capsule_model, clip_penetration, weakest_bone
+from pasdedeux.plausibility.occupancy import NUM_CELLS
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["Agreement", "AgreementTerms", "plain_agreement"]
+
+Array = npt.NDArray[np.float64]
+
+POSE_WIDTH_M = 0.03
+"""How alike pairs are posed to be compared: width of the root mean square joint distance, metres."""
+PLACEMENT_WIDTH_M, LIMB_WIDTH_M = 0.06, 0.08
+PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -8.0
+"""Logs do not fall below the floors: a real pair that nothing grown is like has an end."""
+PENETRATION_WIDTH_M = 0.01
+
+_LIMBS = np.array(
+    [
+        PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
+        for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
+        for side in ("left", "right")
+    ],
+    dtype=np.int64,
+)
+_NUM_LIMBS = 2 * len(_LIMBS)
+
+
+@dataclass(frozen=True)
+class AgreementTerms:
+    """What agreement is made of, logs, each at most 0 up to rounding.
+
+    Args:
+        pose: The least likely bone of either person, against the likeliest that could be; 0 without a pose prior.
+        placement: Where person B is against A, given how both are posed.
+        limbs: Where the least likely of the eight limbs points, given how both are posed.
+        contact: Minus the penetration of one body by the other, in centimetres.
+    """
+
+    pose: float
+    placement: float
+    limbs: float
+    contact: float
+
+    @property
+    def total(self) -> float:
+        """Log of the density up to a constant, at most 0."""
+        placement = _floored(self.placement, PLACEMENT_FLOOR)
+        return self.pose + PLACEMENT_WEIGHT * placement + _floored(self.limbs, LIMB_FLOOR) + self.contact
+
+
+def _floored(value: float, floor: float) -> float:
+    """Mix a density of at most 1 with a flat one of height exp(floor), scaled back to at most 1."""
+    return float(np.logaddexp(value, floor) - np.log1p(np.exp(floor)))
+
+
+class Agreement:
+    """Agreement with grown pairs, as a compiled kernel; `plain_agreement` is its oracle.
+
+    Args:
+        grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; at least one.
+        occupancy: Pose prior.
+        near_m: Only the `most` grown pairs posed most like this one (2, 17, 3) count: the bank of a chain's seed.
+        most: How many.
+
+    Raises:
+        InputError: There is no grown pair, or one that is not finite.
+    """
+
+    def __init__(self, grown_m: Array, occupancy: Occupancy, *, near_m: Array | None = None, most: int = 300) -> None:
+        grown = np.ascontiguousarray(grown_m, dtype=np.float64)
+        if not len(grown) or not np.isfinite(grown).all():
+            raise InputError("agreement needs at least one grown pair, all of its positions finite")
+        self._log_share = occupancy.log_share
+        self._model = capsule_model(PAIR17)
+        if near_m is not None and len(grown) > most:
+            distance = _distances(near_m, grown)
+            grown = grown[np.sort(np.argsort(distance, kind="stable")[:most])]
+        self._centred, self._offset = _apart(grown)
+        self._limbs = _limbs_of(grown)
+        self._work = np.empty((3 + _NUM_LIMBS, len(grown)))
+
+    def terms(self, pair_m: Array) -> AgreementTerms:
+        """Give the terms of a pair (2, 17, 3), metres."""
+        pair = np.ascontiguousarray(pair_m, dtype=np.float64)
+        centred, offset = _apart(pair[None])
+        placement, limbs = _kernel_logs(
+            centred[0],
+            offset[0],
+            _limbs_of(pair[None])[0],
+            self._centred,
+            self._offset,
+            self._limbs,
+            self._work,
+            np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
+        )
+        pose = min(weakest_bone(person, self._log_share) for person in pair) - self._best_share
+        radii = self._model.radii_of(pair[None])
+        model = self._model
+        inside = clip_penetration(pair[None], radii, model.parents, model.within, model.between)[0, 2]
+        return AgreementTerms(
+            pose=float(pose), placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M
+        )
+
+    @property
+    def _best_share(self) -> float:
+        return float(np.log(NUM_CELLS)) if self._log_share.any() else 0.0
+
+    def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
+        """Give the log of the density of a pair (2, 17, 3), at most 0; -inf when it lies below `at_least`."""
+        total = self.terms(pair_m).total
+        return total if total >= at_least else -np.inf
+
+
+def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float]:
+    """Give `placement` and `limbs` of a pair (2, 17, 3) by the definition, over grown pairs (grown, 2, 17, 3)."""
+    moving, offset = _apart(np.asarray(pair_m, dtype=np.float64)[None])
+    fixed, offsets = _apart(np.asarray(grown_m, dtype=np.float64))
+    moving = np.broadcast_to(moving, fixed.shape)
+    aligned = align_rigid(moving, fixed)
+    moved = aligned.apply(moving)
+    weight = -0.5 * ((moved - fixed) ** 2).sum(axis=(1, 2)) / fixed.shape[1] / POSE_WIDTH_M**2
+    turned = np.einsum("nij,j->ni", aligned.rotmat, offset[0])
+    limbs = np.einsum("nij,laj->nlai", aligned.rotmat, _limbs_of(np.asarray(pair_m)[None])[0])
+    place = -0.5 * ((turned - offsets) ** 2).sum(axis=1) / PLACEMENT_WIDTH_M**2
+    point = -0.5 * ((limbs - _limbs_of(np.asarray(grown_m))) ** 2).sum(axis=(2, 3)) / LIMB_WIDTH_M**2
+    every = np.logaddexp.reduce(weight)
+    return (
+        float(np.logaddexp.reduce(weight + place) - every),
+        float((np.logaddexp.reduce(weight[:, None] + point, axis=0) - every).min()),
+    )
+
+
+def _apart(pairs_m: Array) -> tuple[Array, Array]:
+    """Give pairs with each person centred on its own (n, 34, 3), and where person B's centre is from A's (n, 3)."""
+    centre = pairs_m.mean(axis=2, keepdims=True)
+    centred = (pairs_m - centre).reshape(len(pairs_m), -1, 3)
+    return np.ascontiguousarray(centred), np.ascontiguousarray(centre[:, 1, 0] - centre[:, 0, 0])
+
+
+def _limbs_of(pairs_m: Array) -> Array:
+    """Give where the middle and the end of each limb are from its root, (n, limb=8, 2, 3)."""
+    vectors = pairs_m[:, :, _LIMBS[:, 1:]] - pairs_m[:, :, _LIMBS[:, :1]]
+    return np.ascontiguousarray(vectors.reshape(len(pairs_m), _NUM_LIMBS, 2, 3))
+
+
+def _distances(pair_m: Array, grown_m: Array) -> Array:
+    """Give how far grown pairs (n, 2, 17, 3) are posed from one (2, 17, 3), each person centred, (n,), metres."""
+    moving, fixed = _apart(np.asarray(pair_m, dtype=np.float64)[None])[0], _apart(grown_m)[0]
+    moving = np.broadcast_to(moving, fixed.shape)
+    moved = align_rigid(moving, fixed).apply(moving)
+    return np.sqrt(((moved - fixed) ** 2).sum(axis=-1).mean(axis=-1))
+
+
+@numba.njit(cache=True, nogil=True)
+def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths):  # type: ignore[no-untyped-def]
+    """Give the logs of the two conditional kernel densities; `work` is (3 + limbs, other)."""
+    num_others, num_points, num_limbs = others.shape[0], others.shape[1], limbs.shape[0]
+    key, m, q, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    for one in range(num_others):
+        fixed = others[one]
+        best_turn(centred, fixed, key, m, q, turn)
+        squared = 0.0
+        for k in range(num_points):
+            for axis in range(3):
+                value = (
+                    turn[axis, 0] * centred[k, 0]
+                    + turn[axis, 1] * centred[k, 1]
+                    + turn[axis, 2] * centred[k, 2]
+                    - fixed[k, axis]
+                )
+                squared += value * value
+        weight = -0.5 * squared / num_points / (widths[0] * widths[0])
+        work[0, one] = weight
+        squared = 0.0
+        for axis in range(3):
+            value = (
+                turn[axis, 0] * offset[0] + turn[axis, 1] * offset[1] + turn[axis, 2] * offset[2] - offsets[one, axis]
+            )
+            squared += value * value
+        work[1, one] = weight - 0.5 * squared / (widths[1] * widths[1])
+        for limb in range(num_limbs):
+            squared = 0.0
+            for part in range(2):
+                for axis in range(3):
+                    value = (
+                        turn[axis, 0] * limbs[limb, part, 0]
+                        + turn[axis, 1] * limbs[limb, part, 1]
+                        + turn[axis, 2] * limbs[limb, part, 2]
+                        - other_limbs[one, limb, part, axis]
+                    )
+                    squared += value * value
+            work[2 + limb, one] = weight - 0.5 * squared / (widths[2] * widths[2])
+    every = _log_sum(work[0])
+    least = np.inf
+    for limb in range(num_limbs):
+        least = min(least, _log_sum(work[2 + limb]) - every)
+    return _log_sum(work[1]) - every, least
+
+
+@numba.njit(cache=True, nogil=True)
+def _log_sum(logs):  # type: ignore[no-untyped-def]
+    most = logs.max()
+    total = 0.0
+    for value in logs:
+        total += np.exp(value - most)
+    return most + np.log(total)

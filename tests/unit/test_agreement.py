@@ -1,0 +1,65 @@
+"""Agreement with grown pairs: the compiled kernel against the plain form, and what it must know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.plausibility import Occupancy
+from pasdedeux.sampling.agreement import Agreement, plain_agreement
+from tests.unit.test_views import dancers
+
+_RNG = np.random.default_rng(0)
+_KNOWN = dancers(0, 20)
+GROWN = np.concatenate([_KNOWN] * 10) + _RNG.normal(scale=0.015, size=(200, 2, 17, 3))
+OCCUPANCY = Occupancy.empty().extended(dancers(1, 200))
+NEAR = _KNOWN + _RNG.normal(scale=0.01, size=_KNOWN.shape)
+
+
+def test_the_kernel_agrees_with_the_definition() -> None:
+    agreement = Agreement(GROWN, OCCUPANCY)
+    for pair in [*NEAR, *dancers(2, 10)]:
+        terms = agreement.terms(pair)
+        # Logs in the hundreds of pairs that nothing is near: relative to the size of the exponents.
+        assert (terms.placement, terms.limbs) == pytest.approx(plain_agreement(pair, GROWN), rel=1e-6, abs=1e-6)
+
+
+def test_rigid_motion_changes_nothing_and_no_log_is_above_zero() -> None:
+    agreement = Agreement(GROWN, OCCUPANCY)
+    turn = rotmat_from_unitquat(normalise(np.array([0.2, -0.5, 0.1, 0.8])))
+    for pair in NEAR:
+        total = agreement.terms(pair).total
+        assert agreement.terms(pair @ turn.T + [1.0, -2.0, 3.0]).total == pytest.approx(total, rel=1e-6)
+        assert total <= 1e-9
+
+
+def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
+    agreement = Agreement(GROWN, OCCUPANCY)
+    for pair in NEAR:
+        own = agreement.terms(pair)
+        moved = pair.copy()
+        moved[1] += [0.0, 0.0, 0.4]
+        assert agreement.terms(moved).placement < own.placement - 3.0
+        assert agreement.terms(moved).limbs == pytest.approx(own.limbs, abs=1e-6)
+        bent = pair.copy()
+        bent[0, 7] = 2.0 * bent[0, 6] - bent[0, 7] + [0.0, 0.2, 0.0]
+        assert agreement.terms(bent).limbs < own.limbs
+        together = pair.copy()
+        together[1] += pair[0].mean(axis=0) - pair[1].mean(axis=0)
+        assert agreement.terms(together).contact < -5.0
+
+
+def test_a_bank_keeps_what_is_posed_alike() -> None:
+    whole, bank = Agreement(GROWN, OCCUPANCY), Agreement(GROWN, OCCUPANCY, near_m=NEAR[0], most=50)
+    # The far ones weigh nothing where the bank was made.
+    assert bank.terms(NEAR[0]).total == pytest.approx(whole.terms(NEAR[0]).total, abs=0.02)
+    log = whole.log_likelihood(NEAR[0])
+    assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
+
+
+def test_agreement_needs_grown_pairs() -> None:
+    with pytest.raises(InputError, match="grown"):
+        Agreement(GROWN[:0], OCCUPANCY)
+    assert Agreement(GROWN, Occupancy.empty()).terms(NEAR[0]).pose == 0.0

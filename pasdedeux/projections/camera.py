@@ -12,13 +12,33 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import OP14
 
-__all__ = ["DatabaseCamera", "OrthographicCamera", "PinholeCamera", "camera_from_name"]
+__all__ = ["DatabaseCamera", "OrthographicCamera", "PinholeCamera", "Rays", "camera_from_name"]
 
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 _ANKLE_HEIGHT_M = 0.07
 """Height of the ankle joint over the sole (Winter 2009, fig. 4.1: 0.039 of stature)."""
 
 Floats = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """A database camera in numbers, for kernels: y' = cos y - sin z; all times 1 / (1 - z / distance) about `below`.
+
+    Args:
+        cos_pitch: Cosine of the pitch.
+        sin_pitch: Sine of the pitch.
+        distance_m: Distance from the mid-hip; inf for parallel rays.
+        floor_to_camera_m: Height of the camera over the ankle of a standing foot; `below` is minus this and minus the
+            height of the lower ankle about the mid-hip.
+        ankles: Joints of the ankles.
+    """
+
+    cos_pitch: float = 1.0
+    sin_pitch: float = 0.0
+    distance_m: float = float("inf")
+    floor_to_camera_m: float = 0.0
+    ankles: tuple[int, ...] = tuple(_ANKLES)
 
 
 class DatabaseCamera(ABC):
@@ -36,6 +56,11 @@ class DatabaseCamera(ABC):
         return self.project(pairs_m)
 
     @property
+    @abstractmethod
+    def rays(self) -> Rays:
+        """The camera in numbers."""
+
+    @property
     def camera_from_upright_rotmat(self) -> Floats:
         """Rotation (3, 3) from upright axes before the camera to the camera's own (x right, y up, z towards it)."""
         return np.eye(3)
@@ -51,6 +76,11 @@ class OrthographicCamera(DatabaseCamera):
         """Refuse a camera that stands on its head."""
         if not -np.pi / 2 < self.pitch_rad < np.pi / 2:
             raise InputError(f"the camera's pitch is {self.pitch_rad} rad; it must lie between -pi/2 and pi/2")
+
+    @property
+    def rays(self) -> Rays:
+        """Parallel rays at the pitch."""
+        return Rays(cos_pitch=float(np.cos(self.pitch_rad)), sin_pitch=float(np.sin(self.pitch_rad)))
 
     @property
     def camera_from_upright_rotmat(self) -> Floats:
@@ -83,6 +113,11 @@ class PinholeCamera(DatabaseCamera):
             raise InputError(f"the camera's distance is {self.distance_m} m; it must be more than 1.5 m")
         if not np.isfinite(self.height_m):
             raise InputError(f"the camera's height is {self.height_m} m; it must be finite")
+
+    @property
+    def rays(self) -> Rays:
+        """Level rays through one point."""
+        return Rays(distance_m=self.distance_m, floor_to_camera_m=self.height_m - _ANKLE_HEIGHT_M)
 
     def project(self, poses_m: Floats) -> Floats:
         """Divide by depth, then put the mid-hip's image at the origin and scale to metres at its depth."""

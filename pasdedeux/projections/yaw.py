@@ -1,0 +1,147 @@
+"""Yaw between the steps of the database: each candidate turned to where its image lies nearest to the query.
+
+A yaw step of 12 degrees leaves up to 6, which moves a hand 0.7 m from the axis by 7 cm.  The metric along the yaw of
+one pose is a sum of distances between points and smooth curves; over a step to either side it is searched at a few
+places, and about the best of them by golden section.  The yaw of the step itself is one of the places, so the cost
+never grows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.search import Neighbours, prepare_query
+from pasdedeux.skeletons import OP14
+
+__all__ = ["RefinedYaws", "refine_yaws"]
+
+_NUM_PLACES = 9
+"""Places looked at over two steps, the candidate's own in the middle."""
+_NUM_SECTIONS = 14
+"""Golden sections: 0.618^14 of a quarter step is 0.06 mrad."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RefinedYaws:
+    """Candidates at yaws between the steps.
+
+    Args:
+        yaw_steps: Yaw (*batch, k) in steps of the database, what `Database.turned` takes; not reduced to one turn.
+        distance_m: Weighted mean distance per seen joint there (*batch, k); inf where there is no candidate.
+    """
+
+    yaw_steps: Array
+    distance_m: Array
+
+
+def refine_yaws(
+    database: Database, neighbours: Neighbours, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None
+) -> RefinedYaws:
+    """Turn each neighbour (*batch, k) of queries (*batch, 14, 2) to the yaw of least distance within one step.
+
+    Args:
+        database: Database searched.
+        neighbours: What was found.
+        query_m: The queries it was found for.
+        weights: Their weights (*batch, 14).
+    """
+    query, weight = prepare_query(query_m, weights)
+    joints = OP14.num_joints
+    count = neighbours.projection.shape[-1]
+    row = np.ascontiguousarray(neighbours.row.reshape(-1, count))
+    yaw = neighbours.yaw_index.reshape(-1, count).astype(np.float64)
+    distance = np.full(row.shape, np.inf)
+    rays = database.camera.rays
+    _refine(
+        query.reshape(-1, joints, 2).astype(np.float64),
+        weight.reshape(-1, joints).astype(np.float64),
+        database.poses_m,
+        row,
+        database.yaw_step_rad,
+        np.array([rays.cos_pitch, rays.sin_pitch, rays.distance_m, rays.floor_to_camera_m]),
+        np.array(rays.ankles),
+        yaw,
+        distance,
+    )
+    return RefinedYaws(yaw.reshape(neighbours.projection.shape), distance.reshape(neighbours.projection.shape))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cost(
+    yaw: float, pose: npt.NDArray[np.float32], below: float, query: Array, weight: Array, total: float, rays: Array
+) -> float:
+    """Give the metric between a query and a pose at a yaw, seen by a camera; see `camera.Rays`."""
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    summed = 0.0
+    for joint in range(query.shape[0]):
+        if weight[joint] <= 0:
+            continue
+        x = cosine * pose[joint, 0] + sine * pose[joint, 2]
+        z = cosine * pose[joint, 2] - sine * pose[joint, 0]
+        y = rays[0] * pose[joint, 1] - rays[1] * z
+        shrink = 1.0 / (1.0 - z / rays[2])
+        dx = query[joint, 0] - x * shrink
+        dy = query[joint, 1] - ((y + below) * shrink - below)
+        summed += weight[joint] * np.sqrt(dx * dx + dy * dy)
+    return summed / total
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _refine(
+    query: Array,
+    weight: Array,
+    poses: npt.NDArray[np.float32],
+    row: npt.NDArray[np.int64],
+    step: float,
+    rays: Array,
+    ankles: npt.NDArray[np.int64],
+    yaw: Array,
+    distance: Array,
+) -> None:
+    """Move `yaw`, in steps, and note `distance` there."""
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    width = 2.0 * step / (_NUM_PLACES - 1)
+    for at in range(query.shape[0]):
+        total = weight[at].sum()
+        if total <= 0:
+            continue
+        for rank in range(row.shape[1]):
+            if row[at, rank] < 0:
+                continue
+            pose = poses[row[at, rank]]
+            below = 0.0
+            if np.isfinite(rays[2]):
+                below = -rays[3] - min(pose[ankles[0], 1], pose[ankles[1], 1])
+            start = yaw[at, rank] * step
+            best = start
+            least = _cost(start, pose, below, query[at], weight[at], total, rays)
+            for place in range(_NUM_PLACES):
+                here = start + (place - _NUM_PLACES // 2) * width
+                cost = _cost(here, pose, below, query[at], weight[at], total, rays)
+                if cost < least:
+                    best, least = here, cost
+            low, high = best - width, best + width
+            a, b = high - golden * (high - low), low + golden * (high - low)
+            cost_a = _cost(a, pose, below, query[at], weight[at], total, rays)
+            cost_b = _cost(b, pose, below, query[at], weight[at], total, rays)
+            for _ in range(_NUM_SECTIONS):
+                if cost_a < cost_b:
+                    high, b, cost_b = b, a, cost_a
+                    a = high - golden * (high - low)
+                    cost_a = _cost(a, pose, below, query[at], weight[at], total, rays)
+                else:
+                    low, a, cost_a = a, b, cost_b
+                    b = low + golden * (high - low)
+                    cost_b = _cost(b, pose, below, query[at], weight[at], total, rays)
+            if min(cost_a, cost_b) < least:
+                least = min(cost_a, cost_b)
+                best = a if cost_a < cost_b else b
+            yaw[at, rank] = best / step
+            distance[at, rank] = least

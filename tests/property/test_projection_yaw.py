@@ -1,0 +1,70 @@
+"""Yaw between the steps: never further from the query, and found again where it is known."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.projections.search import Neighbours, build_index
+from pasdedeux.projections.yaw import refine_yaws
+from tests.walkers import random_poses, walk
+
+CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=3.0)]
+
+
+def make_database(seed: int, camera: DatabaseCamera) -> Database:
+    rng = np.random.default_rng(seed)
+    poses = centre_and_face(np.concatenate([walk(20, seed=seed), random_poses(rng, 5)])).poses_m
+    return Database(poses.astype(np.float32), np.zeros(len(poses), dtype=bool), camera=camera)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000), camera=st.sampled_from(CAMERAS), noise_m=st.floats(0, 0.3), missing=st.floats(0, 0.9))
+def test_refined_candidates_are_never_further_and_their_distance_is_that_of_the_camera(
+    seed: int, camera: DatabaseCamera, noise_m: float, missing: float
+) -> None:
+    database = make_database(seed, camera)
+    rng = np.random.default_rng(seed)
+    pose = database.turned(rng.integers(0, 25, 4), rng.uniform(0, 30, 4))
+    query = camera.project(pose) + rng.normal(0, noise_m, (4, 14, 2))
+    query[rng.uniform(size=(4, 14)) < missing] = np.nan
+    weights = rng.uniform(0, 1, (4, 14)) + 1e-3
+    found = build_index(database).search(query, weights, num_neighbours=6)
+    refined = refine_yaws(database, found, query, weights)
+    is_real = found.projection >= 0
+    assert (refined.distance_m[is_real] <= found.distance_m[is_real] * (1.0 + 1e-5) + 1e-6).all()
+    assert np.isinf(refined.distance_m[~is_real]).all()
+    assert (np.abs(refined.yaw_steps - found.yaw_index)[is_real] <= 1.3).all()
+    image = camera.project(database.turned(np.maximum(found.row, 0), refined.yaw_steps))
+    away = np.linalg.norm(image - query[:, None], axis=-1)
+    weight = np.where(np.isfinite(away), weights[:, None], 0.0)
+    mean = np.sum(weight * np.nan_to_num(away), axis=-1) / np.maximum(weight.sum(axis=-1), 1e-12)
+    np.testing.assert_allclose(refined.distance_m[is_real], mean[is_real], atol=1e-6)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000), camera=st.sampled_from(CAMERAS), part=st.floats(-0.5, 0.5))
+def test_a_yaw_between_the_steps_is_found_again(seed: int, camera: DatabaseCamera, part: float) -> None:
+    database = make_database(seed, camera)
+    rng = np.random.default_rng(seed)
+    row, step = rng.integers(0, 20, 5), rng.integers(0, 30, 5)
+    query = camera.project(database.turned(row, step + part))
+    at_step = Neighbours((row * 30 + step)[:, None], np.zeros((5, 1)), 30)
+    refined = refine_yaws(database, at_step, query)
+    # Poses are kept in float32 and golden section stops within 0.06 mrad.
+    np.testing.assert_allclose(refined.yaw_steps[:, 0], step + part, atol=1e-3)
+    assert (refined.distance_m < 1e-4).all()
+
+
+def test_batched_and_single_queries_agree() -> None:
+    database = make_database(0, OrthographicCamera())
+    query = database.project()[:3, 4] + np.random.default_rng(0).normal(0, 0.02, (3, 14, 2))
+    found = build_index(database).search(query, num_neighbours=5)
+    refined = refine_yaws(database, found, query)
+    for at in range(3):
+        single = Neighbours(found.projection[at], found.distance_m[at], 30)
+        np.testing.assert_array_equal(refine_yaws(database, single, query[at]).yaw_steps, refined.yaw_steps[at])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -18,9 +18,11 @@ from pasdedeux.augmentation import (
     Augmenter,
     BulkSettings,
     ContactSettings,
+    FrameLimits,
     Limit,
     QualityLimits,
     Source,
+    UserContact,
     Variant,
     Variation,
     Weights,
@@ -28,21 +30,26 @@ from pasdedeux.augmentation import (
     bone_variations,
     drawn_variations,
     group_variations,
+    population_variations,
     scale_grid,
     uniform_variations,
     variant_rotations,
 )
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store
 from storage_schema.artifact_writer import ArtifactWriter
 from tasks.stage import Parameters, Shard, Stage, StageInputs, artifact_fields, stream
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
-VERSION = 3
+VERSION = 4
 
 Scale = Annotated[float, Field(ge=0.05, le=20.0)]
+Girth = Annotated[float, Field(ge=0.2, le=5.0)]
 PersonName = Literal["A", "B", "AB"]
-KindName = Literal["uniform", "groups", "bones", "drawn"]
+KindName = Literal["uniform", "groups", "bones", "drawn", "population"]
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -70,10 +77,45 @@ class DrawnScales(Parameters):
     high: Scale = Field(1.25, description="Greatest scale of a bone")
 
 
+class DrawnBodies(Parameters):
+    """Bodies drawn as adults differ, overall size and proportions."""
+
+    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
+    correlation: float = Field(0.8, ge=0, le=1, description="Correlation of a bone's length with overall size")
+    spread: float = Field(1.0, ge=0, le=3, description="Deviations over those of the published survey")
+
+
+class StatedContact(Parameters):
+    """A contact stated by the user, in place of what is found."""
+
+    joint_a: str = Field(description="Joint of person A, by its name in body22")
+    joint_b: str = Field(description="Joint of person B")
+    start_frame: int = Field(0, ge=0, description="First frame")
+    stop_frame: int = Field(description="Frame after the last")
+    weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
+
+    @field_validator("joint_a", "joint_b")
+    @classmethod
+    def _is_a_joint(cls, joint: str) -> str:
+        if joint not in BODY22.joint_names:
+            raise ValueError(
+                f"augmentation.contacts: joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}"
+            )
+        return joint
+
+    @model_validator(mode="after")
+    def _has_frames(self) -> StatedContact:
+        if self.stop_frame <= self.start_frame:
+            raise ValueError(f"augmentation.contacts: frames {self.start_frame} to {self.stop_frame} are none")
+        return self
+
+
 class VariationSet(Parameters):
     """One set of variations; the scales are those of the stage."""
 
-    kinds: tuple[KindName, ...] = Field(("uniform",), min_length=1, description="uniform, groups, bones or drawn")
+    kinds: tuple[KindName, ...] = Field(
+        ("uniform",), min_length=1, description="uniform, groups, bones, drawn, population"
+    )
     persons: tuple[PersonName, ...] = Field(("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)")
     groups: tuple[str, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
 
@@ -118,6 +160,22 @@ class LimitParameters(Parameters):
     penetration_m: tuple[float, float] = Field((0.01, 0.1), description="Depth in the partner, metres")
     spine_bend_rad: tuple[float, float] = Field((0.6, 1.2), description="Change of the spine's bends, radians")
     jerk_ratio: tuple[float, float] = Field((1.2, 2.0), description="Jerk over the source's")
+    invalid_angles: tuple[float, float] = Field((0.2, 2.0), description="Joint angles out of range in a frame, mean")
+
+
+class FrameLimitParameters(Parameters):
+    """The same for the figures of one frame, of which those of a variant are means and percentiles: (warn, fail)."""
+
+    bone_error_m: tuple[float, float] = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
+    contact_drift_m: tuple[float, float] = Field((0.03, 0.1), description="Mean over the frame's contacts, metres")
+    foot_slide_m: tuple[float, float] = Field((0.01, 0.03), description="Sliding in stance, metres")
+    floor_penetration_m: tuple[float, float] = Field((0.02, 0.06), description="Depth under the floor, metres")
+    penetration_m: tuple[float, float] = Field((0.02, 0.12), description="Depth in the partner, metres")
+    self_penetration_m: tuple[float, float] = Field((0.05, 0.2), description="Depth in oneself, metres")
+    spine_bend_rad: tuple[float, float] = Field((0.8, 1.4), description="Change of the spine's bends, radians")
+    jerk_ratio: tuple[float, float] = Field(
+        (2.0, 5.0), description="Jerk over the greater of the source's, there or over the take"
+    )
 
 
 class AugmentationParameters(VariationSet):
@@ -129,12 +187,23 @@ class AugmentationParameters(VariationSet):
     drawn: DrawnScales = Field(
         default_factory=lambda: DrawnScales.model_validate({}), description="Scales of kind drawn"
     )
+    population: DrawnBodies = Field(
+        default_factory=lambda: DrawnBodies.model_validate({}), description="Bodies of kind population"
+    )
     fixed_person: Literal["A", "B"] | None = Field(None, description="Person who keeps the source's motion")
     weights: WeightParameters = Field(
         default_factory=lambda: WeightParameters.model_validate({}), description="Weights of the terms"
     )
     limits: LimitParameters = Field(
         default_factory=lambda: LimitParameters.model_validate({}), description="Limits of pass, warn and fail"
+    )
+    frame_limits: FrameLimitParameters = Field(
+        default_factory=lambda: FrameLimitParameters.model_validate({}), description="The same for single frames"
+    )
+    girth: tuple[Girth, Girth] = Field((1.0, 1.0), description="Thickness of A's and B's body over the source's")
+    is_joint_limited: bool = Field(False, description="Check joint angles against the published ranges")
+    contacts: dict[str, tuple[StatedContact, ...]] = Field(
+        {}, description="Contacts stated by the user, by take, in place of what is found"
     )
     contact_m: tuple[float, float] = Field((0.2, 0.3), description="Contact distance: full weight up to, none from")
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time; 0 as published")
@@ -158,6 +227,11 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     """Plan one shard per pair and batch of variants; takes of other than two people have none."""
     asked = parameters.model_dump(mode="json")
     size = asked.pop("variants_per_shard")
+    stated = asked.pop("contacts")
+    known = {take.facts["take_id"] for take in inputs.of("poses") if take.facts.get("kind") == "take"}
+    for take_id in stated:
+        if take_id not in known:
+            raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(known))}")
     shards = []
     for take in inputs.of("poses"):
         if take.facts.get("kind") != "take" or take.facts["num_persons"] != 2:
@@ -172,7 +246,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
                     version=VERSION,
                     partition=take_id,
                     name=f"{batch[0]} to {batch[-1]}",
-                    parameters={**asked, "variants": batch},
+                    parameters={**asked, "contacts": {take_id: stated.get(take_id, [])}, "variants": batch},
                     inputs=(take.ref,),
                     seed=inputs.seed,
                 )
@@ -190,7 +264,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     known = {v.variant_id: v for v in _variations(parameters, shard.seed, take_id)}
     take = read_pair(store, shard.inputs[0])
     started = time.monotonic()
-    augmenter = Augmenter(take.source, _settings(parameters))
+    augmenter = Augmenter(take.source, _settings(parameters, take_id))
     facts = {
         "kind": "variants",
         "takes": [take_id],
@@ -247,6 +321,17 @@ def _variations(parameters: AugmentationParameters, seed: int, take_id: str) -> 
                 found += group_variations(scales, chosen.persons, chosen.groups)
             elif kind == "bones":
                 found += bone_variations(scales, chosen.persons)
+            elif kind == "population":
+                for persons in chosen.persons:
+                    bodies = parameters.population
+                    generator = stream(seed, "augmentation", take_id, "population", persons)
+                    found += population_variations(
+                        generator,
+                        bodies.count,
+                        correlation=bodies.correlation,
+                        spread=bodies.spread,
+                        persons=persons,
+                    )
             else:
                 for persons in chosen.persons:
                     drawn = parameters.drawn
@@ -255,12 +340,16 @@ def _variations(parameters: AugmentationParameters, seed: int, take_id: str) -> 
     return list({variation.variant_id: variation for variation in found}.values())
 
 
-def _settings(parameters: AugmentationParameters) -> AugmentationSettings:
-    limits = parameters.limits.model_dump()
+def _settings(parameters: AugmentationParameters, take_id: str) -> AugmentationSettings:
+    limits, frame_limits = parameters.limits.model_dump(), parameters.frame_limits.model_dump()
     return AugmentationSettings(
         weights=Weights(**parameters.weights.model_dump()),
         contacts=ContactSettings(contact_m=parameters.contact_m),
         limits=QualityLimits(**{name: Limit(*pair) for name, pair in limits.items()}),
+        frame_limits=FrameLimits(**{name: Limit(*pair) for name, pair in frame_limits.items()}),
+        girth=parameters.girth,
+        joint_limits=JointLimits.published() if parameters.is_joint_limited else None,
+        user_contacts=tuple(UserContact(**stated.model_dump()) for stated in parameters.contacts.get(take_id, ())),
         bulk=BulkSettings(num_iterations=parameters.num_iterations, is_single_precision=True),
         is_bulk=parameters.solver == "bulk",
         mesh_smoothing_s=parameters.mesh_smoothing_s,
@@ -284,6 +373,17 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
             "body22_unitquat": rotations,
         },
     )
+    figures = {field.name: getattr(variant.frames, field.name) for field in fields(variant.frames)}
+    writer.append(
+        "variant_frames",
+        {
+            "take_id": [take_id] * frames,
+            "variant_id": [name] * frames,
+            "frame": np.arange(frames, dtype=np.int32),
+            **figures,
+            "verdict": [_VERDICTS[verdict] for verdict in variant.frame_verdicts],
+        },
+    )
     quality = variant.quality
     row: dict[str, Any] = {
         "take_id": take_id,
@@ -292,31 +392,18 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
         "scale_a": variant.variation.uniform_scale(0),
         "scale_b": variant.variation.uniform_scale(1),
         "num_frames": frames,
-        **{column: getattr(quality, column) for column in _QUALITY_COLUMNS},
+        **{field.name: getattr(quality, field.name) for field in fields(quality)},
         "num_iterations": variant.num_iterations,
         "solver": variant.solver,
+        "num_warn_frames": int((variant.frame_verdicts == 1).sum()),
+        "num_fail_frames": int((variant.frame_verdicts == 2).sum()),
         "verdict": variant.verdict,
         "reason": variant.reason,
     }
     writer.append("variant_quality", {column: _one_row(value) for column, value in row.items()})
 
 
-_QUALITY_COLUMNS = (
-    "num_contact_pairs",
-    "bone_error_m",
-    "contact_drift_m",
-    "contact_drift_fk_m",
-    "contact_drift_extremity_m",
-    "contact_drift_mixed_m",
-    "contact_drift_body_m",
-    "laplacian_error_m",
-    "foot_slide_m",
-    "floor_penetration_m",
-    "penetration_m",
-    "self_penetration_m",
-    "spine_bend_rad",
-    "jerk_ratio",
-)
+_VERDICTS = ("pass", "warn", "fail")
 
 
 def _one_row(value: Any) -> Any:
@@ -327,7 +414,7 @@ STAGE = Stage(
     name="augmentation",
     version=VERSION,
     reads=("takes", "poses"),
-    writes=("variants", "variant_quality"),
+    writes=("variants", "variant_quality", "variant_frames"),
     parameters=AugmentationParameters,
     plan=plan,
     run_shard=run_shard,

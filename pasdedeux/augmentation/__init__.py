@@ -6,7 +6,7 @@ from pasdedeux.augmentation.contacts import ContactSettings, UserContact
 from pasdedeux.augmentation.descent import descend
 from pasdedeux.augmentation.energy import energy_terms, total_energy
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.quality import Limit, Quality, QualityLimits
+from pasdedeux.augmentation.quality import FrameLimits, FrameQuality, Limit, Quality, QualityLimits
 from pasdedeux.augmentation.rotations import variant_rotations
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion
@@ -18,6 +18,7 @@ from pasdedeux.augmentation.variations import (
     bone_variations,
     drawn_variations,
     group_variations,
+    population_variations,
     scale_grid,
     uniform_variations,
 )
@@ -31,6 +32,8 @@ __all__ = [
     "BulkSettings",
     "BulkSolver",
     "ContactSettings",
+    "FrameLimits",
+    "FrameQuality",
     "InteractionMesh",
     "Limit",
     "Problem",
@@ -51,6 +54,7 @@ __all__ = [
     "drawn_variations",
     "energy_terms",
     "group_variations",
+    "population_variations",
     "reference_motion",
     "scale_grid",
     "total_energy",

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import project_to_bones
 from pasdedeux.augmentation.contacts import check_contacts
-from pasdedeux.augmentation.quality import Judge, Quality, Verdict
+from pasdedeux.augmentation.quality import FrameQuality, Judge, Measured, Quality, Verdict
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
@@ -44,6 +44,8 @@ class Variant:
         bone_scale: The scales used (2, 22): as asked for, the root's following the legs.
         positions_m: Motion of both people (T, 2, 22, 3), metres; always finite.
         quality: Its figures.
+        frames: Its figures frame by frame.
+        frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
         energy: Energy of the motion.
         energy_fk: Energy of plain forward kinematics, which is never lower.
         solver: `bulk`, `descent`, `bulk+descent`, or `plain_fk` when both failed.
@@ -56,6 +58,8 @@ class Variant:
     bone_scale: Array
     positions_m: Array
     quality: Quality
+    frames: FrameQuality
+    frame_verdicts: npt.NDArray[np.int64]
     energy: float
     energy_fk: float
     solver: str
@@ -75,7 +79,9 @@ class Augmenter:
         self.settings = settings or AugmentationSettings()
         self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.windows)
         check_contacts(source, self.settings.user_contacts)
-        self._judge = Judge(source, self.settings.contacts)
+        self._judge = Judge(
+            source, self.settings.contacts, girth=self.settings.girth, joint_limits=self.settings.joint_limits
+        )
         self._ready: dict[Window, WindowSolver] = {}
         self._num_joggled: dict[Window, int] = {}
 
@@ -113,18 +119,18 @@ class Augmenter:
                     points[window.start : window.stop] += share[:, None, None] * part.positions[index]
                     laplacian[window.start : window.stop] += share * part.squared_residual[index]
                 points = project_to_bones(points[None], lengths[index : index + 1])[0]
-            quality = self._judge.measure(
+            measured = self._judge.measure(
                 points,
                 reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
                 lengths_m=lengths[index],
-                laplacian_error_m=float(np.sqrt(laplacian.mean())),
+                squared_residual=laplacian,
             )
             variants.append(
                 self._variant(
                     variation,
                     bone_scale=bone_scale[index],
                     points=points,
-                    quality=quality,
+                    measured=measured,
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
                     solver=max((part.solvers[index] for part in parts), key=SOLVERS.index),
@@ -150,13 +156,15 @@ class Augmenter:
         *,
         bone_scale: Array,
         points: Array,
-        quality: Quality,
+        measured: Measured,
         energy: float,
         energy_fk: float,
         solver: str,
         num_iterations: int,
     ) -> Variant:
+        quality, frames = measured.quality, measured.frames
         verdict, reason = quality.judge(self.settings.limits)
+        frame_verdicts = frames.judge(self.settings.frame_limits)
         if solver == "plain_fk":
             verdict = Verdict.FAIL
             reason = "; ".join(
@@ -171,6 +179,8 @@ class Augmenter:
             bone_scale=bone_scale,
             positions_m=points.reshape(-1, 2, BODY22.num_joints, 3),
             quality=quality,
+            frames=frames,
+            frame_verdicts=frame_verdicts,
             energy=energy,
             energy_fk=energy_fk,
             solver=solver,

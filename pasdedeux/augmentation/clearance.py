@@ -65,9 +65,13 @@ class Clearance:
 
 
 def find_clearance(
-    source: Source, weight_between: float, weight_within: float, settings: ClearanceSettings
+    source: Source,
+    weight_between: float,
+    weight_within: float,
+    settings: ClearanceSettings,
+    girth: tuple[float, float] = (1.0, 1.0),
 ) -> Clearance:
-    """Find the pairs of bones that are near each other in the source."""
+    """Find the pairs of bones that are near each other in the source, or would be with the new girth of A and B."""
     model = capsule_model(BODY22)
     radii = model.radii_m(body_height_m(BODY22, source.lengths_m)).reshape(-1)
     parents = np.concatenate([model.parents, model.parents + BODY22.num_joints])
@@ -78,9 +82,13 @@ def find_clearance(
     pairs, weight = pairs[weight > 0], weight[weight > 0]
     points = np.ascontiguousarray(source.positions_m.reshape(-1, NUM_POINTS, 3))
     along, gaps = _nearest(points, pairs, parents, radii)
-    is_near = gaps.min(axis=0, initial=np.inf) < settings.near_m[1]
-    pairs, weight, along, gaps = pairs[is_near], weight[is_near], along[:, is_near], gaps[:, is_near]
-    nearness = fade(gaps, *settings.near_m)
+    grown = radii * (np.repeat(girth, half) - 1.0)
+    # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
+    added = np.where((pairs[:, 0] < half) & (pairs[:, 1] >= half), grown[pairs].sum(axis=1), 0.0)
+    nearest = gaps - np.maximum(added, 0.0)
+    is_near = nearest.min(axis=0, initial=np.inf) < settings.near_m[1]
+    pairs, weight, added, along = pairs[is_near], weight[is_near], added[is_near], along[:, is_near]
+    gaps, nearness = gaps[:, is_near], fade(nearest[:, is_near], *settings.near_m)
     if settings.smoothing_s > 0 and len(points) > 1:
         sigma = settings.smoothing_s * source.rate_hz
         nearness, along = (
@@ -94,7 +102,7 @@ def find_clearance(
     if settings.smoothing_s > 0 and len(points) > 1:
         normals = gaussian_filter1d(vectors, sigma, axis=0, mode="nearest", truncate=3.0)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
-    limits = (normals * vectors).sum(axis=-1) - np.maximum(gaps, 0.0)
+    limits = (normals * vectors).sum(axis=-1) - np.maximum(gaps, 0.0) + added
     is_used = nearness > _SMALLEST_WEIGHT
     rank = np.cumsum(is_used, axis=1) - 1
     most = int(is_used.sum(axis=1).max(initial=0))

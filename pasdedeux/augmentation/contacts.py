@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
 from pasdedeux.errors import InputError
+from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "contact_weights",
     "fade",
     "floor_weights",
+    "joint_radii_m",
     "stance_weights",
 ]
 
@@ -143,6 +145,16 @@ def contact_weights(source: Source, settings: ContactSettings, user: Sequence[Us
         at = (BODY22.index(contact.joint_a), BODY22.index(contact.joint_b))
         weights[contact.start_frame : contact.stop_frame, *at] = contact.weight
     return _smooth(weights, source, settings)
+
+
+def joint_radii_m(source: Source) -> Array:
+    """Give how thick each person is at each joint (2, 22), metres: radius of the thickest capsule that ends there."""
+    model = capsule_model(BODY22)
+    bones = model.radii_m(body_height_m(BODY22, source.lengths_m))
+    radii = np.array(bones)
+    for parent, child in BODY22.bones:
+        radii[:, parent] = np.maximum(radii[:, parent], bones[:, child])
+    return radii
 
 
 def stance_weights(source: Source, settings: ContactSettings) -> Array:

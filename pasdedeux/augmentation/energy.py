@@ -36,6 +36,8 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
     terms["bending"] = weights.bending * (bends**2).sum(axis=(1, 2, 3))
     frame, first, second = problem.touching
     gaps = apart[:, frame, first] - apart[:, frame, second + half]
+    if problem.contact_shift is not None:
+        gaps = gaps - problem.contact_shift
     terms["contact"] = (problem.contact[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
     points = (targets.reference + offsets)[:, :, GIRDLE_PAIRS]
     distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)

@@ -1,4 +1,4 @@
-"""How good a variant is: every figure is against the source, and a verdict says which ones are not good enough."""
+"""How good a variant is, as a whole and frame by frame: every figure is against the source, and verdicts judge them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,25 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.contacts import FEET, ContactSettings, contact_class, stance_weights
+from pasdedeux.augmentation.contacts import FEET, ContactSettings, contact_class, joint_radii_m, stance_weights
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import body_height_m, capsule_model, clip_penetration
-from pasdedeux.skeletons import BODY22
+from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model, clip_penetration
+from pasdedeux.skeletons import BODY22, PAIR17, JointMap
 
-__all__ = ["CONTACT_M", "Judge", "Limit", "Quality", "QualityLimits", "Verdict", "root_mean_square_jerk"]
+__all__ = [
+    "CONTACT_M",
+    "FrameLimits",
+    "FrameQuality",
+    "Judge",
+    "Limit",
+    "Measured",
+    "Quality",
+    "QualityLimits",
+    "Verdict",
+    "root_mean_square_jerk",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +36,14 @@ CONTACT_M = 0.2
 _STANDS = 0.5
 """A foot joint stands where its fading stance weight is above this."""
 _PERCENTILE = 95.0
+_STILL_M = 1e-9
+"""A source with less jerk than this, in metres of third difference, is still."""
+_LIMITED = JointMap(
+    name="joint limits of body22",
+    target=PAIR17,
+    table={**{name: name for name in PAIR17.joint_names}, "spine": "spine1", "chest": "spine3"},
+)
+"""Which joints of body22 stand for those of pair17, on which the ranges of the joints are defined."""
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
 _SPINES = np.array([_SPINE, [joint + BODY22.num_joints for joint in _SPINE]])
 
@@ -54,6 +73,7 @@ class QualityLimits:
     penetration_m: Limit = Limit(0.01, 0.1)
     spine_bend_rad: Limit = Limit(0.6, 1.2)
     jerk_ratio: Limit = Limit(1.2, 2.0)
+    invalid_angles: Limit = Limit(0.2, 2.0)
 
 
 class Verdict:
@@ -70,6 +90,8 @@ class Quality:
 
     Contact drifts are means of the change of distance over joint pairs closer than 0.2 m in the source: over all of
     them, over pairs of two hands or feet, over pairs of one, and over body on body; None where there is no such pair.
+    `invalid_angles` counts joint angles of a frame that are out of range and beyond what the source does, in the mean;
+    None where no ranges were asked for.
     """
 
     num_contact_pairs: int
@@ -86,6 +108,7 @@ class Quality:
     self_penetration_m: float
     spine_bend_rad: float
     jerk_ratio: float
+    invalid_angles: float | None = None
 
     def judge(self, limits: QualityLimits) -> tuple[str, str]:
         """Give the verdict and what was not passed, in words."""
@@ -101,17 +124,89 @@ class Quality:
         return verdict, "; ".join(reasons)
 
 
+@dataclass(frozen=True)
+class FrameLimits:
+    """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
+
+    bone_error_m: Limit = Limit(1e-6, 1e-4)
+    contact_drift_m: Limit = Limit(0.03, 0.1)
+    foot_slide_m: Limit = Limit(0.01, 0.03)
+    floor_penetration_m: Limit = Limit(0.02, 0.06)
+    penetration_m: Limit = Limit(0.02, 0.12)
+    self_penetration_m: Limit = Limit(0.05, 0.2)
+    spine_bend_rad: Limit = Limit(0.8, 1.4)
+    jerk_ratio: Limit = Limit(2.0, 5.0)
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """Figures of each frame of one variant, arrays (T,); columns of `variant_frames` bear the same names.
+
+    Args:
+        num_contact_pairs: Joint pairs closer than 0.2 m in the source.
+        bone_error_m: Greatest difference of a bone from its length.
+        contact_drift_m: Mean change of the distance of the frame's contact pairs; NaN where there are none.
+        laplacian_error_m: Root mean square Laplacian residual.
+        foot_slide_m: Greatest horizontal movement since the frame before of a standing foot joint, above the source's.
+        floor_penetration_m: Greatest depth of a joint under the floor beyond the source's.
+        penetration_m: Capsule penetration of the two beyond the source's.
+        self_penetration_m: The same within each person, beyond the source's and plain forward kinematics', summed.
+        spine_bend_rad: Greatest change of an angle between neighbouring spine bones.
+        jerk_ratio: Root mean square jerk over the greater of the source's there and over the source's whole take.
+    """
+
+    num_contact_pairs: npt.NDArray[np.int64]
+    bone_error_m: Array
+    contact_drift_m: Array
+    laplacian_error_m: Array
+    foot_slide_m: Array
+    floor_penetration_m: Array
+    penetration_m: Array
+    self_penetration_m: Array
+    spine_bend_rad: Array
+    jerk_ratio: Array
+
+    def judge(self, limits: FrameLimits) -> npt.NDArray[np.int64]:
+        """Give the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
+        verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
+        for field in fields(limits):
+            values, limit = getattr(self, field.name), getattr(limits, field.name)
+            verdicts = np.maximum(verdicts, (values > limit.warn).astype(np.int64) + (values > limit.fail))
+        return verdicts
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Figures of one variant, as a whole and of each frame."""
+
+    quality: Quality
+    frames: FrameQuality
+
+
 class Judge:
     """Measures variants of one take; what belongs to the source is measured once."""
 
-    def __init__(self, source: Source, contacts: ContactSettings) -> None:
+    def __init__(
+        self,
+        source: Source,
+        contacts: ContactSettings,
+        *,
+        girth: tuple[float, float] = (1.0, 1.0),
+        joint_limits: JointLimits | None = None,
+    ) -> None:
         points = source.positions_m.reshape(-1, NUM_POINTS, 3)
         half = BODY22.num_joints
+        self._num_frames = len(points)
         squared = ((points[:, :half, None] - points[:, None, half:]) ** 2).sum(axis=-1)
         self._frames, self._first, self._second = np.nonzero(squared < CONTACT_M**2)
         self._class = contact_class()[self._first, self._second]
         self._distance = np.sqrt(squared[self._frames, self._first, self._second])
+        if girth != (1.0, 1.0):
+            # Surfaces stay as far apart as they were.
+            added = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
+            self._distance += added[0, self._first] + added[1, self._second]
         self._jerk = root_mean_square_jerk(points)
+        self._frame_jerk = _frame_jerk(points)
         self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
         standing = stance_weights(source, contacts)
         self._stands = np.sqrt(standing[1:] * standing[:-1]).reshape(len(standing) - 1, len(self._feet)) > _STANDS
@@ -122,38 +217,76 @@ class Judge:
         self._model = capsule_model(BODY22)
         self._radii = self._model.radii_m(body_height_m(BODY22, source.lengths_m))
         self._penetration = self._penetrate(points)
+        self._radii = self._radii * np.array(girth)[:, None]
+        self._limits = joint_limits and joint_limits.widened(
+            _LIMITED.positions(source.positions_m, BODY22.joint_names), name=source.name, percentile=0.0
+        )
         self._bends = _spine_bends(points)
 
-    def measure(self, points: Array, *, reference: Array, lengths_m: Array, laplacian_error_m: float) -> Quality:
-        """Measure a variant: positions and plain forward kinematics (T, 44, 3), lengths (44,), metres."""
+    def measure(self, points: Array, *, reference: Array, lengths_m: Array, squared_residual: Array) -> Measured:
+        """Measure a variant.
+
+        Args:
+            points: Positions (T, 44, 3), metres.
+            reference: Plain forward kinematics (T, 44, 3), metres.
+            lengths_m: Bone lengths (44,), metres.
+            squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
+        """
         drift = np.abs(self._contact_distances(points) - self._distance)
         drift_fk = np.abs(self._contact_distances(reference) - self._distance)
         pair = points.reshape(-1, 2, BODY22.num_joints, 3)
-        bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max()
-        slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)[self._stands]
+        bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max(axis=(1, 2))
+        slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)
         below = np.maximum(self._floor - points[..., 1], 0.0)
         depths = self._penetrate(points)
-        extra = depths - self._penetration
+        extra = np.maximum(depths[:, 2] - self._penetration[:, 2], 0.0)
         by_proportions = self._penetrate(reference, is_within=True)
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
+        within = np.maximum(within, 0.0)
+        bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
         jerk = root_mean_square_jerk(points)
-        return Quality(
+        pairs = np.bincount(self._frames, minlength=self._num_frames)
+        summed = np.bincount(self._frames, weights=drift, minlength=self._num_frames)
+        steps = np.zeros(self._num_frames)
+        steps[1:] = np.where(self._stands, slide, 0.0).max(axis=1)
+        still = np.maximum(self._frame_jerk, self._jerk)
+        frame_jerk = _frame_jerk(points)
+        frames = FrameQuality(
+            num_contact_pairs=pairs,
+            bone_error_m=bone_error,
+            contact_drift_m=np.where(pairs > 0, summed / np.maximum(pairs, 1), np.nan),
+            laplacian_error_m=np.sqrt(squared_residual),
+            foot_slide_m=steps,
+            floor_penetration_m=(below - self._below).max(axis=1),
+            penetration_m=extra,
+            self_penetration_m=within,
+            spine_bend_rad=bends,
+            jerk_ratio=np.where(still > _STILL_M, frame_jerk / np.maximum(still, _STILL_M), 1.0 + frame_jerk),
+        )
+        quality = Quality(
             num_contact_pairs=len(drift),
-            bone_error_m=float(bone_error),
+            bone_error_m=float(bone_error.max()),
             contact_drift_m=_mean(drift) or 0.0,
             contact_drift_fk_m=_mean(drift_fk) or 0.0,
             contact_drift_extremity_m=_mean(drift[self._class == 2]),
             contact_drift_mixed_m=_mean(drift[self._class == 1]),
             contact_drift_body_m=_mean(drift[self._class == 0]),
-            laplacian_error_m=laplacian_error_m,
-            foot_slide_m=_mean(slide) or 0.0,
-            floor_penetration_m=float((below - self._below).max()),
-            penetration_m=float(np.percentile(np.maximum(extra[:, 2], 0.0), _PERCENTILE)),
-            self_penetration_m=float(np.percentile(np.maximum(within, 0.0), _PERCENTILE)),
-            spine_bend_rad=float(np.percentile(np.abs(_spine_bends(points) - self._bends).max(axis=1), _PERCENTILE)),
+            laplacian_error_m=float(np.sqrt(squared_residual.mean())),
+            foot_slide_m=_mean(slide[self._stands]) or 0.0,
+            floor_penetration_m=float(frames.floor_penetration_m.max()),
+            penetration_m=float(np.percentile(extra, _PERCENTILE)),
+            self_penetration_m=float(np.percentile(within, _PERCENTILE)),
+            spine_bend_rad=float(np.percentile(bends, _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
-            jerk_ratio=jerk / self._jerk if self._jerk > 1e-9 else 1.0 + jerk,
+            jerk_ratio=jerk / self._jerk if self._jerk > _STILL_M else 1.0 + jerk,
+            invalid_angles=self._invalid_angles(pair),
         )
+        return Measured(quality=quality, frames=frames)
+
+    def _invalid_angles(self, pair: Array) -> float | None:
+        if self._limits is None:
+            return None
+        return float(self._limits.num_invalid(_LIMITED.positions(pair, BODY22.joint_names)).sum(axis=-1).mean())
 
     def _contact_distances(self, points: Array) -> Array:
         apart = points[self._frames, self._first] - points[self._frames, self._second + BODY22.num_joints]
@@ -174,6 +307,14 @@ def root_mean_square_jerk(points: Array) -> float:
     if len(points) < 4:
         return 0.0
     return float(np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean()))
+
+
+def _frame_jerk(points: Array) -> Array:
+    """Give the root mean square third difference at each frame (T,), metres; ends repeat, 0 below 4 frames."""
+    if len(points) < 4:
+        return np.zeros(len(points))
+    jerk = np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=-1))
+    return np.asarray(np.pad(jerk, (1, 2), mode="edge"))
 
 
 def _spine_bends(points: Array) -> Array:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 from pasdedeux.augmentation.bulk import BulkSettings
 from pasdedeux.augmentation.contacts import ContactSettings, UserContact
-from pasdedeux.augmentation.quality import QualityLimits
+from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
 from pasdedeux.augmentation.terms import Weights
 from pasdedeux.augmentation.windows import WindowSettings
 from pasdedeux.fitting import FitSettings
+from pasdedeux.plausibility import JointLimits
 
 __all__ = ["AugmentationSettings"]
 
@@ -21,7 +22,8 @@ class AugmentationSettings:
     Args:
         weights: Weights of the terms.
         contacts: What counts as contact, stance and floor.
-        limits: When a figure is a warning or a failure.
+        limits: When a figure of a variant is a warning or a failure.
+        frame_limits: The same for the figures of one frame.
         bulk: The bulk solver's settings.
         descent: The guaranteed solver's settings.
         fallback_residual_m: A variant whose bones the bulk solver leaves further than this from their lengths (root
@@ -29,6 +31,9 @@ class AugmentationSettings:
         is_bulk: Use the bulk solver; without it every variant is solved by guaranteed descent.
         mesh_smoothing_s: Averaging of the mesh weights over time.
         fixed_person: Person (0 or 1) who keeps the source's motion, or None.
+        girth: New over old radius of the bodies of A and B; 1 leaves them as thick as they were, whatever the bones do.
+        joint_limits: Ranges of the joints that variants are checked against, widened by what the source does; None
+            checks nothing.
         user_contacts: Contacts that replace what is found.
         windows: How long takes are cut.
     """
@@ -36,11 +41,14 @@ class AugmentationSettings:
     weights: Weights = field(default_factory=Weights)
     contacts: ContactSettings = field(default_factory=ContactSettings)
     limits: QualityLimits = field(default_factory=QualityLimits)
+    frame_limits: FrameLimits = field(default_factory=FrameLimits)
     bulk: BulkSettings = field(default_factory=lambda: BulkSettings(is_single_precision=True))
     descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=5e-3))
     fallback_residual_m: float = 5e-4
     is_bulk: bool = True
     mesh_smoothing_s: float = 0.25
     fixed_person: int | None = None
+    girth: tuple[float, float] = (1.0, 1.0)
+    joint_limits: JointLimits | None = None
     user_contacts: tuple[UserContact, ...] = ()
     windows: WindowSettings = field(default_factory=WindowSettings)

@@ -5,7 +5,7 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
     E = w_L |L x - L_c d|^2                     Laplacian; own edges follow the new skeleton, cross edges the source
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
-      + sum w_C |(x_i - x_j) - (d_i - d_j)|^2   contact pairs keep the source's vector
+      + sum w_C |(x_i - x_j) - (d_i - d_j) - s_ij|^2   contact pairs keep the source's vector; s: what girth adds to it
       + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
       + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
@@ -36,6 +36,7 @@ from pasdedeux.augmentation.contacts import (
     body_parts,
     contact_weights,
     floor_weights,
+    joint_radii_m,
     stance_weights,
 )
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
@@ -154,6 +155,7 @@ class Problem:
         smoothness: Weight of the second difference at this rate.
         anchor: Weight of each point's pull towards r or, held fixed, the source (44,).
         clearance: Bones that may not come deeper into each other.
+        girth: New over old radius of each person's capsules.
         coupling: Matrix C (T, 44, 44) of the right-hand side's part C d within a frame.
         fixed_person: Index of the person held at the source, or None.
     """
@@ -172,6 +174,7 @@ class Problem:
     clearance: Clearance
     coupling: Array
     fixed_person: int | None
+    girth: tuple[float, float]
 
     @property
     def num_frames(self) -> int:
@@ -182,6 +185,32 @@ class Problem:
     def touching(self) -> tuple[npt.NDArray[np.intp], ...]:
         """Frame, joint of A and joint of B of every contact that weighs anything."""
         return np.nonzero(self.contact)
+
+    @cached_property
+    def contact_shift(self) -> Array | None:
+        """What the new girth adds to the vector of each of `touching` (m, 3), metres, along it; None as in the source.
+
+        So surfaces, not joints, stay as far apart as they were.
+        """
+        if self.girth == (1.0, 1.0):
+            return None
+        frame, first, second = self.touching
+        radii = joint_radii_m(self.source) * (np.array(self.girth)[:, None] - 1.0)
+        vectors = self.source.positions_m[frame, 0, first] - self.source.positions_m[frame, 1, second]
+        units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+        return np.asarray(units * (radii[0, first] + radii[1, second])[:, None])
+
+    @cached_property
+    def push(self) -> Array | None:
+        """The right-hand side's part that the new girth brings (3, T, 44), the same for all variants."""
+        if self.contact_shift is None:
+            return None
+        frame, first, second = self.touching
+        pull = self.contact[frame, first, second][:, None] * self.contact_shift
+        push = np.zeros((self.num_frames, NUM_POINTS, 3))
+        np.add.at(push, (frame, first), pull)
+        np.add.at(push, (frame, second + BODY22.num_joints), -pull)
+        return np.ascontiguousarray(np.moveaxis(push, -1, 0))
 
 
 @dataclass(frozen=True)
@@ -225,6 +254,7 @@ def build_problem(
     user_contacts: Sequence[UserContact] = (),
     fixed_person: int | None = None,
     mesh_smoothing_s: float = 0.25,
+    girth: tuple[float, float] = (1.0, 1.0),
 ) -> Problem:
     """Find the terms of a take and add them up to its quadratic form.
 
@@ -236,10 +266,13 @@ def build_problem(
         user_contacts: Contacts that replace what is found.
         fixed_person: Person (0 or 1) who keeps the source's motion.
         mesh_smoothing_s: Averaging of the mesh weights over time.
+        girth: New over old radius of each person's capsules; contacts then keep the distance of surfaces.
 
     Raises:
-        InputError: `fixed_person` is neither 0 nor 1, or a contact is not allowed.
+        InputError: `fixed_person` is neither 0 nor 1, a girth is not positive, or a contact is not allowed.
     """
+    if not (np.isfinite(girth).all() and min(girth) > 0):
+        raise InputError(f"girth is {girth[0]:g} for A and {girth[1]:g} for B; allowed is above 0, 1 is the source's")
     if fixed_person not in (None, 0, 1):
         raise InputError(f"fixed_person is {fixed_person}; allowed are 0 (A), 1 (B) and none")
     weights = weights or Weights()
@@ -299,9 +332,10 @@ def build_problem(
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
-        clearance=find_clearance(source, weights.clearance, weights.clearance_self, ClearanceSettings()),
+        clearance=find_clearance(source, weights.clearance, weights.clearance_self, ClearanceSettings(), girth),
         coupling=coupling,
         fixed_person=fixed_person,
+        girth=girth,
     )
 
 
@@ -338,6 +372,8 @@ def right_hand_side(problem: Problem, targets: Targets) -> Array:
         rhs[:, 1:] += change
         rhs[:, :-1] -= change
     rhs[1] += problem.floor[:, :, None] * np.transpose(targets.height, (1, 2, 0))
+    if problem.push is not None:
+        rhs += problem.push[..., None]
     return np.asarray(rhs)
 
 

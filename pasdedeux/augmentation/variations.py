@@ -20,6 +20,7 @@ __all__ = [
     "drawn_variations",
     "group_variations",
     "leg_ratio",
+    "population_variations",
     "scale_grid",
     "uniform_variations",
 ]
@@ -41,7 +42,23 @@ LIMB_GROUPS: Mapping[str, tuple[str, ...]] = {
 PAPER_SCALES: tuple[float, ...] = (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
 """0.75 to 1.25 by 0.05 without the template's own 1 (Li et al. 2024, section 4)."""
 
+DEVIATIONS: Mapping[str, float] = {
+    **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), 35.69 / 918.29),
+    **dict.fromkeys(("left_collar", "left_shoulder"), 19.16 / 415.68),
+    "left_elbow": 17.48 / 335.24,
+    "left_wrist": 15.42 / 267.88,
+    "left_hip": 24.16 / 345.73,
+    "left_knee": 30.58 / 617.95,
+    "left_ankle": 28.12 / 488.39,
+    "left_toe": 13.10 / 271.18,
+}
+"""Standard deviation of a bone's length over its mean among adults: 4,082 men of the US Army (Gordon et al. 2014,
+"2012 Anthropometric Survey of U.S. Army Personnel", NATICK/TR-15/007).  Measures that stand for bones: sitting height
+(spine), biacromial breadth (collar, shoulder), acromion-radiale and radiale-stylion length (arm), hip breadth,
+buttock-knee length (thigh), mid-patella height (shank), foot length."""
+
 _LEG_BONES = ("left_knee", "left_ankle", "right_knee", "right_ankle")
+_LARGEST_SPREAD = 3.0
 _SMALLEST_SCALE = 0.05
 _LARGEST_SCALE = 20.0
 
@@ -193,6 +210,39 @@ def drawn_variations(
             bone_scale[person] = drawn
         bone_scale[:, BODY22.root] = _root_scale(bone_scale)
         variations.append(Variation(f"{persons}-drawn-{index:04d}", bone_scale))
+    return variations
+
+
+def population_variations(
+    generator: np.random.Generator, count: int, *, correlation: float = 0.8, spread: float = 1.0, persons: str = "AB"
+) -> list[Variation]:
+    """Draw bodies as they differ among adults: overall size and proportions, left and right alike.
+
+    With z and z_b standard normal, cut at 3, the scale of bone b is 1 + spread c_b (r z + sqrt(1 - r^2) z_b): c_b from
+    `DEVIATIONS`, r the correlation of a length with overall size.  So two lengths correlate by r^2.  The survey's own
+    correlations are not used; 0.8 is a round middle of what long bones have with stature.
+
+    Raises:
+        InputError: A correlation outside 0 to 1, a spread outside 0 to 3, or a negative count.
+    """
+    if not (0 <= correlation <= 1 and 0 <= spread <= _LARGEST_SPREAD) or count < 0:
+        raise InputError(
+            f"{count} bodies with correlation {correlation:g} and spread {spread:g}: allowed are a count from 0, "
+            f"0 to 1, and 0 to {_LARGEST_SPREAD:g}"
+        )
+    names = list(DEVIATIONS)
+    bones = BODY22.indices(names)
+    mirrored = [BODY22.mirror[bone] for bone in bones]
+    deviations = np.array([DEVIATIONS[name] for name in names])
+    variations = []
+    for index in range(count):
+        bone_scale = np.ones((2, BODY22.num_joints))
+        for person in _person_indices(persons):
+            size, each = np.split(np.clip(generator.standard_normal(1 + len(names)), -3.0, 3.0), [1])
+            scale = 1.0 + spread * deviations * (correlation * size + np.sqrt(1.0 - correlation**2) * each)
+            bone_scale[person, bones] = bone_scale[person, mirrored] = scale
+        bone_scale[:, BODY22.root] = _root_scale(bone_scale)
+        variations.append(Variation(f"{persons}-population-{index:04d}", bone_scale))
     return variations
 
 

@@ -63,6 +63,7 @@ class WindowSolver:
             user_contacts=user_contacts,
             fixed_person=settings.fixed_person,
             mesh_smoothing_s=settings.mesh_smoothing_s,
+            girth=settings.girth,
         )
         self._bulk = BulkSolver(self.problem, settings.bulk) if settings.is_bulk else None
 

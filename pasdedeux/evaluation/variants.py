@@ -37,6 +37,7 @@ QUALITY_COLUMNS = {
     "self_penetration_m": "m",
     "spine_bend_rad": "rad",
     "jerk_ratio": "",
+    "invalid_angles": "",
 }
 """Columns of a variant's quality that are scored, with their units."""
 

@@ -15,7 +15,7 @@ from storage_schema.tables.lifting import (
     TORSO_BASIS,
     VIEWS,
 )
-from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_QUALITY, VARIANTS
+from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_FRAMES, VARIANT_QUALITY, VARIANTS
 from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
 
 __all__ = ["TABLES"]
@@ -42,6 +42,7 @@ TABLES: dict[str, Table] = {
         MOTIONS,
         VARIANTS,
         VARIANT_QUALITY,
+        VARIANT_FRAMES,
         MODELS,
         TRAINING_LOG,
         SCORES,

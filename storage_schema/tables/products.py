@@ -6,7 +6,7 @@ import pyarrow as pa
 
 from storage_schema.columns import Table, array, boolean, float64, integer, text
 
-__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_QUALITY"]
+__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY"]
 
 VARIANTS = Table(
     name="variants",
@@ -89,10 +89,47 @@ VARIANT_QUALITY = Table(
             is_nullable=True,
         ),
         float64("jerk_ratio", "Root mean square jerk over that of the source"),
+        float64(
+            "invalid_angles",
+            "Joint angles out of range in a frame beyond the source's, mean; null where limits were not asked for",
+            is_nullable=True,
+        ),
+        integer("num_warn_frames", "Frames with a figure that is a warning and none that is a failure"),
+        integer("num_fail_frames", "Frames with a figure that is a failure"),
         integer("num_iterations", "Iterations of the solver"),
         text("solver", "Solver that gave the result"),
         text("verdict", "pass, warn or fail"),
         text("reason", "What was not passed, in words; empty when passed"),
+    ),
+)
+
+VARIANT_FRAMES = Table(
+    name="variant_frames",
+    meaning="One row per variant of a take and frame: how good it is there.",
+    sorted_by=("take_id", "variant_id", "frame"),
+    columns=(
+        text("take_id", "Take the variant was made from"),
+        text("variant_id", "Name of the variant"),
+        integer("frame", "Frame of the take"),
+        integer("num_contact_pairs", "Joint pairs in contact in the source"),
+        float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
+        float64("contact_drift_m", "Mean change of the distance of contact pairs; NaN without one", unit="m"),
+        float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
+        float64(
+            "foot_slide_m",
+            "Greatest horizontal movement since the frame before of a standing foot joint, above the source's",
+            unit="m",
+        ),
+        float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
+        float64("penetration_m", "Capsule penetration between the two beyond the source's", unit="m"),
+        float64(
+            "self_penetration_m",
+            "The same within each person, beyond the source's and plain forward kinematics', summed",
+            unit="m",
+        ),
+        float64("spine_bend_rad", "Greatest change of an angle between spine bones against the source", unit="rad"),
+        float64("jerk_ratio", "Root mean square jerk over the greater of the source's there and over the take"),
+        text("verdict", "pass, warn or fail"),
     ),
 )
 

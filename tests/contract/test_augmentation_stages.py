@@ -124,6 +124,54 @@ def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
     np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
 
 
+def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) -> None:
+    (made,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), is_joint_limited=True)
+    frames, quality = store.read(made.ref, "variant_frames"), store.read(made.ref, "variant_quality")
+    assert frames.num_rows == 2 * FRAMES
+    assert list(frames["frame"]) == [*range(FRAMES)] * 2
+    assert set(frames["verdict"]) <= {"pass", "warn", "fail"}
+    for row in range(2):
+        mine = np.array(frames["variant_id"] == quality["variant_id"][row])
+        assert (np.array(frames["verdict"])[mine] == "warn").sum() == quality["num_warn_frames"][row]
+        assert frames["bone_error_m"][mine].max() == quality["bone_error_m"][row]
+    assert np.isfinite(quality["invalid_angles"]).all()
+    strict = {"jerk_ratio": (0.0, 0.0)}
+    (other,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), frame_limits=strict)
+    assert set(store.read(other.ref, "variant_frames")["verdict"]) == {"fail"}
+
+
+def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:
+    take = put_take(store, "pair")
+    nothing = [
+        {"joint_a": a, "joint_b": b, "stop_frame": FRAMES, "weight": 0.0}
+        for a in BODY22.joint_names
+        for b in BODY22.joint_names
+    ]
+    (found,) = augment(store, [take], scales=(0.8,))
+    (without,) = augment(store, [take], scales=(0.8,), contacts={"pair": nothing})
+    drift = [store.read(made.ref, "variant_quality")["contact_drift_m"][0] for made in (found, without)]
+    assert drift[1] > 1.5 * drift[0]
+    with pytest.raises(InputError, match="take 'pear' is not there; takes: pair"):
+        augment(store, [take], contacts={"pear": nothing[:1]})
+
+
+def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> None:
+    take = put_take(store, "pair")
+    (made,) = augment(store, [take], kinds=("population",), persons=("AB",), population={"count": 3}, girth=(1.2, 1.0))
+    quality = store.read(made.ref, "variant_quality")
+    assert list(quality["variant_id"]) == [f"AB-population-{index:04d}" for index in range(3)]
+    assert np.isnan(quality["scale_a"]).all()
+
+
+def test_a_broken_off_take_goes_on_where_it_stopped(store: Store) -> None:
+    take = put_take(store, "pair")
+    parameters = AugmentationParameters(scales=(0.8, 0.9, 1.1), variants_per_shard=1)
+    first, *_ = augmentation.plan(StageInputs({"poses": [take]}, seed=3), parameters)
+    augmentation.run_shard(first, store)
+    again = augmentation.plan(StageInputs({"poses": [take]}, seed=3), parameters)
+    assert [store.find("augmentation", shard.key) is not None for shard in again] == [True, False, False]
+
+
 def test_the_papers_layout_has_thirty_uniform_and_sixty_other_variants_a_take(store: Store) -> None:
     study, _ = load_study("augmentation_paper", load_graph(), environment={})
     inputs = StageInputs({"poses": [put_take(store, "pair")]}, seed=1)
@@ -215,6 +263,10 @@ def test_a_split_without_far_scales_says_what_it_needs(store: Store) -> None:
         {"persons": ("C",)},
         {"weights": {"reference": 0.0}},
         {"limits": {"nonsense": (1, 2)}},
+        {"girth": (0.0, 1.0)},
+        {"population": {"correlation": 2.0}},
+        {"contacts": {"pair": [{"joint_a": "nose", "joint_b": "head", "stop_frame": 3}]}},
+        {"contacts": {"pair": [{"joint_a": "head", "joint_b": "head", "start_frame": 3, "stop_frame": 3}]}},
     ],
 )
 def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from pasdedeux.augmentation import (
     bone_variations,
     drawn_variations,
     group_variations,
+    population_variations,
     scale_grid,
     uniform_variations,
 )
@@ -81,3 +82,23 @@ def test_unknown_people_groups_and_grids_are_refused() -> None:
         scale_grid(1.2, 0.8, 0.1)
     with pytest.raises(InputError, match="drawn from"):
         drawn_variations(np.random.default_rng(0), 1, low=0.0, high=1.0)
+
+
+def test_bodies_differ_as_the_survey_says_and_long_bones_belong_to_tall_people() -> None:
+    drawn = population_variations(np.random.default_rng(0), 4000, correlation=0.8, persons="A")
+    scales = np.stack([variation.bone_scale[0] for variation in drawn])
+    thigh, arm = BODY22.index("left_knee"), BODY22.index("left_elbow")
+    # Standard errors of a deviation and a correlation of 4,000 draws are about 1 %.
+    assert scales[:, thigh].std() == pytest.approx(30.58 / 617.95, rel=0.05)
+    assert scales[:, thigh].mean() == pytest.approx(1.0, abs=0.005)
+    assert np.corrcoef(scales[:, thigh], scales[:, arm])[0, 1] == pytest.approx(0.64, abs=0.05)
+    np.testing.assert_array_equal(scales, scales[:, BODY22.mirror])
+    assert all((variation.bone_scale[1] == 1.0).all() for variation in drawn)
+
+
+def test_a_population_without_spread_is_the_template() -> None:
+    (one,) = population_variations(np.random.default_rng(0), 1, spread=0.0)
+    np.testing.assert_array_equal(one.bone_scale, 1.0)
+    assert one.variant_id == "AB-population-0000"
+    with pytest.raises(InputError, match=r"correlation 1\.5"):
+        population_variations(np.random.default_rng(0), 1, correlation=1.5)

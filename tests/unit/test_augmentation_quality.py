@@ -1,0 +1,88 @@
+"""Figures of variants, as a whole and frame by frame."""
+
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import Augmenter, ContactSettings, FrameLimits, Source, uniform_variations
+from pasdedeux.augmentation.quality import Judge, Measured
+from pasdedeux.augmentation.source import points_of
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.skeletons import BODY22
+from tests.moving_pairs import swaying_pair
+
+FRAMES = 20
+
+
+def _measure(source: Source, pair: np.ndarray, *, limits: JointLimits | None = None) -> Measured:
+    judge = Judge(source, ContactSettings(), joint_limits=limits)
+    return judge.measure(
+        points_of(pair),
+        reference=points_of(source.positions_m),
+        lengths_m=source.lengths_m.reshape(-1),
+        squared_residual=np.zeros(len(pair)),
+    )
+
+
+def test_figures_of_a_variant_are_those_of_its_frames_together() -> None:
+    (variant,) = Augmenter(Source(swaying_pair(FRAMES), 30.0)).solve(uniform_variations([0.8], ["A"]))
+    quality, frames = variant.quality, variant.frames
+    assert quality.bone_error_m == frames.bone_error_m.max()
+    assert quality.num_contact_pairs == frames.num_contact_pairs.sum() > 0
+    summed = (frames.num_contact_pairs * np.nan_to_num(frames.contact_drift_m)).sum()
+    assert quality.contact_drift_m == pytest.approx(summed / quality.num_contact_pairs)
+    assert quality.laplacian_error_m == pytest.approx(np.sqrt((frames.laplacian_error_m**2).mean()))
+    assert quality.floor_penetration_m == frames.floor_penetration_m.max()
+    assert quality.penetration_m == np.percentile(frames.penetration_m, 95)
+    assert variant.frame_verdicts.shape == (FRAMES,)
+
+
+def test_the_source_itself_passes_in_every_frame() -> None:
+    source = Source(swaying_pair(FRAMES), 30.0)
+    measured = _measure(source, source.positions_m)
+    assert not measured.frames.judge(FrameLimits()).any()
+    assert measured.frames.jerk_ratio.max() <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("figure", "joint", "moved_m"),
+    [
+        ("jerk_ratio", "head", (0.3, 0.0, 0.0)),
+        ("floor_penetration_m", "left_toe", (0.0, -0.2, 0.0)),
+        ("foot_slide_m", "left_ankle", (0.2, 0.0, 0.0)),
+        ("contact_drift_m", "left_wrist", (0.0, 1.0, 0.0)),
+        ("bone_error_m", "right_elbow", (0.0, 0.1, 0.0)),
+    ],
+)
+def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happened(
+    figure: str, joint: str, moved_m: tuple[float, float, float]
+) -> None:
+    source = Source(swaying_pair(FRAMES), 30.0)
+    pair = np.array(source.positions_m)
+    pair[10, 0, BODY22.index(joint)] += moved_m
+    frames = _measure(source, pair).frames
+    values = getattr(frames, figure)
+    assert values[10] > getattr(FrameLimits(), figure).fail
+    verdicts = frames.judge(FrameLimits())
+    assert verdicts[10] == 2
+    assert not verdicts[[*range(7), *range(14, FRAMES)]].any()
+
+
+def test_joint_angles_are_counted_where_asked_for_and_only_beyond_what_the_source_does() -> None:
+    source = Source(swaying_pair(FRAMES), 30.0)
+    limits = JointLimits.published()
+    assert _measure(source, source.positions_m).quality.invalid_angles is None
+    assert _measure(source, source.positions_m, limits=limits).quality.invalid_angles == 0.0
+    pair = np.array(source.positions_m)
+    knee, ankle = BODY22.index("left_knee"), BODY22.index("left_ankle")
+    # A shank that points forward from the knee: bent the wrong way.
+    pair[:, 0, ankle] = pair[:, 0, knee] + [0.0, -0.05, 0.4]
+    found = _measure(source, pair, limits=limits).quality.invalid_angles
+    assert found is not None
+    assert found >= 1.0
+
+
+def test_a_take_of_one_frame_has_figures() -> None:
+    source = Source(swaying_pair(1), 30.0)
+    frames = _measure(source, source.positions_m).frames
+    assert frames.jerk_ratio.tolist() == [1.0]
+    assert frames.foot_slide_m.tolist() == [0.0]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.figures import Curve, curve_figure
-from pasdedeux.evaluation.scores import Score
-from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
+from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
+from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 
 __all__ = [
     "as_good_as_real_frames",
@@ -18,10 +18,12 @@ __all__ = [
     "coverage_scores",
     "curve_points",
     "real_frame_levels",
+    "realism_scores",
 ]
 
 Array = npt.NDArray[np.float64]
 
+_MOST_DRAWS, _MOST_REAL = 200, 1500
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 """Sizes of the sets of real frames (the counts of the published scale)."""
 
@@ -44,15 +46,19 @@ def real_frame_levels(truth_m: Array, real_m: Array, generator: np.random.Genera
     return coverage_curve(truth_m, real_m[order], counts)
 
 
-def as_good_as_real_frames(coverage_m: float, levels: CoverageCurve) -> float:
-    """Give N so that N real frames cover as well, by log-linear interpolation in D_C.
+def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[np.int64]) -> float:
+    """Give N so that N real frames cover as well, by log-linear interpolation.
+
+    Args:
+        coverage: C(G, S) of the draws.
+        levels: C(G, S) of `counts` real frames, (n,), in the same measure.
+        counts: Numbers of real frames, rising, (n,).
 
     Below the least level 0 is given when even one real frame covers better, and the greatest count when none does.
     """
-    values, counts = levels.cartesian_m, levels.num_draws.astype(np.float64)
-    if coverage_m > values[0]:
+    if coverage > levels[0]:
         return 0.0
-    return float(np.exp(np.interp(-coverage_m, -values, np.log(counts))))
+    return float(np.exp(np.interp(-coverage, -np.minimum.accumulate(levels), np.log(counts.astype(np.float64)))))
 
 
 def coverage_scores(
@@ -62,18 +68,60 @@ def coverage_scores(
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
         is_baseline = method in ("prior_only", "real_frames", "seeds")
-        for measure, values in (("D_I", curve.interaction_m), ("D_C", curve.cartesian_m)):
+        for measure, values, unit in _measures(curve):
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
             scores += [
-                Score("coverage", f"coverage_{measure}", method, value, "m", is_baseline, split, "all", at, num_truth)
+                Score("coverage", f"coverage_{measure}", method, value, unit, is_baseline, split, "all", at, num_truth)
                 for at, value in points
             ]
         if method != "real_frames":
-            worth = as_good_as_real_frames(float(curve.cartesian_m[-1]), levels)
-            scores.append(
-                Score("coverage", "as_good_as_real_frames", method, worth, "frames", is_baseline, split, "all")
-            )
+            scores += [
+                Score(
+                    "coverage",
+                    f"as_good_as_real_frames_{measure}",
+                    method,
+                    as_good_as_real_frames(float(own[-1]), real, levels.num_draws),
+                    "frames",
+                    is_baseline,
+                    split,
+                )
+                for (measure, own, _), (_, real, _) in zip(_measures(curve), _measures(levels), strict=True)
+            ]
+            scores.append(Score("coverage", "num_draws", method, float(curve.num_draws[-1]), "", is_baseline, split))
+    return scores
+
+
+def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
+    """Give the three measures with their values along the curve and their unit."""
+    return [("D_I", curve.interaction_m, "m"), ("D_C", curve.cartesian_m, "m"), ("D_S", curve.shape, "")]
+
+
+def realism_scores(
+    draws: Mapping[str, npt.NDArray[np.floating]], real_m: Array, generator: np.random.Generator, *, split: str
+) -> list[Score]:
+    """Give how far draws are from their nearest real pair, in D_C: the other direction of coverage.
+
+    Args:
+        draws: Draws (draw, person=2, joint=17, 3), metres, by method; at most 200 of each are looked at.
+        real_m: Real pairs (n, 2, 17, 3), metres; at most 1,500 of them are looked at.
+        generator: Chooses the real pairs.
+        split: Part of the data.
+    """
+    real = real_m[generator.permutation(len(real_m))[:_MOST_REAL]]
+    scores = []
+    for method, pairs in draws.items():
+        nearest = Coverage(np.asarray(pairs[:_MOST_DRAWS], dtype=np.float64))
+        nearest.add(real)
+        scores += summarise(
+            nearest.cartesian_m,
+            topic="coverage",
+            metric="draw_to_nearest_real_D_C",
+            method=method,
+            unit="m",
+            is_baseline=method == "prior_only",
+            split=split,
+        )
     return scores
 
 
@@ -92,24 +140,25 @@ def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
 
 
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> bytes:
-    """Draw coverage in D_C against the number of draws, real frames as levels; PNG bytes."""
-    shown: Sequence[Curve] = [
-        Curve(
-            name,
-            curve.num_draws.astype(np.float64),
-            100 * curve.cartesian_m,
-            is_baseline=name in ("prior_only", "seeds"),
+    """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, Fig. 9); PNG bytes.
+
+    Real frames are levels, in D_C and D_S as in D_I.
+    """
+    by_method = {name: (_measures(curve), curve.num_draws.astype(np.float64)) for name, curve in curves.items()}
+    panels = []
+    for index, (measure, real, unit) in enumerate(_measures(levels)):
+        factor = 100.0 if unit == "m" else 1.0
+        panels.append(
+            CurvePanel(
+                curves=[
+                    Curve(name, counts, factor * measures[index][1], is_baseline=name in ("prior_only", "seeds"))
+                    for name, (measures, counts) in by_method.items()
+                ],
+                y_label=f"{measure} to the nearest draw" + (" (cm)" if unit == "m" else ""),
+                levels={
+                    f"{count} real": factor * value
+                    for count, value in zip(levels.num_draws.tolist(), real.tolist(), strict=True)
+                },
+            )
         )
-        for name, curve in curves.items()
-    ]
-    return curve_figure(
-        shown,
-        title=f"coverage of {split.replace('_', ' ')} frames",
-        x_label="draws",
-        y_label="mean distance to the nearest draw, D_C (cm)",
-        is_log_x=True,
-        levels={
-            f"{count} real frames": 100 * value
-            for count, value in zip(levels.num_draws.tolist(), levels.cartesian_m.tolist(), strict=True)
-        },
-    )
+    return panel_figure(panels, title=f"coverage of {split.replace('_', ' ')} frames", x_label="draws")

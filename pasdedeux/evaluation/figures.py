@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.drawing import figure_png
 
-__all__ = ["Curve", "box_figure", "curve_figure", "view_figure"]
+__all__ = ["Curve", "CurvePanel", "box_figure", "curve_figure", "panel_figure", "view_figure"]
 
 Array = npt.NDArray[np.float64]
 
@@ -23,6 +23,39 @@ class Curve:
     x: Array
     y: Array
     is_baseline: bool = False
+
+
+@dataclass(frozen=True)
+class CurvePanel:
+    """Curves that share a panel, with the name of their y and horizontal levels by name."""
+
+    curves: Sequence[Curve]
+    y_label: str
+    levels: Mapping[str, float]
+
+
+def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> bytes:
+    """Draw panels side by side over a logarithmic x of one meaning; give PNG bytes."""
+    from matplotlib.figure import Figure  # here: planning does not draw
+
+    figure = Figure(figsize=(3.6 * max(len(panels), 1), 3.2), dpi=110)
+    axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
+    for axis, panel in zip(axes, panels, strict=False):
+        for curve in panel.curves:
+            axis.plot(curve.x, curve.y, linestyle="--" if curve.is_baseline else "-", marker=".", label=curve.name)
+        for name, level in panel.levels.items():
+            axis.axhline(level, color="#999999", linewidth=0.7)
+            axis.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=5, ha="right", va="bottom")
+        axis.set_xscale("log")
+        axis.set_xlabel(x_label, fontsize=8)
+        axis.set_ylabel(panel.y_label, fontsize=8)
+        axis.tick_params(labelsize=7)
+        axis.grid(visible=True, alpha=0.25)
+    if panels and panels[0].curves:
+        axes[0].legend(fontsize=6)
+    figure.suptitle(title, fontsize=9)
+    figure.tight_layout()
+    return figure_png(figure)
 
 
 def curve_figure(

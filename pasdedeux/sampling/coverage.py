@@ -1,7 +1,8 @@
 """Coverage of real pairs by draws: C(G, S) of eq. 13 (Yin et al. 2018), as a running curve over the draws.
 
 C is the mean over the real pairs G of the least dissimilarity to any draw in S, in D_I (interaction coordinates over
-Delaunay tetrahedra) and in D_C (mean joint distance after one proper rigid alignment of the pair).
+Delaunay tetrahedra), in D_C (mean joint distance after one proper rigid alignment of the pair) and in D_S (3D shape
+contexts).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.kernels import EdgeTable, edge_table_3d, nearest_update
+from pasdedeux.interaction.shape_context import ShapeCoverage
 
 __all__ = ["Coverage", "CoverageCurve", "coverage_curve", "plain_coverage"]
 
@@ -32,11 +34,13 @@ class CoverageCurve:
         num_draws: Draws taken so far, (point,).
         interaction_m: C(G, S) in D_I, (point,), metres.
         cartesian_m: C(G, S) in D_C, (point,), metres.
+        shape: C(G, S) in D_S, (point,), from 0 to 1.
     """
 
     num_draws: npt.NDArray[np.int64]
     interaction_m: Array
     cartesian_m: Array
+    shape: Array
 
 
 class Coverage:
@@ -118,16 +122,19 @@ def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> 
     points = sorted({int(point) for point in num_draws if 1 <= point <= len(draws_m)})
     if not points:
         raise InputError(f"no point of the curve lies between 1 and the {len(draws_m)} draws")
-    coverage = Coverage(truth_m)
-    interaction, cartesian = [], []
+    coverage, by_shape = Coverage(truth_m), ShapeCoverage(truth_m)
+    interaction, cartesian, shape = [], [], []
     for point in points:
+        by_shape.add(draws_m[coverage.num_draws : point])
         coverage.add(draws_m[coverage.num_draws : point])
+        shape.append(float(by_shape.shape.mean()))
         interaction.append(float(coverage.interaction_m.mean()))
         cartesian.append(float(coverage.cartesian_m.mean()))
     return CoverageCurve(
         num_draws=np.array(points, dtype=np.int64),
         interaction_m=np.array(interaction),
         cartesian_m=np.array(cartesian),
+        shape=np.array(shape),
     )
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.coverage import (
     coverage_figure,
     coverage_note,
     coverage_scores,
     curve_points,
     real_frame_levels,
+    realism_scores,
 )
-from pasdedeux.sampling.coverage import CoverageCurve, coverage_curve
+from pasdedeux.evaluation.embedding import PairMap, map_figure
+from pasdedeux.sampling.coverage import coverage_curve
 from storage_schema import ArtifactRef, Store
+from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_take_frames, read_takes
 from tasks.stage import Shard, StageInputs, stream
@@ -21,11 +25,15 @@ __all__ = ["TOPIC", "run", "shards"]
 
 TOPIC = "coverage"
 SPLITS = ("annotated", "unannotated", "held_out")
+_NUM_MAPPED = 150
+"""Real pairs on the map."""
+_MAPPED_DRAWS = (10, 50, 250)
+"""Draws of each method on its panels."""
 
 
 def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) -> list[Shard]:
     """One shard per part of the real frames, over the draws of every density and the grown seeds."""
-    draws = [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if seed.facts["kind"] == "grown_seeds")]
+    draws = draw_manifests(inputs)
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     annotations = [
         manifest
@@ -34,16 +42,18 @@ def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) 
     ]
     if not draws or not takes:
         return []
+    seeds = [seed for seed in inputs.of("seeds") if seed.facts["kind"] != GROWN]
     has_held_out = any(take.facts["is_held_out"] for take in takes)
     return [
         make_shard(
             topic=TOPIC,
             name=split,
-            inputs=[*takes, *annotations, *draws],
+            inputs=[*takes, *annotations, *seeds[:1], *draws],
             parameters={
                 "split": split,
                 "num_takes": len(takes),
                 "num_annotations": len(annotations),
+                "num_seeds": len(seeds[:1]),
                 "num_truth_pairs": num_truth_pairs,
                 "num_curve_points": num_curve_points,
             },
@@ -59,7 +69,8 @@ def run(shard: Shard, store: Store) -> TopicResult:
     split, parameters = shard.parameters["split"], shard.parameters
     take_refs = shard.inputs[: parameters["num_takes"]]
     annotation_refs = shard.inputs[parameters["num_takes"] : parameters["num_takes"] + parameters["num_annotations"]]
-    draw_refs = shard.inputs[parameters["num_takes"] + parameters["num_annotations"] :]
+    rest = shard.inputs[parameters["num_takes"] + parameters["num_annotations"] :]
+    seed_refs, draw_refs = rest[: parameters["num_seeds"]], rest[parameters["num_seeds"] :]
     held_out = {f["take_id"] for ref in take_refs if (f := store.manifest(ref).facts)["is_held_out"]}
     for ref in draw_refs:
         refuse_overlap(
@@ -72,19 +83,57 @@ def run(shard: Shard, store: Store) -> TopicResult:
     if not len(truth) or not len(others):
         return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
     truth = truth[generator.permutation(len(truth))[: parameters["num_truth_pairs"]]]
+    draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
+    # In random order, so that every seed counts from the start.
+    draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}
     curves = {
-        density: _curve(truth, pairs, parameters["num_curve_points"], generator)
-        for density, pairs in _draws(store, draw_refs).items()
+        name: coverage_curve(truth, pairs, curve_points(len(pairs), parameters["num_curve_points"]))
+        for name, pairs in draws.items()
     }
     levels = real_frame_levels(truth, others, generator)
+    words = split.replace("_", " ")
+    scores = coverage_scores(curves, levels, split=split, num_truth=len(truth))
+    scores += realism_scores(draws, np.concatenate([truth, others]), generator, split=split)
     name = f"coverage-{split}.png"
+    pictures = {name: coverage_figure(curves, levels, split=split)}
+    captions = {name: f"Coverage of {words} frames by the draws of each density and by grown seeds."}
+    shown = _map(truth, draws, _seed(store, seed_refs), split)
+    if shown is not None:
+        name = f"coverage-map-{split}.png"
+        pictures[name] = shown
+        captions[name] = (
+            f"Draws among {words} frames as their number grows, as in Yin et al. 2018, fig. 8: multi-dimensional "
+            "scaling of the real pairs under D_I, draws placed among them; centimetres; the cross is the first seed."
+        )
     return TopicResult(
-        scores=coverage_scores(curves, levels, split=split, num_truth=len(truth)),
-        pictures={name: coverage_figure(curves, levels, split=split)},
-        captions={
-            name: f"Coverage of {split.replace('_', ' ')} frames by the draws of each density and by grown seeds."
-        },
+        scores=scores,
+        pictures=pictures,
+        captions=captions,
         notes=[note] if (note := coverage_note(curves, split=split)) else [],
+    )
+
+
+def _seed(store: Store, refs: tuple[ArtifactRef, ...]) -> np.ndarray | None:
+    """Give the first seed (1, 2, 17, 3)."""
+    pairs = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
+    return pairs[0][:1] if pairs else None
+
+
+def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | None, split: str) -> bytes | None:
+    """Draw the draws among the real pairs, at three numbers of draws; nothing where the pairs are all alike."""
+    try:
+        plane = PairMap.of(truth[:_NUM_MAPPED])
+    except InputError:
+        return None
+    panels = {
+        f"{count} draws of each": {name: plane.place(pairs[:count].astype(np.float64)) for name, pairs in draws.items()}
+        for count in _MAPPED_DRAWS
+    }
+    return map_figure(
+        plane.places,
+        panels,
+        seed=None if seed is None else plane.place(seed)[0],
+        title=f"{split.replace('_', ' ')} frames and draws ({plane.share:.0%} of the spread shown)",
     )
 
 
@@ -104,22 +153,3 @@ def _split(
         others.append(pairs[~chosen[split]])
     empty = np.zeros((0, 2, 17, 3))
     return np.concatenate([empty, *wanted]), np.concatenate([empty, *others])
-
-
-def _draws(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
-    """Give the draws (draw, 2, 17, 3) of each density, all seeds and chains, and the grown seeds."""
-    found: dict[str, list[np.ndarray]] = {}
-    for ref in refs:
-        if "seeds" in store.manifest(ref).tables:
-            table = store.read(ref, "seeds", columns=["pair17_m"])
-            if table.num_rows:
-                found.setdefault("grown_seeds", []).append(np.asarray(table["pair17_m"], dtype=np.float64))
-            continue
-        table = store.read(ref, "draws", columns=["density", "pair17_m"])
-        found.setdefault(str(table["density"][0]), []).append(table["pair17_m"].astype(np.float64))
-    return {density: np.concatenate(parts) for density, parts in sorted(found.items())}
-
-
-def _curve(truth: np.ndarray, draws: np.ndarray, num_points: int, generator: np.random.Generator) -> CoverageCurve:
-    """Measure coverage over the draws in random order, so that every seed counts from the start."""
-    return coverage_curve(truth, draws[generator.permutation(len(draws))], curve_points(len(draws), num_points))

@@ -67,26 +67,26 @@ def test_real_frames_cover_better_the_more_there_are() -> None:
 
 
 def test_a_set_of_real_frames_is_as_good_as_itself() -> None:
-    levels = CoverageCurve(np.array([1, 10, 100]), np.array([3.0, 2.0, 1.0]), np.array([0.3, 0.2, 0.1]))
-    assert as_good_as_real_frames(0.2, levels) == pytest.approx(10.0)
-    assert as_good_as_real_frames(0.15, levels) == pytest.approx(np.sqrt(1000.0))
-    assert as_good_as_real_frames(0.31, levels) == 0.0
-    assert as_good_as_real_frames(0.01, levels) == pytest.approx(100.0)
+    levels, counts = np.array([0.3, 0.2, 0.1]), np.array([1, 10, 100])
+    assert as_good_as_real_frames(0.2, levels, counts) == pytest.approx(10.0)
+    assert as_good_as_real_frames(0.15, levels, counts) == pytest.approx(np.sqrt(1000.0))
+    assert as_good_as_real_frames(0.31, levels, counts) == 0.0
+    assert as_good_as_real_frames(0.01, levels, counts) == pytest.approx(100.0)
 
 
 def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
-    curve = CoverageCurve(np.array([1, 5]), np.array([0.5, 0.4]), np.array([0.2, 0.1]))
+    curve = CoverageCurve(np.array([1, 5]), np.array([0.5, 0.4]), np.array([0.2, 0.1]), np.array([0.6, 0.5]))
     scores = coverage_scores({"ic": curve, "prior_only": curve}, curve, split="held_out", num_truth=7)
     assert _by_method(scores, "coverage_D_C") == {"ic": 0.1, "prior_only": 0.1, "real_frames": 0.1}
-    assert sum(not np.isnan(s.at) for s in scores) == 2 * 2 * 3
+    assert sum(not np.isnan(s.at) for s in scores) == 2 * 3 * 3
     assert {s.method for s in scores if s.is_baseline} == {"prior_only", "real_frames"}
     assert curve_points(1, 5) == [1]
     assert curve_points(1000, 4) == [1, 10, 100, 1000]
 
 
 def test_the_note_on_coverage_says_when_the_annotations_did_not_help() -> None:
-    good = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.1]))
-    poor = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.2]))
+    good = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.1]), np.array([0.6]))
+    poor = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.2]), np.array([0.6]))
     assert "ic is better (10.0 against 20.0 cm" in coverage_note({"ic": good, "prior_only": poor}, split="held_out")
     assert "ic is not better (20.0 against 10.0 cm" in coverage_note({"ic": poor, "prior_only": good}, split="held_out")
     assert coverage_note({"ic": good}, split="held_out") == ""

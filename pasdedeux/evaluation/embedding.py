@@ -1,0 +1,150 @@
+"""The space of pairs as a picture: draws among real pairs by multi-dimensional scaling (Yin et al. 2018, Fig. 8).
+
+Classical scaling of the real pairs under D_I; draws are placed among them by their dissimilarities to the real ones (de
+Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points"), so more draws never move the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.drawing import figure_png
+from pasdedeux.interaction.kernels import edge_table_3d, nearest_update
+
+__all__ = ["PairMap", "interaction_distances", "map_figure"]
+
+Array = npt.NDArray[np.float64]
+
+
+def interaction_distances(first_m: Array, second_m: Array) -> Array:
+    """Give D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
+
+    Raises:
+        InputError: A coordinate is not finite.
+    """
+    first, second = (_centred(pairs) for pairs in (first_m, second_m))
+    one, other = edge_table_3d(first), edge_table_3d(second)
+    distances = np.empty((len(first), len(second)))
+    _fill(*(first, one.edges, one.weights, one.counts), *(second, other.edges, other.weights, other.counts), distances)
+    return distances
+
+
+@dataclass(frozen=True)
+class PairMap:
+    """A plane on which real pairs lie as far apart as D_I says, as far as a plane can.
+
+    Args:
+        landmarks_m: The real pairs, (n, person=2, joint, 3), metres.
+        places: Where they lie, (n, 2), metres.
+        share: Share of the positive eigenvalues that the plane shows.
+    """
+
+    landmarks_m: Array
+    places: Array
+    share: float
+    _mean_squares: Array
+    _inverse: Array
+
+    @classmethod
+    def of(cls, pairs_m: Array) -> PairMap:
+        """Lay out real pairs (n, person=2, joint, 3), metres, at least three that differ.
+
+        Raises:
+            InputError: There are fewer than three, or all are the same.
+        """
+        if len(pairs_m) < 3:
+            raise InputError(f"a map needs at least 3 pairs, found {len(pairs_m)}")
+        squared = interaction_distances(pairs_m, pairs_m) ** 2
+        squared = 0.5 * (squared + squared.T)
+        np.fill_diagonal(squared, 0.0)
+        mean = squared.mean(axis=0)
+        values, vectors = np.linalg.eigh(-0.5 * (squared - mean - mean[:, None] + squared.mean()))
+        largest = values[::-1][:2]
+        if largest[1] <= 1e-12:
+            raise InputError("a map needs pairs that differ in more than one way")
+        axes = vectors[:, ::-1][:, :2]
+        # The sign of an eigenvector is anyone's: the largest entry is made positive.
+        axes = axes * np.sign(axes[np.argmax(np.abs(axes), axis=0), [0, 1]])
+        root = np.sqrt(largest)
+        return cls(
+            landmarks_m=pairs_m,
+            places=axes * root,
+            share=float(largest.sum() / values[values > 0].sum()),
+            _mean_squares=mean,
+            _inverse=(axes / root).T,
+        )
+
+    def place(self, pairs_m: Array) -> Array:
+        """Give where other pairs (m, person=2, joint, 3) lie, (m, 2), metres."""
+        if not len(pairs_m):
+            return np.empty((0, 2))
+        squared = interaction_distances(pairs_m, self.landmarks_m) ** 2
+        return np.asarray(-0.5 * (squared - self._mean_squares) @ self._inverse.T)
+
+
+def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: Array | None, title: str) -> bytes:
+    """Draw sets of draws over the real pairs, a panel for each; give PNG bytes.
+
+    Args:
+        real: Places of the real pairs (n, 2).
+        panels: For each panel, by its title, the places of sets of draws by their name.
+        seed: Place of the seed (2,), drawn as a cross; none where it is not known.
+        title: Title of the picture.
+    """
+    from matplotlib.figure import Figure  # here: planning does not draw
+
+    colours = {"ic": "#c2188f", "prior_only": "#2a9d3a", "grown_seeds": "#e0861a"}
+    figure = Figure(figsize=(2.9 * max(len(panels), 1), 3.1), dpi=110)
+    axes = figure.subplots(1, max(len(panels), 1), squeeze=False, sharex=True, sharey=True)[0]
+    for axis, (name, sets) in zip(axes, panels.items(), strict=False):
+        axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", linewidths=0, label="real")
+        for number, (method, places) in enumerate(sets.items()):
+            colour = colours.get(method, f"C{number + 4}")
+            axis.scatter(100 * places[:, 0], 100 * places[:, 1], s=4, color=colour, linewidths=0, label=method)
+        if seed is not None:
+            axis.plot(100 * seed[0], 100 * seed[1], "kx", markersize=7)
+        axis.set_title(name, fontsize=8)
+        axis.tick_params(labelsize=6)
+        axis.set_aspect("equal")
+    axes[0].legend(fontsize=6)
+    figure.suptitle(title, fontsize=9)
+    figure.tight_layout()
+    return figure_png(figure)
+
+
+def _centred(pairs_m: Array) -> Array:
+    points = np.asarray(pairs_m, dtype=np.float64)
+    points = points.reshape(len(points), -1, 3)
+    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(  # type: ignore[no-untyped-def]
+    first, first_edges, first_weights, first_counts, second, edges, weights, counts, distances
+):
+    best, which = np.empty((2, 1)), np.empty((2, 1), np.int64)
+    for row in range(first.shape[0]):
+        one = slice(row, row + 1)
+        for column in range(second.shape[0]):
+            other = slice(column, column + 1)
+            best[:] = np.inf
+            nearest_update(
+                first[one],
+                first_edges[one],
+                first_weights[one],
+                first_counts[one],
+                second[other],
+                edges[other],
+                weights[other],
+                counts[other],
+                0,
+                best,
+                which,
+            )
+            distances[row, column] = best[0, 0]

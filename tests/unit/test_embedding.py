@@ -1,0 +1,61 @@
+"""The map of pairs, and coverage in three measures beside its definitions."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores
+from pasdedeux.evaluation.embedding import PairMap, interaction_distances, map_figure
+from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
+from pasdedeux.interaction.shape_context import pair_shape_dissimilarity
+from pasdedeux.sampling.coverage import coverage_curve
+from pasdedeux.sampling.synthetic import random_pairs
+
+PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
+
+
+def test_distances_are_the_interaction_dissimilarity() -> None:
+    found = interaction_distances(PAIRS[:3], PAIRS[3:7])
+    plain = [
+        [interaction_dissimilarity(one.reshape(-1, 3), other.reshape(-1, 3)) for other in PAIRS[3:7]]
+        for one in PAIRS[:3]
+    ]
+    np.testing.assert_allclose(found, plain, atol=1e-9)
+
+
+def test_a_real_pair_is_placed_where_it_already_lies() -> None:
+    plane = PairMap.of(PAIRS)
+    np.testing.assert_allclose(plane.place(PAIRS[4:7]), plane.places[4:7], atol=1e-6)
+    assert 0.0 < plane.share <= 1.0
+
+
+def test_a_map_of_equal_pairs_is_refused() -> None:
+    with pytest.raises(InputError, match="differ"):
+        PairMap.of(np.repeat(PAIRS[:1], 5, axis=0))
+
+
+def test_shape_coverage_of_a_curve_is_the_least_dissimilarity() -> None:
+    curve = coverage_curve(PAIRS[:5], PAIRS[5:], [1, 8])
+    plain = pair_shape_dissimilarity(PAIRS[:5, None], PAIRS[None, 5:13])
+    np.testing.assert_allclose(curve.shape, [plain[:, 0].mean(), plain.min(axis=1).mean()], atol=1e-9)
+
+
+def test_real_pairs_are_at_no_distance_from_themselves() -> None:
+    scores = realism_scores({"ic": PAIRS[:6]}, PAIRS, np.random.default_rng(0), split="annotated")
+    assert {score.metric for score in scores} == {f"draw_to_nearest_real_D_C_{k}" for k in ("mean", "median", "p90")}
+    assert max(score.value for score in scores) < 1e-6
+
+
+def test_the_pictures_of_coverage_are_drawn() -> None:
+    curve = coverage_curve(PAIRS[:5], PAIRS[5:], [1, 4])
+    levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
+    plane = PairMap.of(PAIRS[:10])
+    panels = {"8 draws": {"ic": plane.place(PAIRS[:8]), "prior_only": plane.place(PAIRS[8:12])}}
+    for picture in (
+        coverage_figure({"ic": curve}, levels, split="annotated"),
+        map_figure(plane.places, panels, seed=plane.places[0], title="map"),
+    ):
+        assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR) is not None

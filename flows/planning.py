@@ -196,6 +196,9 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     """
     selection = selection or Selection()
     selected = selection.stages(graph)
+    for stage in graph.stages:
+        if stage.check is not None and stage.name in selected:
+            stage.check(study.parameters[stage.name])
     past = _Pasts(store, study.name)
     plans: dict[str, StagePlan] = {}
     for stage in graph.stages:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shipped_studies"]
+__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shipped_studies", "study_from_tree"]
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 _HEAD = "study"
@@ -106,6 +106,33 @@ def load_study(
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise StudyError([f"study {label} is not valid TOML: {error}"]) from None
+    return study_from_tree(tree, graph, label=label, base=base, here=here, settings=settings, environment=environment)
+
+
+def study_from_tree(
+    tree: dict[str, Any],
+    graph: Graph,
+    *,
+    label: str,
+    base: Path,
+    here: Path,
+    settings: Sequence[str] = (),
+    environment: Mapping[str, str] | None = None,
+) -> tuple[Study, Graph]:
+    """Make a study of what its file says, section by section, with its overrides, as `load_study` does.
+
+    Args:
+        tree: The file's tables; overrides are put into it.
+        graph: All stages.
+        label: What to call the study in messages.
+        base: Folder that the file's relative paths start from.
+        here: Folder that those of overrides start from.
+        settings: Overrides, "a.b=c".
+        environment: Environment with further ones, the process's own when None.
+
+    Raises:
+        StudyError: Lists every problem.
+    """
     problems: list[str] = []
     overridden: list[tuple[str, ...]] = []
     for path, value, origin in _overrides(settings, os.environ if environment is None else environment, problems):

@@ -13,12 +13,23 @@ from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
+from tasks.seed_files import SeedFile, credits_of, load_seed, read_seed
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 from tasks.views import read_torso_basis, shares_takes
 
-__all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "plan", "read_limits", "run_shard", "start_indices"]
+__all__ = [
+    "STAGE",
+    "VERSION",
+    "SeedFrame",
+    "SeedsParameters",
+    "check",
+    "plan",
+    "read_limits",
+    "run_shard",
+    "start_indices",
+]
 
-VERSION = 2
+VERSION = 3
 
 
 _GROWTH_PARAMETERS = (
@@ -45,6 +56,7 @@ class SeedsParameters(Parameters):
 
     num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
     frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
+    files: tuple[SeedFile, ...] = Field((), description="Files that become seeds too: pairs edited or restarted from")
     max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
     num_lifted: int = Field(
         0,
@@ -68,8 +80,8 @@ class SeedsParameters(Parameters):
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
-        if not (self.num_seeds or self.frames or self.num_lifted):
-            raise ValueError("num_seeds, frames and num_lifted all ask for none; chains need at least one seed")
+        if not (self.num_seeds or self.frames or self.files or self.num_lifted):
+            raise ValueError("num_seeds, frames, files and num_lifted all ask for none; chains need at least one seed")
         return self
 
     @model_validator(mode="after")
@@ -100,6 +112,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         for index in range(parameters.num_seeds):
             chosen = {"seed_index": index, "max_frames_per_take": parameters.max_frames_per_take}
             shards.append(_shard(inputs, index, chosen, refs))
+    shards += [_file_shard(inputs, len(shards) + at, file) for at, file in enumerate(parameters.files)]
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
     if not annotated or not views:
@@ -117,6 +130,41 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         before = tuple(shard.key for shard in shards)
         shards.append(_shared_shard(inputs, "grown", chosen, (*limits, *seen), before))
     return shards
+
+
+def check(parameters: SeedsParameters) -> None:
+    """Refuse files that are no seeds, before anything runs.
+
+    Raises:
+        InputError: Names the file and what is wrong with it.
+    """
+    for file in parameters.files:
+        load_seed(file)
+
+
+def _file_shard(inputs: StageInputs, index: int, file: SeedFile) -> Shard:
+    loaded = load_seed(file)
+    hidden = {take for manifest in inputs.of("poses") if manifest.facts.get("is_held_out") for take in _takes(manifest)}
+    seen = sorted(hidden.intersection(loaded.pair.takes))
+    if seen:
+        raise InputError(
+            f"seeds.files: {file.path.name} was made from take '{seen[0]}', which this study holds out: "
+            "nothing that is learned may have seen it"
+        )
+    return Shard(
+        stage="seeds",
+        version=VERSION,
+        partition=f"seed{index}",
+        name="file",
+        parameters={"seed_index": index, **loaded.options},
+        inputs=tuple(manifest.ref for manifest in inputs.of("joint_limits")),
+        files=loaded.files,
+        seed=inputs.seed,
+    )
+
+
+def _takes(manifest: Manifest) -> list[str]:
+    return [str(take) for take in manifest.facts.get("takes", [])]
 
 
 def _shared_shard(
@@ -163,6 +211,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         return _lift(shard, store)
     if shard.name == "grown":
         return _grow(shard, store)
+    if shard.name == "file":
+        return _take_in(shard, store)
     index = int(shard.parameters["seed_index"])
     poses = [ref for ref in shard.inputs if "poses" in store.manifest(ref).tables]
     if "take" in shard.parameters:
@@ -179,6 +229,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "sequence_id": [None],
         "sequence_frame": [None],
         "parent_seed_index": [None],
+        "made_from": [None],
         "generation": [0],
         "gap_m": [None],
         "log_prior": seed_quality(pair[None], read_limits(shard, store)).log_prior,
@@ -192,6 +243,33 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
     }
     return commit(shard, store, tables={"seeds": columns}, facts=facts)
+
+
+def _take_in(shard: Shard, store: Store) -> ArtifactRef:
+    """Commit a seed that came in a file, gauge-fixed, with the lineage that the file states."""
+    index = int(shard.parameters["seed_index"])
+    pair = read_seed(shard)
+    columns = {
+        "seed_index": [index],
+        "origin": ["draw" if pair.made_from.startswith("draws@") else "file"],
+        "take_id": [None],
+        "take_frame": [None],
+        "sequence_id": [None],
+        "sequence_frame": [None],
+        "parent_seed_index": [None],
+        "made_from": [pair.made_from or None],
+        "generation": [0],
+        "gap_m": [None],
+        "log_prior": seed_quality(pair.pair_m[None], read_limits(shard, store)).log_prior,
+        "pair17_m": gauge_fix(pair.pair_m)[None],
+    }
+    facts = {
+        "kind": "seed",
+        "seed_index": index,
+        "made_from": pair.made_from,
+        "takes": sorted({*pair.takes, *merge_takes(*(store.manifest(ref) for ref in shard.inputs))}),
+    }
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, sources=credits_of(pair))
 
 
 def _lift(shard: Shard, store: Store) -> ArtifactRef:
@@ -218,6 +296,7 @@ def _lift(shard: Shard, store: Store) -> ArtifactRef:
         "sequence_id": [sequence for sequence, _ in places],
         "sequence_frame": [frame for _, frame in places],
         "parent_seed_index": [None] * count,
+        "made_from": [None] * count,
         "generation": [0] * count,
         "gap_m": [None] * count,
         "log_prior": seeds.log_prior,
@@ -264,6 +343,7 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
         "sequence_id": [sequence for sequence, _ in places],
         "sequence_frame": [frame for _, frame in places],
         "parent_seed_index": growth.parent,
+        "made_from": [None] * count,
         "generation": growth.generation,
         "gap_m": growth.gap_m,
         "log_prior": growth.log_prior,
@@ -341,5 +421,6 @@ STAGE = Stage(
     parameters=SeedsParameters,
     plan=plan,
     run_shard=run_shard,
+    check=check,
     meaning="3D pose pairs from which chains start",
 )

@@ -105,6 +105,8 @@ class Stage:
         plan: Gives the shards for these inputs and parameters; reads manifests, never data.
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
+        check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
+            called before anything runs, also while the stage waits for what it reads.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Stage:
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
     run_shard: Callable[[Shard, Store], ArtifactRef] = field(repr=False)
     meaning: str = ""
+    check: Callable[[Any], None] | None = field(default=None, repr=False)
 
 
 def merge_takes(*manifests: Manifest) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from flows.console import bench, building, datasets, doctor, looking, reconstruct, studies
+from flows.console import bench, building, datasets, doctor, looking, reconstruct, restart, studies
 from flows.console.context import Context
 from flows.planning import PlanError
 from flows.study import StudyError
@@ -98,6 +98,7 @@ def _app() -> typer.Typer:
     looking.register(app)
     datasets.register(app)
     studies.register(app)
+    restart.register(app)
     reconstruct.register(app)
     bench.register(app)
     doctor.register(app)

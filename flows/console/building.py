@@ -20,7 +20,7 @@ from storage_schema import Store, latest_studies
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["register"]
+__all__ = ["SettingOption", "build_and_tell", "register"]
 
 _LEAST_FREE_BYTES = 64 * 1024**2
 _GIB = 1024**3
@@ -82,9 +82,34 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
-    started = time.perf_counter()
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, graph, opened, made = _prepare(context, study, settings, store, selection)
+    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    build_and_tell(
+        chosen,
+        graph,
+        open_store(store),
+        selection,
+        workers=workers,
+        worker_memory=worker_memory,
+        scheduler=scheduler,
+        as_json=as_json,
+    )
+
+
+def build_and_tell(
+    chosen: Study,
+    graph: Graph,
+    opened: Store,
+    selection: Selection,
+    *,
+    workers: int | None,
+    as_json: bool,
+    worker_memory: float = 2.0,
+    scheduler: str | None = None,
+) -> None:
+    """Bring a study up to date and say what was done; how it is run is as the options of `run` say."""
+    started = time.perf_counter()
+    made = make_plan(chosen, graph, opened, selection)
     if made.is_fresh:
         outcome = settle(Run(chosen, graph, opened, selection), made)
     else:

@@ -27,6 +27,7 @@ class ExportFormat(StrEnum):
     BVH = "bvh"
     NPZ = "npz"
     CSV = "csv"
+    JSON = "json"
 
 
 @dataclass

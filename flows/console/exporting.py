@@ -15,6 +15,7 @@ from flows.console.context import ExportFormat
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.exact_motion import exact_motion
+from pasdedeux.formats.pair_file import write_pair_bvh, write_pair_json
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
@@ -30,6 +31,7 @@ from storage_schema import (
     parse_reference,
     resolve,
 )
+from tasks.seed_files import pair_of_draw, pairs_of_seeds
 
 __all__ = ["export_reference"]
 
@@ -46,16 +48,40 @@ def export_reference(store: Store, text: str, file_format: ExportFormat, out: Pa
     """
     reference = parse_reference(text)
     refs = resolve(reference, store)
-    if file_format is ExportFormat.BVH and (reference.table not in _BVH_TABLES or reference.row is not None):
-        raise InputError(f"'{text}' cannot be written as BVH; allowed are whole {', '.join(_BVH_TABLES)}")
+    is_pair = reference.table == "seeds" or (reference.table == "draws" and reference.row is not None)
+    is_motion = reference.table in _BVH_TABLES and reference.row is None
+    if file_format is ExportFormat.BVH and not (is_motion or is_pair):
+        allowed = f"whole {', '.join(_BVH_TABLES)}, seeds and single draws"
+        raise InputError(f"'{text}' cannot be written as BVH; allowed are {allowed}")
+    if file_format is ExportFormat.JSON and not is_pair:
+        raise InputError(f"'{text}' cannot be written as JSON; allowed are seeds and single draws (draws@key#row)")
     out.mkdir(parents=True, exist_ok=True)
-    if file_format is ExportFormat.BVH:
+    if is_pair and file_format in (ExportFormat.BVH, ExportFormat.JSON):
+        written = _write_pairs(store, text, reference, file_format, out)
+    elif file_format is ExportFormat.BVH:
         written = [_write(out / f"{name}.bvh", write_bvh(motion)) for name, motion in _motions(store, reference, refs)]
     elif file_format is ExportFormat.NPZ:
         written = [_write_npz(out / f"{reference.table}.npz", open_table(text, store))]
     else:
         written = [_write_csv(out / f"{reference.table}.csv", store, text)]
     return [*written, _write(out / "CREDITS.txt", _credits(store, text, refs))]
+
+
+def _write_pairs(store: Store, text: str, reference: Reference, file_format: ExportFormat, out: Path) -> list[Path]:
+    """Write pairs for editing, as a study reads them back (`seeds.files`): JSON for both people, or a BVH for each."""
+    if reference.table == "seeds":
+        pairs = [(f"seed{index}", pair) for index, pair in pairs_of_seeds(store, text)]
+    else:
+        draw = pair_of_draw(store, text)
+        pairs = [(f"draw-{draw.key[:12]}-{draw.row}", draw.pair)]
+    written = []
+    for name, pair in pairs:
+        if file_format is ExportFormat.JSON:
+            written.append(_write(out / f"{name}.json", write_pair_json(pair)))
+        else:
+            for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True):
+                written.append(_write(out / f"{name}_{letter}.bvh", person))
+    return written
 
 
 def _motions(store: Store, reference: Reference, refs: list[ArtifactRef]) -> Iterator[tuple[str, Motion]]:

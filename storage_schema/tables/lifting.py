@@ -79,13 +79,21 @@ SEEDS = Table(
     sorted_by=("seed_index",),
     columns=(
         integer("seed_index", "Index of the seed in the study"),
-        text("origin", "frame (of a take), lifted (from 2D alone), grown (from other seeds) or draw (a restart)"),
+        text(
+            "origin",
+            "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone) or grown (from seeds)",
+        ),
         text("take_id", "Take it came from, else null", is_nullable=True),
         integer("take_frame", "Frame of that take, else null", is_nullable=True),
         text("sequence_id", "Annotated sequence it was lifted from, else null", is_nullable=True),
         integer("sequence_frame", "Annotated frame of that sequence, else null", is_nullable=True),
         integer(
             "parent_seed_index", "Seed that a grown seed was lifted from, the nearest one; else null", is_nullable=True
+        ),
+        text(
+            "made_from",
+            "What a seed from a file was made from, as the file says, such as draws@key#row; else null",
+            is_nullable=True,
         ),
         integer("generation", "Steps of growth from a seed that did not grow; 0 for those"),
         float64(

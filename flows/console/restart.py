@@ -1,0 +1,115 @@
+"""`restart`: goes on from a draw that somebody liked, as the seed of new chains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flows.console.building import SettingOption, build_and_tell
+from flows.console.context import Context, JsonOption, StoreOption, open_store
+from flows.planning import PlanError, Selection
+from flows.records import last_sections, read_last_run
+from flows.study import study_from_tree
+from storage_schema import Store, latest_studies
+
+if TYPE_CHECKING:
+    from tasks.seed_files import DrawSeed
+
+__all__ = ["register"]
+
+_RESTART = """Go on from a draw: new chains that start where it is (Yin et al. 2018, section 5.3).
+
+Look through the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, and
+
+\b
+  pasdedeux restart draws:duets/ic-seed0#17
+  pasdedeux restart draws@3fa9c1#17 --draws 5000 --chains 4
+  pasdedeux restart draws@3fa9c1#17 --set chains.kernel=velocity
+
+The draw is written to a file (JSON, for editing too).  The file becomes the only seed of a study of its own, named
+after the one that the draw is from and with the same settings otherwise; that is run until its chains are there.  What
+it needs of the first study is in the store already.  The new draws carry the lineage: the seed they start from names
+the draw, and the takes and credits of the draw are theirs.
+"""
+_NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("restart", help=_RESTART)(restart)
+
+
+def restart(
+    context: typer.Context,
+    draw: Annotated[str, typer.Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],
+    num_draws: Annotated[
+        int | None, typer.Option("--draws", min=1, help="Draws of each new chain; as many as before when not given.")
+    ] = None,
+    num_chains: Annotated[
+        int | None, typer.Option("--chains", min=1, help="New chains; as many as before when not given.")
+    ] = None,
+    settings: SettingOption = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the seed's file.")] = Path("restarts"),
+    store: StoreOption = Path("store"),
+    workers: Annotated[int | None, typer.Option(min=0, help="Local worker processes, as for `run`.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Go on from a draw."""
+    from pasdedeux.formats.pair_file import write_pair_json
+    from tasks.seed_files import pair_of_draw
+
+    opened = open_store(store)
+    chosen = pair_of_draw(opened, draw)
+    origin, sections = _study_of(opened, chosen)
+    path = out / f"draw-{chosen.key[:12]}-{chosen.row}.json"
+    name = f"{origin}-restart-{chosen.key[:12]}-{chosen.row}"
+    tree = _restarted(sections, chosen, name, path.resolve())
+    if num_draws is not None:
+        tree["chains"]["num_draws"] = num_draws
+    if num_chains is not None:
+        tree["chains"]["num_chains"] = num_chains
+    study, graph = study_from_tree(
+        tree,
+        context.find_object(Context).graph,  # type: ignore[union-attr]
+        label=name,
+        base=Path.cwd(),
+        here=Path.cwd(),
+        settings=settings or (),
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
+    if not as_json:
+        typer.echo(f"the draw is the seed in {path}; its study is {name}")
+    build_and_tell(study, graph, opened, Selection(until="chains"), workers=workers, as_json=as_json)
+    if not as_json:
+        typer.echo(f"new draws: pasdedeux show draws:{name}")
+        typer.echo(f"how the chains went: pasdedeux show chain_info:{name}")
+
+
+def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
+    """Give the study that a draw is from, with its settings as they were."""
+    for study in latest_studies(store):
+        last = read_last_run(store, study)
+        if last is None or all(record.key != chosen.key for record in last.stages.get("chains", ())):
+            continue
+        sections = last_sections(store, last)
+        if sections:
+            return study, sections
+    raise PlanError(
+        f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store.root}: "
+        f"with what settings should it go on?  Export it (pasdedeux export draws@{chosen.key[:12]}#{chosen.row} "
+        "--format json) and name the file in a study under seeds.files"
+    )
+
+
+def _restarted(sections: dict[str, Any], chosen: DrawSeed, name: str, path: Path) -> dict[str, Any]:
+    """Give a study's settings with the draw as its only seed."""
+    tree: dict[str, Any] = {section: dict(values) for section, values in sections.items()}
+    tree["study"] |= {"name": name, "title": f"Restart from draws@{chosen.key[:12]}#{chosen.row}"}
+    if tree["study"].get("stages") is None:
+        tree["study"].pop("stages", None)
+    tree["seeds"] |= {**_NO_OTHER_SEEDS, "files": [{"path": str(path)}]}
+    tree["chains"] |= {"densities": [chosen.density]}
+    return tree

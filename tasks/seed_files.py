@@ -1,0 +1,182 @@
+"""Seeds as files: what a study names, what the store gives out, and a draw that becomes a seed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
+from pasdedeux.sampling.parameters import PairChart
+from storage_schema import SourceCredit, Store, UnknownReference, parse_reference, resolve
+from tasks.ingest.sources import NOT_STATED, load_file
+from tasks.stage import Parameters, Shard, SourceFile
+
+__all__ = [
+    "DrawSeed",
+    "LoadedSeed",
+    "SeedFile",
+    "credits_of",
+    "load_seed",
+    "pair_of_draw",
+    "pairs_of_seeds",
+    "read_seed",
+]
+
+
+class SeedFile(Parameters):
+    """A file, or two of BVH, that becomes a seed."""
+
+    path: Path = Field(
+        description="JSON file of a pair as `pasdedeux export seeds:... --format json` writes it, or BVH"
+    )
+    other: Path | None = Field(None, description="BVH of person B, when `path` is the BVH of person A")
+    frame: int = Field(0, ge=0, description="Frame of the BVH files")
+    metres_per_unit: float = Field(0.01, gt=0, description="Length of the unit of the BVH files, metres")
+    takes: tuple[str, ...] = Field((), description="Takes it shows or was made from, beside those that the file names")
+
+
+@dataclass(frozen=True)
+class LoadedSeed:
+    """A seed read from files, with what its shard needs to read them again."""
+
+    pair: PairFile
+    files: tuple[SourceFile, ...]
+    options: dict[str, Any]
+
+
+def load_seed(file: SeedFile) -> LoadedSeed:
+    """Read and check a seed's files.
+
+    Raises:
+        InputError: With the file's name in front: not there, mangled, or no pair.
+    """
+    paths = [file.path] if file.other is None else [file.path, file.other]
+    loaded = [load_file(path) for path in paths]
+    is_bvh = loaded[0].data.lstrip()[:9].upper() == b"HIERARCHY"
+    name = file.path.name
+    if is_bvh and file.other is None:
+        raise InputError(f"seeds.files: {name} is the BVH of one person; `other` must name that of person B")
+    if not is_bvh and file.other is not None:
+        raise InputError(f"seeds.files: {name} is no BVH, so there can be no `other` file beside it")
+    options: dict[str, Any] = {
+        "file_format": "bvh" if is_bvh else "json",
+        "frame": file.frame,
+        "metres_per_unit": file.metres_per_unit,
+        "takes": list(file.takes),
+    }
+    try:
+        pair = _parsed(options, [one.data for one in loaded])
+    except InputError as error:
+        raise type(error)(f"seeds.files: {' and '.join(path.name for path in paths)}: {error}") from None
+    return LoadedSeed(pair, tuple(one.file for one in loaded), options)
+
+
+def read_seed(shard: Shard) -> PairFile:
+    """Read the seed of a shard that `load_seed` made the files and options of; its takes are all named.
+
+    Raises:
+        InputError: A file changed since.
+    """
+    data = [Path(file.path).read_bytes() for file in shard.files]
+    for file, content in zip(shard.files, data, strict=True):
+        if hashlib.sha256(content).hexdigest() != file.sha256:
+            raise InputError(f"file {file.path} changed since the run was planned; run again")
+    return _parsed(shard.parameters, data)
+
+
+def _parsed(options: Mapping[str, Any], data: Sequence[bytes]) -> PairFile:
+    if options["file_format"] == "bvh":
+        pair = pair_from_bvh(*data, frame=options["frame"], metres_per_unit=options["metres_per_unit"])
+    else:
+        pair = read_pair_json(data[0])
+    takes = tuple(sorted({*pair.takes, *options["takes"]}))
+    return PairFile(pair.pair_m, pair.made_from, takes, pair.sources)
+
+
+def credits_of(pair: PairFile) -> list[SourceCredit]:
+    """Give the licences and credits of a seed from a file; a file that says nothing of them is named as such."""
+    if not pair.sources:
+        return [SourceCredit(name="seed files given in the study", licence=NOT_STATED, credit=NOT_STATED)]
+    return [SourceCredit(one.name, one.licence, one.credit) for one in pair.sources]
+
+
+@dataclass(frozen=True)
+class DrawSeed:
+    """A stored draw as a pair, and which one it is."""
+
+    pair: PairFile
+    key: str
+    row: int
+    density: str
+
+
+def pair_of_draw(store: Store, text: str) -> DrawSeed:
+    """Give a stored draw, in float64 as the chain had it, with its lineage.
+
+    Args:
+        store: Store that holds it.
+        text: Reference to one row of `draws`: `draws@key#row`, or `draws:study/partition#row`.
+
+    Raises:
+        UnknownReference: The reference names no draw.
+        InputError: It names more than one.
+    """
+    reference = parse_reference(text)
+    if reference.table != "draws" or reference.row is None:
+        raise InputError(f"'{text}' is not a draw; a draw is draws@key#row or draws:study/partition#row")
+    row = reference.row
+    for ref in resolve(reference, store):
+        count = store.manifest(ref).tables["draws"].rows
+        if row < count:
+            break
+        row -= count
+    else:
+        total = reference.row - row
+        raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {total} rows here")
+    manifest = store.manifest(ref)
+    draw = store.read(ref, "draws", rows=slice(row, row + 1))
+    seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
+    seeds = store.read(manifest.inputs[0], "seeds", columns=["seed_index", "pair17_m"])
+    own = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
+    chart = PairChart(np.array(seeds["pair17_m"][own], dtype=np.float64))
+    positions = chart.positions(np.array(draw["parameters"][0], dtype=np.float64))
+    pair = PairFile(
+        pair_m=positions,
+        made_from=f"draws@{ref.key}#{row}",
+        takes=tuple(manifest.facts.get("takes", ())),
+        sources=tuple(PairSource(one.name, one.licence, one.credit) for one in manifest.sources),
+    )
+    return DrawSeed(pair, ref.key, row, density)
+
+
+def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
+    """Give the seeds that a reference names, each with its index, as `export` writes them.
+
+    Raises:
+        UnknownReference: The reference names nothing.
+    """
+    reference = parse_reference(text)
+    found: list[tuple[int, PairFile]] = []
+    for ref in resolve(reference, store):
+        manifest = store.manifest(ref)
+        table = store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
+        for row in range(table.num_rows):
+            pair = PairFile(
+                pair_m=np.array(table["pair17_m"][row], dtype=np.float64),
+                made_from=f"seeds@{ref.key}#{row}",
+                takes=tuple(manifest.facts.get("takes", ())),
+                sources=tuple(PairSource(one.name, one.licence, one.credit) for one in manifest.sources),
+            )
+            found.append((int(table["seed_index"][row]), pair))
+    if reference.row is not None:
+        if reference.row >= len(found):
+            raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {len(found)} rows here")
+        found = found[reference.row : reference.row + 1]
+    return found

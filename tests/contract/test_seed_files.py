@@ -1,0 +1,218 @@
+"""Seeds from files: refused before any work when they are wrong, exact when they are right, with their lineage."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.context import ExportFormat
+from flows.console.exporting import export_reference
+from flows.execution import Run, begin, execute
+from flows.planning import Selection, make_plan
+from flows.study import Study
+from pasdedeux.errors import InputError
+from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
+from pasdedeux.sampling import gauge_fix
+from pasdedeux.sampling.synthetic import random_pairs
+from storage_schema import Manifest, Store, open_table
+from tasks import seeds
+from tasks.graph import Graph
+from tasks.seed_files import SeedFile, pair_of_draw
+from tasks.seeds import SeedsParameters
+from tasks.stage import StageInputs
+from tests.real_study import build_here, call_in_process, never_begun
+from tests.toy_runs import serial
+
+PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
+
+STUDY = """
+[study]
+name = "edited"
+stages = ["ingest", "priors", "views", "seeds", "chains"]
+
+[ingest]
+rate_hz = 12.0
+duets = [{{ name = "waltz", duration_s = 1.0 }}, {{ name = "hug", duration_s = 1.0 }}]
+held_out = ["hug"]
+virtual_video = {{ num_random_views = 8 }}
+
+[seeds]
+num_seeds = {num_seeds}
+files = [{{ path = "{path}"{more} }}]
+
+[chains]
+densities = ["ic"]
+num_chains = 2
+num_draws = 8
+segment_draws = 4
+thin = 2
+num_views = 3
+"""
+
+
+def write_study(folder: Path, *, path: str = "seed.json", more: str = "", num_seeds: int = 0) -> Path:
+    study = folder / "edited.toml"
+    study.write_text(STUDY.format(path=path, more=more, num_seeds=num_seeds))
+    return study
+
+
+def planned(store: Store, file: SeedFile) -> list[Manifest]:
+    shards = seeds.plan(StageInputs({}, seed=1), SeedsParameters(num_seeds=0, files=[file]))
+    return [store.manifest(seeds.run_shard(shard, store)) for shard in shards]
+
+
+def test_a_seed_of_a_file_is_the_pair_in_it_with_its_lineage(tmp_path: Path) -> None:
+    source = PairSource("someone", "CC0", "made it")
+    (tmp_path / "a.json").write_text(write_pair_json(PairFile(PAIR, "draws@abc#3", ("one",), (source,))))
+    store = Store(tmp_path / "store")
+    (made,) = planned(store, SeedFile(path=tmp_path / "a.json", takes=("two",)))
+    table = store.read(made.ref, "seeds")
+    np.testing.assert_allclose(table["pair17_m"][0], PAIR, atol=1e-12)
+    assert (table["origin"][0], table["made_from"][0]) == ("draw", "draws@abc#3")
+    assert made.facts["takes"] == ["one", "two"]
+    assert [(one.name, one.licence, one.credit) for one in made.sources] == [("someone", "CC0", "made it")]
+
+
+def test_a_seed_of_two_bvh_files_is_the_pair_in_them(tmp_path: Path) -> None:
+    for name, text in zip("ab", write_pair_bvh(PAIR), strict=True):
+        (tmp_path / f"{name}.bvh").write_text(text)
+    store = Store(tmp_path / "store")
+    (made,) = planned(store, SeedFile(path=tmp_path / "a.bvh", other=tmp_path / "b.bvh"))
+    table = store.read(made.ref, "seeds")
+    np.testing.assert_allclose(table["pair17_m"][0], PAIR, atol=2e-6)
+    assert table["origin"][0] == "file"
+    assert made.sources[0].licence == "not stated"
+
+
+def test_where_a_file_lies_does_not_matter_and_what_it_holds_does(tmp_path: Path) -> None:
+    keys = []
+    for name, pair in (("a", PAIR), ("b", PAIR), ("c", PAIR + 1e-9)):
+        (tmp_path / f"{name}.json").write_text(write_pair_json(PairFile(pair)))
+        parameters = SeedsParameters(num_seeds=0, files=[SeedFile(path=tmp_path / f"{name}.json")])
+        keys.append(seeds.plan(StageInputs({}, seed=1), parameters)[0].key)
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_a_file_that_changes_between_plan_and_run_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(write_pair_json(PairFile(PAIR)))
+    (shard,) = seeds.plan(StageInputs({}, seed=1), SeedsParameters(num_seeds=0, files=[SeedFile(path=path)]))
+    path.write_text(write_pair_json(PairFile(PAIR + 0.1)))
+    with pytest.raises(InputError, match="changed since the run was planned"):
+        seeds.run_shard(shard, Store(tmp_path / "store"))
+
+
+@pytest.mark.parametrize(
+    ("text", "more", "message"),
+    [
+        (None, "", "seed.json does not exist"),
+        ("{", "", "seeds.files: seed.json: this is not JSON"),
+        ("{}", "", "seeds.files: seed.json: this is no pair: the key 'format' must be 'pasdedeux pair'"),
+        ("HIERARCHY", "", "seed.json is the BVH of one person; `other` must name that of person B"),
+        (write_pair_json(PairFile(PAIR)), ', other = "b.bvh"', "b.bvh does not exist"),
+        (write_pair_json(PairFile(PAIR)).replace("head", "hat"), "", "person A: joint 'head' is missing"),
+    ],
+)
+def test_a_wrong_file_is_one_sentence_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str | None, more: str, message: str
+) -> None:
+    if text is not None:
+        (tmp_path / "seed.json").write_text(text)
+    study = write_study(tmp_path, more=more)
+    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
+    assert found.code == 2
+    assert message in found.err
+    assert found.err.count("\n") == 1
+    assert never_begun(tmp_path / "store")
+
+
+def test_a_seed_made_from_a_take_that_is_held_out_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "seed.json").write_text(write_pair_json(PairFile(PAIR, takes=("hug",))))
+    study = write_study(tmp_path)
+    build_here(study, tmp_path / "store", "seeds.files=[]", "seeds.num_seeds=1")
+    found = call_in_process(capsys, "run", study, "--store", tmp_path / "store")
+    assert found.code == 2
+    assert "seed.json was made from take 'hug', which this study holds out" in found.err
+
+
+def test_a_draw_becomes_the_seed_of_new_chains(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`restart` itself, but for Prefect and the cluster: the file is the draw exactly, and the new chains know it."""
+    store = Store(tmp_path / "store")
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1")
+    before = len(list(store.artifacts()))
+    row = 11
+    chosen = pair_of_draw(store, f"draws:edited#{row}")
+    stored = np.asarray(open_table("draws:edited", store)["pair17_m"][row])
+    np.testing.assert_allclose(chosen.pair.pair_m, stored, atol=1e-6)
+
+    def build(study: Study, graph: Graph, opened: Store, selection: Selection, **_: object) -> None:
+        run = Run(study, graph, opened, selection)
+        plan = make_plan(study, graph, opened, selection)
+        execute(run, begin(run, plan), plan, serial)
+
+    monkeypatch.setattr("flows.console.restart.build_and_tell", build)
+    options = ("--store", store.root, "--out", tmp_path / "out")
+    refused = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--set", "chains.bad=1")
+    assert refused.code == 2
+    assert "chains.bad: unknown" in refused.err
+    assert not (tmp_path / "out").exists()
+    answer = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--draws", "4", "--chains", "1")
+    assert answer.code == 0, answer.err
+    name = f"edited-restart-{chosen.key[:12]}-{chosen.row}"
+    assert f"pasdedeux show draws:{name}" in answer.out
+    (written,) = (tmp_path / "out").glob("*.json")
+    np.testing.assert_array_equal(read_pair_json(written.read_text()).pair_m, chosen.pair.pair_m)
+    seed = open_table(f"seeds:{name}", store)
+    assert (seed["origin"][0], seed["made_from"][0]) == ("draw", f"draws@{chosen.key}#{chosen.row}")
+    np.testing.assert_allclose(seed["pair17_m"][0], gauge_fix(chosen.pair.pair_m), atol=1e-12)
+    draws = open_table(f"draws:{name}", store)
+    assert (draws["density"].tolist(), draws["chain"].tolist()) == (["ic"] * 4, [0] * 4)
+    # One seed, one segment and a summary; everything else was there.
+    new = list(store.artifacts())
+    assert len(new) == before + 3
+    (made,) = (one for one in new if one.facts.get("made_from", "").startswith("draws@"))
+    assert made.facts["takes"] == ["waltz"]
+    assert {source.name for source in made.sources} == {source.name for source in chosen.pair.sources}
+
+
+def test_what_is_no_draw_cannot_be_restarted_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store(tmp_path / "store")
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=1")
+    for text, message in (
+        ("seeds:edited#0", "is not a draw"),
+        ("draws:edited", "is not a draw"),
+        ("draws:edited#16", "there is no row 16, the table has 16 rows here"),
+        ("draws@ffffffff#0", "no artifact"),
+        ("draws:other#0", "has not run"),
+    ):
+        answer = call_in_process(capsys, "restart", text, "--store", store.root, "--out", tmp_path / "out")
+        assert answer.code == 2, text
+        assert message in answer.err
+        assert not (tmp_path / "out").exists()
+
+
+def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")
+    seed = np.asarray(open_table("seeds:edited", store)["pair17_m"])
+    out = tmp_path / "out"
+    as_json = export_reference(store, "seeds:edited", ExportFormat.JSON, out)
+    assert [path.name for path in as_json] == ["seed0.json", "seed1.json", "CREDITS.txt"]
+    as_bvh = export_reference(store, "seeds:edited#1", ExportFormat.BVH, out)
+    assert [path.name for path in as_bvh] == ["seed1_A.bvh", "seed1_B.bvh", "CREDITS.txt"]
+    (exact,) = planned(store, SeedFile(path=out / "seed1.json"))
+    (close,) = planned(store, SeedFile(path=out / "seed1_A.bvh", other=out / "seed1_B.bvh"))
+    np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed[1], atol=1e-12)
+    np.testing.assert_allclose(store.read(close.ref, "seeds")["pair17_m"][0], seed[1], atol=2e-6)
+    assert exact.facts["takes"] == ["waltz"]
+    (draw, _) = export_reference(store, "draws:edited#3", ExportFormat.JSON, out)
+    assert json.loads(draw.read_text())["made_from"].endswith("#3")
+    with pytest.raises(InputError, match="allowed are seeds and single draws"):
+        export_reference(store, "draws:edited", ExportFormat.JSON, out)

@@ -1,0 +1,108 @@
+"""A pair in a file: what is written is read back, and what is no pair is refused in one sentence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.pair_file import (
+    PairFile,
+    PairSource,
+    pair_from_bvh,
+    read_pair_json,
+    write_pair_bvh,
+    write_pair_json,
+)
+from pasdedeux.sampling import gauge_fix
+from pasdedeux.sampling.synthetic import random_pairs
+from pasdedeux.skeletons import PAIR17
+
+PAIRS = random_pairs(np.random.default_rng(1), 30, spread_rad=0.5)
+WHOLE = PairFile(PAIRS[0], "draws@abc#3", ("one", "two"), (PairSource("someone", "CC0", "made it"),))
+
+
+def test_json_gives_back_every_digit_and_all_that_is_said_of_the_pair() -> None:
+    for pair in (*PAIRS, gauge_fix(PAIRS[3]), 1e-9 * np.ones((2, 17, 3)) + PAIRS[4]):
+        np.testing.assert_array_equal(read_pair_json(write_pair_json(PairFile(pair))).pair_m, pair)
+    read = read_pair_json(write_pair_json(WHOLE).encode())
+    assert (read.made_from, read.takes, read.sources) == (WHOLE.made_from, WHOLE.takes, WHOLE.sources)
+
+
+def test_a_joint_stands_on_a_line_of_its_own_under_its_name() -> None:
+    line = next(line for line in write_pair_json(WHOLE).splitlines() if '"left_knee"' in line)
+    numbers = line.strip().removeprefix('"left_knee": [').rstrip(",").rstrip("]").split(", ")
+    assert [float(number) for number in numbers] == PAIRS[0, 0, PAIR17.index("left_knee")].tolist()
+
+
+def test_bvh_gives_positions_back_to_a_micrometre() -> None:
+    for pair in PAIRS:
+        np.testing.assert_allclose(pair_from_bvh(*write_pair_bvh(pair)).pair_m, pair, atol=1e-6)
+
+
+def test_an_edited_joint_moves_and_the_rest_stays() -> None:
+    tree = json.loads(write_pair_json(WHOLE))
+    tree["persons"]["B"]["left_wrist"][1] += 0.05
+    moved = read_pair_json(json.dumps(tree)).pair_m - PAIRS[0]
+    assert moved[1, PAIR17.index("left_wrist"), 1] == pytest.approx(0.05)
+    assert np.count_nonzero(moved) == 1
+
+
+def without(tree: dict[str, Any]) -> None:
+    del tree["persons"]["A"]["left_hip"]
+
+
+def wrong(**changes: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda tree: tree.update(changes)
+
+
+def joint(value: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda tree: tree["persons"]["B"].update(head=value)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (without, "person A: joint 'left_hip' is missing"),
+        (lambda tree: tree["persons"]["A"].update(tail=[0, 0, 0]), "joint 'tail' is not in pair17"),
+        (lambda tree: tree["persons"].pop("B"), "must hold the two people 'A' and 'B'"),
+        (joint([0.0, 1.0]), "person B: joint 'head' is .* must be three finite numbers"),
+        (joint([0.0, 1.0, float("nan")]), "must be three finite numbers"),
+        (joint([0.0, True, 1.0]), "must be three finite numbers"),
+        (joint("high"), "must be three finite numbers"),
+        (joint([0.0, 170.0, 0.0]), "person B: the bone to 'head' is .* m long; allowed are 0.001 to 2 m"),
+        (wrong(unit="cm"), "the key 'unit' is 'cm', it must be 'm'"),
+        (wrong(skeleton="op14"), "it must be 'pair17'"),
+        (wrong(version=2), "the key 'version' is 2"),
+        (wrong(format="other"), "this is no pair"),
+        (wrong(colour="red"), "the key 'colour' is unknown; known: format, "),
+        (wrong(takes="one"), "the key 'takes' is 'one', it must be a list"),
+        (wrong(sources=[{"name": "x"}]), "each needs name, licence and credit"),
+        (wrong(persons=[]), "must hold the two people"),
+    ],
+)
+def test_what_is_no_pair_is_refused_by_name(spoil: Callable[[dict[str, Any]], None], message: str) -> None:
+    tree = json.loads(write_pair_json(WHOLE))
+    spoil(tree)
+    with pytest.raises(FormatError, match=message):
+        read_pair_json(json.dumps(tree))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\x00\x01", "null"])
+def test_what_is_no_json_of_a_pair_is_refused(text: str) -> None:
+    with pytest.raises(FormatError):
+        read_pair_json(text)
+
+
+def test_bvh_that_cannot_be_a_pair_is_refused() -> None:
+    first, second = write_pair_bvh(PAIRS[0])
+    with pytest.raises(FormatError, match="person A: there is no frame 1, the file has 1"):
+        pair_from_bvh(first, second, frame=1)
+    with pytest.raises(FormatError, match="person B: its joints fit no known layout"):
+        pair_from_bvh(first, second.replace("left_knee", "knee_of_the_left"))
+    with pytest.raises(FormatError, match="m long; allowed"):
+        pair_from_bvh(first, second, metres_per_unit=1.0)

@@ -43,6 +43,13 @@ class ProjectionsParameters(Parameters):
         description="Clusters of the published search (level orthographic camera, takes only), for comparison with the "
         "exact one; 0 for none, the paper has 500",
     )
+    least_cluster_change: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Clusters are added until the mean distance to their centroid changes by no more than this part, "
+        "num_clusters at most; 0.01 in the paper, 0 for num_clusters as they are",
+    )
     num_cluster_dimensions: int = Field(5, ge=1, le=100, description="Dimensions of the embedding that is clustered")
 
 
@@ -90,6 +97,7 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                     "rate_hz": parameters.rate_hz,
                     "num_clusters": parameters.num_clusters,
                     "num_dimensions": parameters.num_cluster_dimensions,
+                    "least_change": parameters.least_cluster_change,
                 },
                 after=tuple(shard.key for shard in taken),
                 seed=inputs.seed,
@@ -141,7 +149,9 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
         rate_hz=shard.parameters["rate_hz"],
     )
     settings = PublishedSettings(
-        num_clusters=shard.parameters["num_clusters"], num_dimensions=shard.parameters["num_dimensions"]
+        num_clusters=shard.parameters["num_clusters"],
+        num_dimensions=shard.parameters["num_dimensions"],
+        least_change=shard.parameters["least_change"],
     )
     book = build_codebook(database, stream(shard.seed, "projections", "codebook"), settings)
     columns = {

@@ -1,12 +1,14 @@
 """The published search: clusters from an embedding and k-means, a query compared with their representatives only.
 
-Yiannakides et al. (2019, section 4.2) put all projections into few dimensions by multi-dimensional scaling of eq. 1,
-cluster them by k-means and keep the projection nearest to each centroid as its representative; a query takes the 10
-best projections of each of the 5 clusters whose representatives are nearest to it.  It is kept for comparison: the
-exact search (`search`) always finds what this one may miss.
+Yiannakides et al. (2019, sections 4 and 5) scale all projections, and every query, so that their bounding boxes are
+equally high, put them into few dimensions by multi-dimensional scaling of eq. 1, cluster them by k-means and keep the
+projection nearest to each centroid as its representative; a query takes the 10 best projections, by eq. 1 in the image,
+of each of the 5 clusters whose representatives are nearest to it.  It is kept for comparison: the exact search
+(`search`) always finds what this one may miss, and a scale over a track does not change with a raised arm as boxes do.
 
 Where we differ: the distances of all pairs (12 hours in the paper) are not needed, because a projection's place follows
-from its distances to a few hundred landmarks (landmark MDS, de Silva and Tenenbaum 2004).
+from its distances to a few hundred landmarks (landmark MDS, de Silva and Tenenbaum 2004).  Joints not seen are masked,
+also in the box; the paper assumes that all are seen.
 """
 
 from __future__ import annotations
@@ -20,10 +22,26 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import REFERENCE_STATURE_M
+from pasdedeux.projections.scale import bounding_box_height
 from pasdedeux.projections.search import Neighbours, prepare_query, recall
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Codebook", "PublishedSettings", "build_codebook", "recall", "search_published"]
+__all__ = [
+    "BOX_HEIGHT_M",
+    "Codebook",
+    "PublishedSettings",
+    "build_codebook",
+    "recall",
+    "scale_to_box",
+    "search_published",
+]
+
+BOX_HEIGHT_M = REFERENCE_STATURE_M
+"""Height of every image's bounding box; the paper does not say which."""
+_LEAST_BOX_M = 0.1
+_COUNTED = 20_000
+"""Projections that the number of clusters is found on."""
 
 Array = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
@@ -35,21 +53,28 @@ class PublishedSettings:
     """How the clusters are made.
 
     Args:
-        num_clusters: Clusters; the paper found that the mean distance to the centroid changes little beyond 500.
+        num_clusters: Clusters; with `least_change` the most that are tried.
         num_dimensions: Dimensions of the embedding; the paper found 2 to 5 equally good.
         num_landmarks: Projections that all others are placed by.
         num_rounds: Rounds of k-means at most.
+        least_change: Where not 0, the number of clusters is raised by `cluster_step` until the mean distance to the
+            centroid changes by no more than this part of itself: 0.01 in the paper, which came to 500 (section 6.1; how
+            it was raised is not said).
+        cluster_step: See there.
     """
 
     num_clusters: int = 500
     num_dimensions: int = 5
     num_landmarks: int = 300
     num_rounds: int = 20
+    least_change: float = 0.0
+    cluster_step: int = 50
 
     def __post_init__(self) -> None:
         """Refuse counts below one."""
-        if min(self.num_clusters, self.num_dimensions, self.num_landmarks, self.num_rounds) < 1:
-            raise InputError(f"codebook: all counts must be at least 1: {self}")
+        counts = (self.num_clusters, self.num_dimensions, self.num_landmarks, self.num_rounds, self.cluster_step)
+        if min(counts) < 1 or not 0 <= self.least_change < 1:
+            raise InputError(f"codebook: all counts must be at least 1 and the least change in 0 to 1: {self}")
 
 
 @dataclass(frozen=True)
@@ -57,7 +82,8 @@ class Codebook:
     """Clusters of projections.
 
     Args:
-        representatives_m: The projection nearest to each cluster's centroid (cluster, 14, 2), metres.
+        representatives_m: The projection nearest to each cluster's centroid (cluster, 14, 2), its box `BOX_HEIGHT_M`
+            high.
         members: Projection numbers of each cluster, ascending.
     """
 
@@ -77,8 +103,43 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
     count = database.num_projections
     points = _embed(database, rng, settings)
     num_clusters = min(settings.num_clusters, count)
-    centroids = points[rng.choice(count, num_clusters, replace=False)]
-    for _ in range(settings.num_rounds):
+    if settings.least_change > 0:
+        num_clusters = _count_clusters(points, rng, settings)
+    centroids = _cluster(points, rng, num_clusters, settings.num_rounds)
+    label, distance = _nearest_centroids(points, centroids)
+    order = np.lexsort((np.arange(count), label))
+    members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+    middles = np.array([one[np.argmin(distance[one])] for one in members])
+    return Codebook(scale_to_box(database.projections(middles)), tuple(members))
+
+
+def scale_to_box(projections: Floats32) -> Floats32:
+    """Give projections (*batch, 14, 2) with bounding boxes `BOX_HEIGHT_M` high, the origin kept; NaN stays NaN.
+
+    Boxes lower than `_LEAST_BOX_M` of a metre are taken to be that high: a line has no size.
+    """
+    height = np.maximum(bounding_box_height(projections.astype(np.float64)), _LEAST_BOX_M)
+    return np.asarray(projections * (BOX_HEIGHT_M / height)[..., None, None], dtype=np.float32)
+
+
+def _count_clusters(points: Floats32, rng: np.random.Generator, settings: PublishedSettings) -> int:
+    """Give the number of clusters beyond which the mean distance to the centroid changes too little, on a sample."""
+    sample = points[np.sort(rng.choice(len(points), min(_COUNTED, len(points)), replace=False))]
+    before = np.inf
+    most = min(settings.num_clusters, len(sample))
+    for num_clusters in range(min(settings.cluster_step, most), most + 1, settings.cluster_step):
+        _, square = _nearest_centroids(sample, _cluster(sample, rng, num_clusters, settings.num_rounds))
+        mean = float(np.sqrt(np.maximum(square, 0.0)).mean())
+        if np.isfinite(before) and before - mean <= settings.least_change * before:
+            return num_clusters
+        before = mean
+    return most
+
+
+def _cluster(points: Floats32, rng: np.random.Generator, num_clusters: int, num_rounds: int) -> Floats32:
+    """Give the centroids (cluster, d) of points (n, d) by k-means; an empty cluster keeps its centroid."""
+    centroids = points[rng.choice(len(points), num_clusters, replace=False)]
+    for _ in range(num_rounds):
         label, _ = _nearest_centroids(points, centroids)
         sizes = np.bincount(label, minlength=num_clusters)
         sums = np.stack([np.bincount(label, column, minlength=num_clusters) for column in points.T], axis=-1)
@@ -87,11 +148,7 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
         centroids = moved.astype(np.float32)
         if change < 1e-4:
             break
-    label, distance = _nearest_centroids(points, centroids)
-    order = np.lexsort((np.arange(count), label))
-    members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
-    middles = np.array([one[np.argmin(distance[one])] for one in members])
-    return Codebook(database.projections(middles), tuple(members))
+    return centroids
 
 
 def search_published(
@@ -105,9 +162,13 @@ def search_published(
 ) -> Neighbours:
     """Give the 10 best projections of each of the 5 clusters nearest to each query (frame, 14, 2), best first.
 
-    The metric is that of the exact search: eq. 1 over the joints seen.  Frames without any joint have no neighbours.
+    The metric is eq. 1 over the joints seen, in images whose boxes are `BOX_HEIGHT_M` high.  Frames without any joint
+    have no neighbours.
     """
-    query, weight = prepare_query(query_m, weights)
+    seen = np.array(query_m, dtype=np.float32)
+    if weights is not None:
+        seen[np.broadcast_to(np.asarray(weights), seen.shape[:-1]) <= 0] = np.nan
+    query, weight = prepare_query(scale_to_box(seen), weights)
     query, weight = query.reshape(-1, OP14.num_joints, 2), weight.reshape(-1, OP14.num_joints)
     count = num_clusters * num_each
     found = np.full((len(query), count), -1, dtype=np.int64)
@@ -120,7 +181,7 @@ def search_published(
         kept, values = [], []
         for cluster in nearest:
             members = codebook.members[cluster]
-            summed = _summed(database.projections(members), points, joint_weight)
+            summed = _summed(scale_to_box(database.projections(members)), points, joint_weight)
             best = np.argsort(summed, kind="stable")[:num_each]
             kept.append(members[best])
             values.append(summed[best])
@@ -137,17 +198,17 @@ def _summed(projections: Floats32, query: Floats32, weight: Floats32) -> Floats3
 
 
 def _parts(database: Database) -> Iterator[Floats32]:
-    """Give all projections, some thousand at a time (n, 14, 2)."""
+    """Give all projections, boxes equally high, some thousand at a time (n, 14, 2)."""
     step = max(1, 20_000 // database.num_yaws)
     for first in range(0, database.num_rows, step):
-        yield database.project(first, first + step).reshape(-1, OP14.num_joints, 2)
+        yield scale_to_box(database.project(first, first + step).reshape(-1, OP14.num_joints, 2))
 
 
 def _embed(database: Database, rng: np.random.Generator, settings: PublishedSettings) -> Floats32:
     """Place all projections (n, d) by their distances to landmarks (landmark MDS)."""
     count = database.num_projections
     chosen = np.sort(rng.choice(count, min(settings.num_landmarks, count), replace=False))
-    landmarks = database.projections(chosen)
+    landmarks = scale_to_box(database.projections(chosen))
     among = _distances_to(landmarks, landmarks).astype(np.float64) ** 2
     mean = among.mean(axis=0)
     centred = -0.5 * (among - mean[:, None] - mean[None] + mean.mean())

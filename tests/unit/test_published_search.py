@@ -7,10 +7,27 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.published import Codebook, PublishedSettings, build_codebook, recall, search_published
+from pasdedeux.projections.published import (
+    BOX_HEIGHT_M,
+    Codebook,
+    PublishedSettings,
+    build_codebook,
+    recall,
+    scale_to_box,
+    search_published,
+)
 from pasdedeux.projections.retarget import centre_and_face
-from pasdedeux.projections.search import search_brute_force
+from pasdedeux.projections.scale import bounding_box_height
+from pasdedeux.projections.search import Neighbours, look_at_all, prepare_query
 from tests.walkers import walk
+
+
+def look_at_scaled(database: Database, query: np.ndarray) -> Neighbours:
+    """The plain form: every projection, by the metric of the published search."""
+    projections = scale_to_box(database.project().reshape(-1, 14, 2))
+    points, weights = prepare_query(scale_to_box(query.astype(np.float32)))
+    return look_at_all(projections, points, weights, num_neighbours=50, num_yaws=database.num_yaws)
+
 
 SETTINGS = PublishedSettings(num_clusters=40, num_landmarks=100)
 
@@ -32,7 +49,8 @@ def test_every_projection_is_in_one_cluster_and_its_representative_is_a_member(
 ) -> None:
     together = np.concatenate(codebook.members)
     assert sorted(together.tolist()) == list(range(database.num_projections))
-    projections = database.project().reshape(-1, 14, 2)
+    projections = scale_to_box(database.project().reshape(-1, 14, 2))
+    np.testing.assert_allclose(bounding_box_height(codebook.representatives_m), BOX_HEIGHT_M, rtol=1e-6)
     for representative, members in zip(codebook.representatives_m, codebook.members, strict=True):
         assert np.abs(projections[members] - representative).max(axis=(1, 2)).min() < 1e-5
 
@@ -46,7 +64,7 @@ def test_it_finds_most_of_the_best_and_never_beats_the_exact_search(database: Da
     query = walk(40, seed=11)[..., :2]
     query = query - 0.5 * (query[:, [8]] + query[:, [11]])
     query[3] = np.nan
-    exact = search_brute_force(database, query)
+    exact = look_at_scaled(database, query)
     found = search_published(database, codebook, query)
     assert (found.projection[3] == -1).all()
     known = np.arange(40) != 3
@@ -59,7 +77,38 @@ def test_all_clusters_give_the_exact_best(database: Database, codebook: Codebook
     query = walk(10, seed=12)[..., :2]
     query = query - 0.5 * (query[:, [8]] + query[:, [11]])
     found = search_published(database, codebook, query, num_clusters=40)
-    np.testing.assert_allclose(found.distance_m[:, 0], search_brute_force(database, query).distance_m[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(found.distance_m[:, 0], look_at_scaled(database, query).distance_m[:, 0], rtol=1e-5)
+
+
+def test_the_size_of_a_query_does_not_matter_to_boxes_of_one_height(database: Database, codebook: Codebook) -> None:
+    query = walk(10, seed=12)[..., :2]
+    query = query - 0.5 * (query[:, [8]] + query[:, [11]])
+    query[4, 3] = np.nan
+    weights = np.ones((10, 14))
+    weights[5, 7] = 0.0
+    found = search_published(database, codebook, query, weights)
+    for factor in (0.1, 7.0):
+        again = search_published(database, codebook, factor * query, weights)
+        np.testing.assert_allclose(again.distance_m, found.distance_m, rtol=1e-4)
+    boxes = bounding_box_height(scale_to_box(query.astype(np.float32)))
+    np.testing.assert_allclose(boxes, BOX_HEIGHT_M, rtol=1e-6)
+
+
+def test_clusters_are_added_until_the_mean_distance_changes_little(database: Database) -> None:
+    counts = [
+        len(
+            build_codebook(
+                database,
+                np.random.default_rng(0),
+                PublishedSettings(num_clusters=200, num_landmarks=50, least_change=least, cluster_step=10),
+            ).members
+        )
+        for least in (0.5, 0.15, 0.0)
+    ]
+    assert counts[0] < counts[1] < counts[2]
+    assert counts[0] == 20  # the second count tried: no step halves the distance
+    assert counts[1] % 10 == 0
+    assert counts[2] > 150  # as asked, less empty ones
 
 
 def test_counts_below_one_are_refused() -> None:

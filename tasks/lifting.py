@@ -116,7 +116,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         found, fit = _lift(every[place], draws, index, options)
         rows += found
         fitted[place] = fit
-    rows += _baselines(shard, store, [every[place] for place in chosen], every, draws)
+    rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
     facts = {
         "kind": "lifted_pairs",
@@ -259,31 +259,30 @@ def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, options: Any) -> tu
 def _baselines(
     shard: Shard,
     store: Store,
-    chosen: list[_Annotated],
+    wanted: list[_Annotated],
     every: dict[tuple[str, int], _Annotated],
-    draws: DrawSet,
 ) -> list[dict[str, Any]]:
     """Lift whole annotations without draws, where the study asks for it."""
-    wanted = shard.parameters["baselines"]
+    baselines = shard.parameters["baselines"]
     whole = [one.image_m for one in every.values() if np.isfinite(one.image_m).all()]
-    if not wanted or not whole:
+    if not baselines or not whole:
         return []
     limits: JointLimits = read_limits(shard, store)
     basis = read_torso_basis(store, shard.inputs)
     lengths = apparent_bone_lengths(np.stack(whole))
     rows = []
-    for one in chosen:
+    for one in wanted:
         if not np.isfinite(one.image_m).all():
             continue
         lifted = lift_pair(one.image_m, one.directions[0], lengths, limits, basis)
         if lifted is None:
             continue
         by_ik = lift_by_ik(one.image_m, lifted, lengths, limits)
-        if "lifting" in wanted:
+        if "lifting" in baselines:
             rows.append(_row(one, "lifting", lifted))
-        if "lifting_ik" in wanted:
+        if "lifting_ik" in baselines:
             rows.append(_row(one, "lifting_ik", by_ik))
-        if "naive_sampling" in wanted:
+        if "naive_sampling" in baselines:
             rng = stream(shard.seed, "lifting", one.sequence_id, one.frame)
             sampled = sample_naively(rng, one.image_m, by_ik, limits)
             rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))

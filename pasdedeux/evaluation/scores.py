@@ -16,7 +16,7 @@ class Score:
     """One figure: what was measured, of which method, on what.
 
     Args:
-        topic: coverage, density, views, chains, reconstruction, augmentation, models or takes.
+        topic: coverage, density, lifting, views, chains, reconstruction, augmentation, models or takes.
         metric: Name of the measure.
         method: Method or density measured.
         value: The figure.

@@ -13,6 +13,7 @@ from tasks.evaluation import (
     clips,
     coverage,
     density,
+    lifting,
     models,
     people,
     reconstruction,
@@ -40,6 +41,9 @@ class EvaluationParameters(Parameters):
         0, ge=0, description="Real pairs of held-out takes that terms of the density are judged on; 0: none are judged"
     )
     num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
+    num_completed_pairs: int = Field(
+        12, ge=0, description="Real pairs of each part whose joints are hidden and completed from draws; 0: none"
+    )
     clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
     clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
     unseen_views_deg: tuple[float, ...] = Field(
@@ -65,6 +69,7 @@ _RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
     chains.TOPIC: chains.run,
     coverage.TOPIC: coverage.run,
     density.TOPIC: density.run,
+    lifting.TOPIC: lifting.run,
     reconstruction.TOPIC: reconstruction.run,
     **dict.fromkeys(unseen_views.TOPICS, unseen_views.run),
     people.TOPIC: people.run,
@@ -86,6 +91,7 @@ def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
             inputs, num_truth_pairs=parameters.num_truth_pairs, num_curve_points=parameters.num_curve_points
         ),
         *density.shards(inputs, num_judged_pairs=parameters.num_judged_pairs),
+        *lifting.shards(inputs, num_completed_pairs=parameters.num_completed_pairs),
         *reconstruction.shards(inputs),
         *unseen_views.shards(
             inputs, yaws_deg=parameters.unseen_views_deg, has_sweeps=parameters.has_unseen_view_sweeps
@@ -121,6 +127,8 @@ STAGE = Stage(
         "seeds",
         "draws",
         "chain_info",
+        "lifted_pairs",
+        "in_betweens",
         "projections",
         "codebook",
         "motions",

@@ -34,6 +34,12 @@ _SECTIONS = {
         "How well terms of the density tell real pairs of held-out takes from corrupted ones (area under the curve), "
         "and how they go with the distance of lifted pairs from real ones.",
     ),
+    "lifting": (
+        "Lifting",
+        "Annotations lifted to 3D by the draws that look like them; joints hidden in real pairs and completed from "
+        "draws; frames filled in between. Pair errors keep distance and depth between the people, person errors are "
+        "about each root, both in camera axes.",
+    ),
     "reconstruction": (
         "Reconstruction",
         "Motions reconstructed from 2D against the truth; nearest neighbour is the baseline. "

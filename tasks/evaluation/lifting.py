@@ -1,0 +1,188 @@
+"""Topic `lifting`: lifted pairs, completed joints and in-betweens against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pasdedeux.evaluation.lifting import (
+    completion_scores,
+    in_between_scores,
+    lifted_scores,
+    lifted_sheet,
+)
+from pasdedeux.evaluation.scores import Score
+from storage_schema import ArtifactRef, Store
+from tasks.draw_sets import GROWN, draw_manifests, join_draws, read_draw_sets
+from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.stage import Shard, StageInputs, stream
+
+__all__ = ["TOPIC", "run", "shards"]
+
+TOPIC = "lifting"
+_GAPS = (10, 20, 30)
+"""Frames between the ends of spans that are filled in."""
+_SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
+_NUM_EXAMPLES = 2
+
+
+def shards(inputs: StageInputs, *, num_completed_pairs: int) -> list[Shard]:
+    """One shard over all lifted pairs, and one over real pairs of which joints are hidden and frames left out."""
+    lifted = list(inputs.of("lifted_pairs"))
+    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
+    known = {ref.key for manifest in lifted for ref in manifest.inputs}
+    annotations = [
+        manifest for manifest in inputs.of("annotations") if manifest.ref.key in known and manifest.facts["is_virtual"]
+    ]
+    found = []
+    if lifted and takes and annotations:
+        found.append(
+            make_shard(
+                topic=TOPIC,
+                name="lifted",
+                inputs=[*takes, *annotations, *lifted],
+                parameters={"num_takes": len(takes), "num_annotations": len(annotations)},
+                seed=inputs.seed,
+            )
+        )
+    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != "prior_only"]
+    if num_completed_pairs and draws and takes:
+        found.append(
+            make_shard(
+                topic=TOPIC,
+                name="completed",
+                inputs=[*takes, *draws],
+                parameters={"num_takes": len(takes), "num_completed_pairs": num_completed_pairs},
+                seed=inputs.seed,
+            )
+        )
+    return found
+
+
+def run(shard: Shard, store: Store) -> TopicResult:
+    """Score one of the two."""
+    return _lifted(shard, store) if shard.name == "lifted" else _completed(shard, store)
+
+
+def _lifted(shard: Shard, store: Store) -> TopicResult:
+    num_takes, num_annotations = int(shard.parameters["num_takes"]), int(shard.parameters["num_annotations"])
+    take_refs = shard.inputs[:num_takes]
+    annotation_refs = shard.inputs[num_takes : num_takes + num_annotations]
+    takes = read_takes(store, take_refs, "pair17_m")
+    held_out = _held_out(store, take_refs)
+    frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
+    found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
+    between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
+    examples: dict[str, dict[tuple[str, int], dict[str, np.ndarray]]] = {}
+    for ref in shard.inputs[num_takes + num_annotations :]:
+        facts = store.manifest(ref).facts
+        if facts["is_held_out"]:
+            refuse_overlap(f"artifact {store.manifest(ref).partition}", facts["learned_takes"], held_out)
+        for table_name, sink in (("lifted_pairs", found), ("in_betweens", between)):
+            if table_name not in store.manifest(ref).tables:
+                continue
+            table = store.read(ref, table_name, columns=["sequence_id", "frame", "method", "pair17_m"])
+            for row in range(table.num_rows):
+                place = (str(table["sequence_id"][row]), int(table["frame"][row]))
+                if place not in frames or place[0] not in cameras:
+                    continue
+                take_id, frame = frames[place]
+                truth = takes[take_id][frame] @ cameras[place[0]].camera_from_world_rotmat.T
+                split = _split(facts, take_id in held_out)
+                method, pair = str(table["method"][row]), np.asarray(table["pair17_m"][row], dtype=np.float64)
+                sink.setdefault(split, {}).setdefault(method, []).append((pair, truth))
+                if table_name == "lifted_pairs":
+                    examples.setdefault(split, {}).setdefault(place, {"truth": truth})[method] = pair
+    scores: list[Score] = []
+    for split, methods in sorted(found.items()):
+        lifted = {method: np.stack([pair for pair, _ in rows]) for method, rows in sorted(methods.items())}
+        truth = {method: np.stack([true for _, true in rows]) for method, rows in methods.items()}
+        scores += lifted_scores(lifted, truth, split=split)
+    for split, methods in sorted(between.items()):
+        for method, rows in sorted(methods.items()):
+            errors = [np.linalg.norm(_middled(pair) - _middled(true), axis=-1).mean() for pair, true in rows]
+            scores.append(
+                Score(
+                    topic=TOPIC,
+                    metric="in_between_lifted_error_mean",
+                    method=method,
+                    value=float(np.mean(errors)),
+                    unit="m",
+                    is_baseline=method == "straight",
+                    split=split,
+                    count=len(errors),
+                )
+            )
+    pictures, captions = {}, {}
+    for split, places in sorted(examples.items()):
+        chosen = [places[place] for place in sorted(places)]
+        spread = np.unique(np.linspace(0, len(chosen) - 1, _NUM_EXAMPLES + 2).round().astype(int))[1:-1]
+        rows_shown = [
+            {name: chosen[at][name] for name in ("truth", *_SHEET_METHODS) if name in chosen[at]} for at in spread
+        ]
+        if rows_shown:
+            name = f"lifted-{split}.png"
+            pictures[name] = lifted_sheet(rows_shown, title=f"{split.replace('_', ' ')}: lifted pairs")
+            captions[name] = (
+                "Truth and what it was lifted to, from the camera (above) and from the side (below), as in Yin et al. "
+                "2018, figs. 2 and 10."
+            )
+    return TopicResult(scores=scores, pictures=pictures, captions=captions)
+
+
+def _completed(shard: Shard, store: Store) -> TopicResult:
+    num_takes, count = int(shard.parameters["num_takes"]), int(shard.parameters["num_completed_pairs"])
+    take_refs, draw_refs = shard.inputs[:num_takes], shard.inputs[num_takes:]
+    takes, held_out = read_takes(store, take_refs, "pair17_m"), _held_out(store, take_refs)
+    for ref in draw_refs:
+        refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
+    sets = read_draw_sets(store, draw_refs)
+    draws = join_draws("all", [(name, found.pairs_m) for name, found in sets.items()])
+    # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
+    generator = stream(shard.seed, TOPIC, "completed")
+    grown = sets[GROWN].pairs_m if GROWN in sets else draws.pairs_m[:0]
+    sampled = [found.pairs_m for name, found in sets.items() if name != GROWN]
+    others = np.concatenate(sampled) if sampled else draws.pairs_m[:0]
+    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MOST_DRAWS]]])
+    scores: list[Score] = []
+    for split in ("learned", "held_out"):
+        chosen = {name: pairs for name, pairs in takes.items() if (name in held_out) == (split == "held_out")}
+        if not chosen:
+            continue
+        every = np.concatenate(list(chosen.values()))
+        truth = every[generator.permutation(len(every))[:count]]
+        scores += completion_scores(generator, truth, pool, split=split)
+        for gap in _GAPS:
+            spans = _spans(list(chosen.values()), gap, max(count // 4, 1), generator)
+            if spans:
+                scores += in_between_scores(spans, pool, split=split, item=f"{gap} frames")
+    return TopicResult(scores=scores, notes=[f"Joints were completed from {len(pool):,} draws and grown seeds."])
+
+
+_MOST_DRAWS = 20_000
+
+
+def _spans(takes: Sequence[np.ndarray], gap: int, count: int, generator: np.random.Generator) -> list[np.ndarray]:
+    """Give spans of gap + 1 frames from random places of takes that are long enough."""
+    starts = [(take, start) for take, pairs in enumerate(takes) for start in range(len(pairs) - gap)]
+    if not starts:
+        return []
+    chosen = generator.permutation(len(starts))[:count]
+    return [takes[starts[at][0]][starts[at][1] : starts[at][1] + gap + 1] for at in chosen]
+
+
+def _held_out(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:
+    facts = [store.manifest(ref).facts for ref in refs]
+    return sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
+
+
+def _split(facts: dict[str, object], is_held_out: bool) -> str:
+    if is_held_out:
+        return "held_out"
+    return "annotated" if facts["purpose"] == "random_views" else "unannotated"
+
+
+def _middled(pair: np.ndarray) -> np.ndarray:
+    return pair - pair.reshape(-1, 3).mean(axis=0)

@@ -3,9 +3,10 @@
 Grown pairs come from annotations under many views, so what one image hides another shows.  Given how the two bodies of
 a pair are posed, each centred on its own, a kernel density over the grown pairs posed alike says where person B is
 against person A (`placement`), and where the two bones of each limb point (`limbs`, the least likely of eight).  Being
-conditional, they do not mistake a rare pair for a wrong one.  With the least likely bone of the learned pose prior and
-the depth to which the *two* bodies penetrate each other they make `agreement`, the log of a density that chains can
-sample.  Our own; the study `density` says how its parts were chosen.
+conditional, they do not mistake a rare pair for a wrong one.  With the depth to which the *two* bodies penetrate each
+other they make the likelihood of the density `agreement`, whose prior is the joint limits alone.  Penetration within a
+body is left out: captured and lifted people have so much of it that it hides all else.  Our own; weights and floors
+were chosen by the study `density`.
 """
 
 from __future__ import annotations
@@ -19,8 +20,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn
 from pasdedeux.kinematics import align_rigid
-from pasdedeux.plausibility import Occupancy, capsule_model, clip_penetration, weakest_bone
-from pasdedeux.plausibility.occupancy import NUM_CELLS
+from pasdedeux.plausibility import capsule_model, clip_penetration
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["Agreement", "AgreementTerms", "plain_agreement"]
@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 POSE_WIDTH_M = 0.03
 """How alike pairs are posed to be compared: width of the root mean square joint distance, metres."""
 PLACEMENT_WIDTH_M, LIMB_WIDTH_M = 0.06, 0.08
-PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -8.0
+PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -15.0
 """Logs do not fall below the floors: a real pair that nothing grown is like has an end."""
 PENETRATION_WIDTH_M = 0.01
 
@@ -50,13 +50,11 @@ class AgreementTerms:
     """What agreement is made of, logs, each at most 0 up to rounding.
 
     Args:
-        pose: The least likely bone of either person, against the likeliest that could be; 0 without a pose prior.
         placement: Where person B is against A, given how both are posed.
         limbs: Where the least likely of the eight limbs points, given how both are posed.
         contact: Minus the penetration of one body by the other, in centimetres.
     """
 
-    pose: float
     placement: float
     limbs: float
     contact: float
@@ -65,7 +63,7 @@ class AgreementTerms:
     def total(self) -> float:
         """Log of the density up to a constant, at most 0."""
         placement = _floored(self.placement, PLACEMENT_FLOOR)
-        return self.pose + PLACEMENT_WEIGHT * placement + _floored(self.limbs, LIMB_FLOOR) + self.contact
+        return PLACEMENT_WEIGHT * placement + _floored(self.limbs, LIMB_FLOOR) + self.contact
 
 
 def _floored(value: float, floor: float) -> float:
@@ -78,7 +76,6 @@ class Agreement:
 
     Args:
         grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; at least one.
-        occupancy: Pose prior.
         near_m: Only the `most` grown pairs posed most like this one (2, 17, 3) count: the bank of a chain's seed.
         most: How many.
 
@@ -86,11 +83,10 @@ class Agreement:
         InputError: There is no grown pair, or one that is not finite.
     """
 
-    def __init__(self, grown_m: Array, occupancy: Occupancy, *, near_m: Array | None = None, most: int = 300) -> None:
+    def __init__(self, grown_m: Array, *, near_m: Array | None = None, most: int = 300) -> None:
         grown = np.ascontiguousarray(grown_m, dtype=np.float64)
         if not len(grown) or not np.isfinite(grown).all():
             raise InputError("agreement needs at least one grown pair, all of its positions finite")
-        self._log_share = occupancy.log_share
         self._model = capsule_model(PAIR17)
         if near_m is not None and len(grown) > most:
             distance = _distances(near_m, grown)
@@ -113,17 +109,10 @@ class Agreement:
             self._work,
             np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
         )
-        pose = min(weakest_bone(person, self._log_share) for person in pair) - self._best_share
         radii = self._model.radii_of(pair[None])
         model = self._model
         inside = clip_penetration(pair[None], radii, model.parents, model.within, model.between)[0, 2]
-        return AgreementTerms(
-            pose=float(pose), placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M
-        )
-
-    @property
-    def _best_share(self) -> float:
-        return float(np.log(NUM_CELLS)) if self._log_share.any() else 0.0
+        return AgreementTerms(placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Give the log of the density of a pair (2, 17, 3), at most 0; -inf when it lies below `at_least`."""

@@ -42,6 +42,7 @@ _TIGHTNESS = 1e-4
 """Weight of the depths against the image when a pair is lifted badly: the image stays within a millimetre."""
 SIGMA_L = 0.01
 """Bandwidth of the published likelihood; 2 sigma_l^2 is in metres (Yin et al. 2018, eq. 9)."""
+_MEAN_VIEW_WIDTH_M = 0.01
 _ANKLES = PAIR17.indices(("left_ankle", "right_ankle"))
 _LIMBS = [
     PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
@@ -184,8 +185,9 @@ class Judge:
         - `likelihood`: eqs. 6 and 9 as published, `mean_view` (a geometric mean of likelihoods), `median_view`,
           `worst_view`: minus the mean, median and 90th percentile of the least d_I over the views of the bank, all with
           one more view that fits perfectly;
-        - with grown pairs: `grown_D_I`, `grown_D_C`, minus the least distance to one; `placement`, `limbs` and
-          `agreement` of `agreement`, and `agreement_and_prior`: that and eq. 2, what chains sample.
+        - with grown pairs: `grown_D_I`, `grown_D_C`, minus the least distance to one; `placement` and `limbs` of
+          `agreement`; and `agreement`, the density that chains sample: those with `contact` and the joint limits;
+          `agreement_and_pose_prior`: that and `pose_prior`; `agreement_and_mean_view`: that and `mean_view` at 1 cm.
         """
         pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
         distance = self.limits.nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
@@ -216,14 +218,15 @@ class Judge:
         if len(self.grown_m):
             coverage = Coverage(pairs)
             coverage.add(self.grown_m)
-            agreement = Agreement(self.grown_m, self.occupancy)
+            agreement = Agreement(self.grown_m)
             parts = [agreement.terms(pair) for pair in pairs]
             terms["grown_D_I"] = -coverage.interaction_m
             terms["grown_D_C"] = -coverage.cartesian_m
             terms["placement"] = np.array([part.placement for part in parts])
             terms["limbs"] = np.array([part.limbs for part in parts])
-            terms["agreement"] = np.array([part.total for part in parts])
-            terms["agreement_and_prior"] = terms["agreement"] + prior
+            terms["agreement"] = np.array([part.total for part in parts]) - distance / (2.0 * SIGMA_P_M**2)
+            terms["agreement_and_pose_prior"] = terms["agreement"] + terms["pose_prior"]
+            terms["agreement_and_mean_view"] = terms["agreement"] + terms["mean_view"] / _MEAN_VIEW_WIDTH_M
         return {name: np.asarray(values) for name, values in terms.items()}
 
 

@@ -7,19 +7,17 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.plausibility import Occupancy
 from pasdedeux.sampling.agreement import Agreement, plain_agreement
 from tests.unit.test_views import dancers
 
 _RNG = np.random.default_rng(0)
 _KNOWN = dancers(0, 20)
 GROWN = np.concatenate([_KNOWN] * 10) + _RNG.normal(scale=0.015, size=(200, 2, 17, 3))
-OCCUPANCY = Occupancy.empty().extended(dancers(1, 200))
 NEAR = _KNOWN + _RNG.normal(scale=0.01, size=_KNOWN.shape)
 
 
 def test_the_kernel_agrees_with_the_definition() -> None:
-    agreement = Agreement(GROWN, OCCUPANCY)
+    agreement = Agreement(GROWN)
     for pair in [*NEAR, *dancers(2, 10)]:
         terms = agreement.terms(pair)
         # Logs in the hundreds of pairs that nothing is near: relative to the size of the exponents.
@@ -27,7 +25,7 @@ def test_the_kernel_agrees_with_the_definition() -> None:
 
 
 def test_rigid_motion_changes_nothing_and_no_log_is_above_zero() -> None:
-    agreement = Agreement(GROWN, OCCUPANCY)
+    agreement = Agreement(GROWN)
     turn = rotmat_from_unitquat(normalise(np.array([0.2, -0.5, 0.1, 0.8])))
     for pair in NEAR:
         total = agreement.terms(pair).total
@@ -36,7 +34,7 @@ def test_rigid_motion_changes_nothing_and_no_log_is_above_zero() -> None:
 
 
 def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
-    agreement = Agreement(GROWN, OCCUPANCY)
+    agreement = Agreement(GROWN)
     for pair in NEAR:
         own = agreement.terms(pair)
         moved = pair.copy()
@@ -52,7 +50,7 @@ def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
 
 
 def test_a_bank_keeps_what_is_posed_alike() -> None:
-    whole, bank = Agreement(GROWN, OCCUPANCY), Agreement(GROWN, OCCUPANCY, near_m=NEAR[0], most=50)
+    whole, bank = Agreement(GROWN), Agreement(GROWN, near_m=NEAR[0], most=50)
     # The far ones weigh nothing where the bank was made.
     assert bank.terms(NEAR[0]).total == pytest.approx(whole.terms(NEAR[0]).total, abs=0.02)
     log = whole.log_likelihood(NEAR[0])
@@ -61,5 +59,4 @@ def test_a_bank_keeps_what_is_posed_alike() -> None:
 
 def test_agreement_needs_grown_pairs() -> None:
     with pytest.raises(InputError, match="grown"):
-        Agreement(GROWN[:0], OCCUPANCY)
-    assert Agreement(GROWN, Occupancy.empty()).terms(NEAR[0]).pose == 0.0
+        Agreement(GROWN[:0])

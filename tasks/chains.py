@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections import OrderedDict
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -14,31 +11,20 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
     ChainState,
     Evaluation,
-    GaussianBlocks,
-    InteractionLikelihood,
     MoveKind,
-    MoveMixture,
-    PairChart,
-    PairDensity,
-    PhysicalPrior,
     Scales,
-    Speeds,
-    VelocityBias,
-    annotation_speeds,
-    build_bank,
     diagnose,
     generator_from_json,
     generator_to_json,
     kernel_from_json,
     kernel_to_json,
     run_segment,
-    undo_swaps,
     warm_up,
 )
-from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import annotated_pairs, gather, gather_tracks, views_of
-from tasks.seeds import read_limits, start_indices
+from tasks.annotated_pairs import annotated_pairs, views_of
+from tasks.chain_problem import LIKELIHOOD_PARAMETERS, chain_problem, read_seed_row
+from tasks.seeds import start_indices
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
@@ -48,16 +34,6 @@ VERSION = 2
 DensityName = Literal["ic", "prior_only"]
 KernelName = Literal["unbiased", "velocity"]
 
-_LIKELIHOOD_PARAMETERS = (
-    "num_views",
-    "num_candidates",
-    "num_hypotheses",
-    "num_ranked",
-    "sigma_l",
-    "sigma_v_rad",
-    "beta_m",
-    "kernel",
-)
 _PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
 _STEP_PARAMETERS = (
     "segment_draws",
@@ -109,7 +85,7 @@ class ChainsParameters(Parameters):
         description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
     )
     num_warm_up: int = Field(
-        0, ge=0, description="Draws before the first kept one, in which step sizes are learned; they are dropped"
+        50, ge=0, description="Draws before the first kept one, in which step sizes are learned; they are dropped"
     )
     target_acceptance: float = Field(0.234, gt=0, lt=1, description="Accepted share that step sizes are learned for")
 
@@ -141,12 +117,16 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     views = views_of(annotated, inputs)
     asked = parameters.model_dump(mode="json")
     num_segments = -(-parameters.num_draws // parameters.segment_draws)
+    if parameters.densities == ("ic",) and not (annotated and views) and inputs.of("seeds"):
+        raise InputError(
+            "chains.densities asks for ic alone, but there are no annotated pairs with views to sample from"
+        )
     shards: list[Shard] = []
     for density in parameters.densities:
         needs = [manifest.ref for manifest in (*annotated, *views)] if density == "ic" else []
         if density == "ic" and (not annotated or not views):
             continue
-        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (_LIKELIHOOD_PARAMETERS if density == "ic" else ())
+        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (LIKELIHOOD_PARAMETERS if density == "ic" else ())
         starts = [(seed.ref, index) for seed in inputs.of("seeds") for index in start_indices(seed)]
         for seed, index in starts:
             common = {"density": density, "seed_index": index, **{name: asked[name] for name in names}}
@@ -194,33 +174,9 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
     options = shard.parameters
     density, seed_index = str(options["density"]), int(options["seed_index"])
     chain, segment, count = int(options["chain"]), int(options["segment"]), int(options["segment_draws"])
-    seed = _read_seed(store, shard.inputs[0], seed_index)
-    chart = PairChart(seed.pair_m)
-    seen = _look_at_annotations(shard, store) if density == "ic" else None
-    target = PairDensity(
-        chart,
-        PhysicalPrior(
-            chart,
-            read_limits(shard, store),
-            sigma_p=options["sigma_p_m"],
-            alpha=options["alpha"],
-            most_invalid=options["most_invalid_angles"],
-            length_tolerance=options["length_tolerance"],
-        ),
-        None if seen is None else seen.likelihood,
-        truncation=options["truncation"],
-    )
-    propose = GaussianBlocks(
-        root_rotation_rad=options["root_rotation_rad"],
-        root_position_m=options["root_position_m"],
-        joint_rotation_rad=options["joint_rotation_rad"],
-        length_change=options["length_change"],
-        mixture=MoveMixture(
-            weights={MoveKind(kind): weight for kind, weight in options["moves"].items()},
-            most_blocks=options["most_blocks"],
-        ),
-        bias=None if seen is None else seen.bias(chart),
-    )
+    seed = read_seed_row(store, shard.inputs[0], seed_index)
+    problem = chain_problem(shard, store, seed)
+    chart, target, propose, seen = problem.chart, problem.target, problem.propose, problem.seen
     if segment == 0:
         rng = stream(shard.seed, "chains", density, seed_index, chain)
         start = chart.seed_parameters()
@@ -301,94 +257,6 @@ def _done(key: str, store: Store) -> Manifest:
     return manifest
 
 
-@dataclass(frozen=True)
-class _Seed:
-    """A seed as stored: the pair (2, 17, 3), metres, and the take it came from."""
-
-    pair_m: np.ndarray
-    take_id: str | None
-
-
-def _read_seed(store: Store, ref: ArtifactRef, seed_index: int) -> _Seed:
-    table = store.read(ref, "seeds", columns=["seed_index", "pair17_m", "take_id"])
-    row = int(np.flatnonzero(np.asarray(table["seed_index"]) == seed_index)[0])
-    take_id = table["take_id"][row]
-    return _Seed(np.array(table["pair17_m"][row], dtype=np.float64), None if take_id is None else str(take_id))
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What the annotations say about pairs near one seed."""
-
-    likelihood: InteractionLikelihood
-    speeds: Speeds | None
-    num_annotations: int
-    num_skipped: int
-    num_swapped: int
-
-    def bias(self, chart: PairChart) -> VelocityBias | None:
-        """Give what the velocity-biased kernel looks round with; None for the unbiased one."""
-        if self.speeds is None:
-            return None
-        return VelocityBias(self.speeds, lambda parameters: self.likelihood.nearest(chart.positions_fast(parameters)))
-
-    def note(self) -> str:
-        """Say what is unusual about the annotations; nothing when all is well."""
-        notes = []
-        if self.num_annotations < LEAST_CANDIDATES:
-            notes.append(
-                f"{self.num_annotations} annotations are fewer than the {LEAST_CANDIDATES} that a view should be "
-                "compared with: the likelihood says little"
-            )
-        if self.num_skipped:
-            total = self.num_annotations + self.num_skipped
-            notes.append(
-                f"{self.num_skipped} of {total} annotations lack a joint, a person or a view and were left out"
-            )
-        if self.num_swapped:
-            notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
-        return "; ".join(notes)
-
-
-# Building a likelihood reads every annotation; the segments that one worker runs in a row mostly share it.
-_KEPT: OrderedDict[str, _Seen] = OrderedDict()
-_MOST_KEPT = 2
-
-
-def _look_at_annotations(shard: Shard, store: Store) -> _Seen:
-    """Give what the annotations say about pairs near a seed."""
-    options = {name: shard.parameters[name] for name in _LIKELIHOOD_PARAMETERS}
-    seed_index = int(shard.parameters["seed_index"])
-    identity = json.dumps(
-        [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
-    )
-    if identity not in _KEPT:
-        placed = gather(shard, store)
-        pairs = placed.gathered.pairs
-        rng = stream(shard.seed, "chains", "views", seed_index)
-        views = placed.gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
-        bank = build_bank(
-            views, pairs, num_candidates=options["num_candidates"], view_bandwidth_rad=options["sigma_v_rad"]
-        )
-        likelihood = InteractionLikelihood(
-            pairs,
-            bank,
-            sigma_l=options["sigma_l"],
-            beta_m=options["beta_m"],
-            num_ranked=options["num_ranked"],
-        )
-        speeds, num_swapped = None, 0
-        if options["kernel"] == "velocity":
-            tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))
-            speeds = annotation_speeds(tracks)
-            num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
-        num_annotations = len(np.unique(pairs.annotation_index))
-        _KEPT[identity] = _Seen(likelihood, speeds, num_annotations, placed.gathered.num_skipped, num_swapped)
-        while len(_KEPT) > _MOST_KEPT:
-            _KEPT.popitem(last=False)
-    return _KEPT[identity]
-
-
 def _summarise(shard: Shard, store: Store) -> ArtifactRef:
     """Diagnose all chains of one density and seed."""
     options = shard.parameters
@@ -411,7 +279,7 @@ def _summarise(shard: Shard, store: Store) -> ArtifactRef:
         stacked["log_density"],
         stacked["num_accepted"],
         thin=int(options["thin"]),
-        seed_m=_read_seed(store, shard.inputs[0], int(options["seed_index"])).pair_m,
+        seed_m=read_seed_row(store, shard.inputs[0], int(options["seed_index"])).pair_m,
         log_ceiling=float(facts["log_ceiling"]),
     )
     info = {

@@ -1,0 +1,191 @@
+"""What a chain samples and how it steps, put together from a seed, the annotations and a shard's parameters."""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling import (
+    GaussianBlocks,
+    InteractionLikelihood,
+    MoveKind,
+    MoveMixture,
+    PairChart,
+    PairDensity,
+    PhysicalPrior,
+    Speeds,
+    VelocityBias,
+    annotation_speeds,
+    build_bank,
+    undo_swaps,
+)
+from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
+from storage_schema import ArtifactRef, Store
+from tasks.annotated_pairs import gather, gather_tracks
+from tasks.seeds import read_limits
+from tasks.stage import Shard, stream
+
+__all__ = ["LIKELIHOOD_PARAMETERS", "ChainProblem", "SeedRow", "chain_problem", "look_at_annotations", "read_seed_row"]
+
+LIKELIHOOD_PARAMETERS = (
+    "num_views",
+    "num_candidates",
+    "num_hypotheses",
+    "num_ranked",
+    "sigma_l",
+    "sigma_v_rad",
+    "beta_m",
+    "kernel",
+)
+
+
+@dataclass(frozen=True)
+class ChainProblem:
+    """A target, the kernel that is to sample it, and what the annotations said; None without annotations."""
+
+    chart: PairChart
+    target: PairDensity
+    propose: GaussianBlocks
+    seen: Seen | None
+
+
+def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
+    """Put together what the chains of a shard's density and seed sample.
+
+    Raises:
+        InputError: The seed has density 0, with the term that made it so, or is no pair; names the seed.
+    """
+    options = shard.parameters
+    seen = look_at_annotations(shard, store) if options["density"] == "ic" else None
+    try:
+        chart = PairChart(seed.pair_m)
+        prior = PhysicalPrior(
+            chart,
+            read_limits(shard, store),
+            sigma_p=options["sigma_p_m"],
+            alpha=options["alpha"],
+            most_invalid=options["most_invalid_angles"],
+            length_tolerance=options["length_tolerance"],
+        )
+        likelihood = None if seen is None else seen.likelihood
+        target = PairDensity(chart, prior, likelihood, truncation=options["truncation"])
+    except InputError as error:
+        raise InputError(f"seed {options['seed_index']} ({seed.origin}): {error}") from None
+    propose = GaussianBlocks(
+        root_rotation_rad=options["root_rotation_rad"],
+        root_position_m=options["root_position_m"],
+        joint_rotation_rad=options["joint_rotation_rad"],
+        length_change=options["length_change"],
+        mixture=MoveMixture(
+            weights={MoveKind(kind): weight for kind, weight in options["moves"].items()},
+            most_blocks=options["most_blocks"],
+        ),
+        bias=None if seen is None else seen.bias(chart),
+    )
+    return ChainProblem(chart, target, propose, seen)
+
+
+@dataclass(frozen=True)
+class SeedRow:
+    """A seed as stored: the pair (2, 17, 3), metres, the take it came from, and its origin in words."""
+
+    pair_m: np.ndarray
+    take_id: str | None
+    origin: str
+
+
+def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
+    """Give a seed of an artifact by its index in the study."""
+    names = ["seed_index", "pair17_m", "origin", "take_id", "take_frame", "sequence_id", "sequence_frame", "made_from"]
+    table = store.read(ref, "seeds", columns=names)
+    row = int(np.flatnonzero(np.asarray(table["seed_index"]) == seed_index)[0])
+    take_id, sequence_id, made_from = (table[name][row] for name in ("take_id", "sequence_id", "made_from"))
+    origin = str(table["origin"][row])
+    if take_id is not None:
+        origin = f"take {take_id}, frame {int(table['take_frame'][row])}"
+    elif sequence_id is not None:
+        origin += f" from {sequence_id}, frame {int(table['sequence_frame'][row])}"
+    elif made_from is not None:
+        origin = str(made_from)
+    return SeedRow(
+        pair_m=np.array(table["pair17_m"][row], dtype=np.float64),
+        take_id=None if take_id is None else str(take_id),
+        origin=origin,
+    )
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the annotations say about pairs near one seed."""
+
+    likelihood: InteractionLikelihood
+    speeds: Speeds | None
+    num_annotations: int
+    num_skipped: int
+    num_swapped: int
+
+    def bias(self, chart: PairChart) -> VelocityBias | None:
+        """Give what the velocity-biased kernel looks round with; None for the unbiased one."""
+        if self.speeds is None:
+            return None
+        return VelocityBias(self.speeds, lambda parameters: self.likelihood.nearest(chart.positions_fast(parameters)))
+
+    def note(self) -> str:
+        """Say what is unusual about the annotations; nothing when all is well."""
+        notes = []
+        if self.num_annotations < LEAST_CANDIDATES:
+            notes.append(
+                f"{self.num_annotations} annotations are fewer than the {LEAST_CANDIDATES} that a view should be "
+                "compared with: the likelihood says little"
+            )
+        if self.num_skipped:
+            total = self.num_annotations + self.num_skipped
+            notes.append(
+                f"{self.num_skipped} of {total} annotations lack a joint, a person or a view and were left out"
+            )
+        if self.num_swapped:
+            notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
+        return "; ".join(notes)
+
+
+# Building a likelihood reads every annotation; the segments that one worker runs in a row mostly share it.
+_KEPT: OrderedDict[str, Seen] = OrderedDict()
+_MOST_KEPT = 2
+
+
+def look_at_annotations(shard: Shard, store: Store) -> Seen:
+    """Give what the annotations say about pairs near a seed."""
+    options = {name: shard.parameters[name] for name in LIKELIHOOD_PARAMETERS}
+    seed_index = int(shard.parameters["seed_index"])
+    identity = json.dumps(
+        [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
+    )
+    if identity not in _KEPT:
+        placed = gather(shard, store)
+        pairs = placed.gathered.pairs
+        rng = stream(shard.seed, "chains", "views", seed_index)
+        views = placed.gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
+        bank = build_bank(
+            views, pairs, num_candidates=options["num_candidates"], view_bandwidth_rad=options["sigma_v_rad"]
+        )
+        likelihood = InteractionLikelihood(
+            pairs,
+            bank,
+            sigma_l=options["sigma_l"],
+            beta_m=options["beta_m"],
+            num_ranked=options["num_ranked"],
+        )
+        speeds, num_swapped = None, 0
+        if options["kernel"] == "velocity":
+            tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))
+            speeds = annotation_speeds(tracks)
+            num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
+        num_annotations = len(np.unique(pairs.annotation_index))
+        _KEPT[identity] = Seen(likelihood, speeds, num_annotations, placed.gathered.num_skipped, num_swapped)
+        while len(_KEPT) > _MOST_KEPT:
+            _KEPT.popitem(last=False)
+    return _KEPT[identity]

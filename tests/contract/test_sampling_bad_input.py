@@ -1,0 +1,131 @@
+"""Annotations and seeds as they should not be: each has a defined outcome, and a sentence that says it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.pair_file import PairFile, write_pair_json
+from pasdedeux.sampling import gauge_fix, kernel_from_json
+from pasdedeux.sampling.parameters import PairChart, block_indices
+from pasdedeux.sampling.synthetic import standing_pair
+from pasdedeux.skeletons import PAIR17
+from storage_schema import Manifest, Store
+from tasks import chains
+from tasks.chains import ChainsParameters
+from tests.contract.test_sampling_stages import NUM_FRAMES, QUICK, put_annotations, put_take, run, with_seeds
+
+OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "kernel": "velocity"}
+
+
+def sampled(
+    folder: Path, spoil: Callable[[np.ndarray], None], *, densities: tuple[str, ...] = ("ic",), **seeds: Any
+) -> tuple[Store, list[Manifest]]:
+    """Sample from annotations that `spoil` changed: pixels (annotation, frame, person, joint, 2), middle one seen."""
+    store = Store(folder / "store")
+    annotations, views = put_annotations(store, "one", spoil=spoil)
+    tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
+    given = with_seeds(store, tables, **(seeds or {"num_seeds": 1}))
+    planned = chains.plan(given, ChainsParameters(**OPTIONS, densities=densities))
+    return store, run(planned, chains, store)
+
+
+def note_of(store: Store, made: list[Manifest]) -> str:
+    (summary,) = (one for one in made if "chain_info" in one.tables)
+    table = store.read(summary.ref, "chain_info")
+    assert np.isfinite(table["log_density_mean"][0])
+    return str(table["note"][0])
+
+
+def test_missing_joints_leave_the_annotation_out_and_are_counted(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[10:15, 1, 0, 7] = np.nan
+
+    # One annotation of the fixture lacks a joint already.
+    note = note_of(*sampled(tmp_path, spoil))
+    assert note == "6 of 40 annotations lack a joint, a person or a view and were left out"
+
+
+def test_an_absent_person_leaves_the_annotation_out(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[20:30, 1, 1] = np.nan
+
+    assert note_of(*sampled(tmp_path, spoil)).startswith("11 of 40 annotations lack a joint, a person or a view")
+
+
+def test_without_any_annotation_of_two_people_the_reason_is_given(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[:, :, 1] = np.nan
+
+    with pytest.raises(InputError, match="none of the 40 annotated pairs has all joints of both people and a view"):
+        sampled(tmp_path, spoil)
+
+
+def test_people_numbered_anew_from_frame_to_frame_are_put_back_for_speeds(tmp_path: Path) -> None:
+    def swap(pixels: np.ndarray) -> None:
+        pixels[10:17, 0] = pixels[10:17, 0, ::-1].copy()
+
+    store, right = sampled(tmp_path / "right", lambda _: None)
+    other, swapped = sampled(tmp_path / "swapped", swap)
+    assert "round 7 annotations people were numbered anew" in note_of(other, swapped)
+    draws = [store_.read(made[0].ref, "draws")["parameters"] for store_, made in ((store, right), (other, swapped))]
+    np.testing.assert_array_equal(*draws)
+
+
+def test_identical_frames_have_no_speed_and_change_nothing_else(tmp_path: Path) -> None:
+    """All annotations the same, and nothing moves: the velocity-biased kernel is the unbiased one."""
+
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[:] = pixels[5, 1]
+
+    store, made = sampled(tmp_path, spoil)
+    assert note_of(store, made) == ""
+    _, local = kernel_from_json(str(store.read(made[0].ref, "chain_states")["kernel_state"][0]))
+    assert local is not None
+    assert np.isfinite(np.asarray(store.read(made[0].ref, "draws")["log_density"])).all()
+
+
+def test_fewer_annotations_than_a_view_should_be_compared_with_are_used_and_said(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[: NUM_FRAMES - 9, 1] = np.nan
+
+    note = note_of(*sampled(tmp_path, spoil))
+    assert note.startswith("9 annotations are fewer than the 20 that a view should be compared with")
+
+
+def test_asking_for_the_full_density_alone_without_annotations_is_refused(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    given = with_seeds(store, {"poses": [put_take(store, "one")]}, num_seeds=1)
+    with pytest.raises(InputError, match=r"chains\.densities asks for ic alone, but there are no annotated pairs"):
+        chains.plan(given, ChainsParameters(**OPTIONS, densities=("ic",)))
+
+
+def test_a_seed_with_density_zero_is_named_with_the_term_and_the_amount(tmp_path: Path) -> None:
+    chart = PairChart(gauge_fix(standing_pair()))
+    bent = chart.seed_parameters()
+    for person in range(2):
+        for name in ("left_ankle", "right_ankle", "left_wrist", "right_wrist", "head", "neck"):
+            bent[block_indices(PAIR17.index(name) + 17 * person)[:2]] = [1.8, 0.5]
+    path = tmp_path / "broken.json"
+    path.write_text(write_pair_json(PairFile(chart.positions(bent), made_from="a bad idea")))
+    message = r"seed 0 \(a bad idea\): the seed has density 0: the prior found \d+ joint angles out of range, \d+ more"
+    with pytest.raises(InputError, match=message):
+        sampled(tmp_path, lambda _: None, num_seeds=0, files=[{"path": path}])
+
+
+def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    annotations, views = put_annotations(store, "one")
+    tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
+    given = with_seeds(store, tables, num_seeds=1)
+    far = {"root_rotation_rad": 3.0, "root_position_m": 9.0, "joint_rotation_rad": 3.0, "most_blocks": 34}
+    planned = chains.plan(given, ChainsParameters(**{**QUICK, **far, "num_chains": 1, "densities": ("ic",)}))
+    made = run(planned, chains, store)
+    info = store.read(made[-1].ref, "chain_info")
+    assert info["verdict"][0] == "stuck"
+    assert info["reason"][0].startswith("0.00% of the proposals were accepted")

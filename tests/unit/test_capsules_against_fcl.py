@@ -1,0 +1,75 @@
+"""Closed-form capsule penetration against the Flexible Collision Library."""
+
+from __future__ import annotations
+
+import fcl
+import numpy as np
+import pytest
+
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, swing_between
+from pasdedeux.plausibility.capsules import capsule_model, penetration, segment_distance
+from pasdedeux.plausibility.capsules_kernel import pair_penetration
+from pasdedeux.skeletons import PAIR17
+from tests.unit.test_capsules import random_pairs
+
+MODEL = capsule_model(PAIR17)
+# What FCL's own tolerance leaves of a penetration depth.
+TOLERANCE_M = 2e-6
+
+
+def capsule(start: np.ndarray, end: np.ndarray, radius: float) -> fcl.CollisionObject:
+    """FCL's capsules lie along z, their middle at the origin."""
+    length = float(np.linalg.norm(end - start))
+    turn = swing_between(np.array([[0.0, 0.0, 1.0]]), ((end - start) / length)[None])
+    return fcl.CollisionObject(
+        fcl.Capsule(radius, length), fcl.Transform(rotmat_from_unitquat(turn)[0], 0.5 * (start + end))
+    )
+
+
+def signed_distance(one: fcl.CollisionObject, other: fcl.CollisionObject) -> float:
+    apart = float(fcl.distance(one, other, fcl.DistanceRequest(), fcl.DistanceResult()))
+    if apart > 0.0:
+        return apart
+    # Only this finds how deep: with iterations, so not quite exactly.
+    request = fcl.DistanceRequest(enable_nearest_points=True, enable_signed_distance=True)
+    return float(fcl.distance(one, other, request, fcl.DistanceResult()))
+
+
+@pytest.mark.parametrize("spread_m", [0.15, 0.4])
+def test_distances_and_depths_of_capsules_are_those_of_fcl(spread_m: float) -> None:
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(500):
+        ends, radii = rng.normal(scale=spread_m, size=(4, 3)), rng.uniform(0.03, 0.1, 2)
+        own = float(segment_distance(*ends)) - radii.sum()
+        found = signed_distance(capsule(ends[0], ends[1], radii[0]), capsule(ends[2], ends[3], radii[1]))
+        assert own == pytest.approx(found, abs=TOLERANCE_M)
+        inside += own < 0.0
+    assert 20 < inside < 480
+
+
+def test_penetration_of_pairs_is_that_of_fcl() -> None:
+    pairs = random_pairs(3, 6)
+    radii = MODEL.radii_of(pairs)
+    plain = penetration(pairs, radii, MODEL)
+    for row, pair in enumerate(pairs):
+        bodies = [
+            {
+                bone: capsule(person[MODEL.parents[bone]], person[bone], radii[index, bone])
+                for bone in MODEL.bones.tolist()
+            }
+            for index, person in enumerate(pair)
+        ]
+
+        def total(first: int, second: int, checked: np.ndarray, bodies: list[dict] = bodies) -> float:
+            found = [signed_distance(bodies[first][one], bodies[second][other]) for one, other in checked.tolist()]
+            return -sum(distance for distance in found if distance < 0.0)
+
+        within = [total(person, person, MODEL.within) for person in range(2)]
+        between = total(0, 1, MODEL.between)
+        np.testing.assert_allclose(plain.within_m[row], within, atol=len(MODEL.within) * TOLERANCE_M)
+        assert plain.between_m[row] == pytest.approx(between, abs=len(MODEL.between) * TOLERANCE_M)
+        sums = np.empty(3)
+        depth = pair_penetration(pair, radii, MODEL.parents, MODEL.within, MODEL.between, sums)
+        assert depth == pytest.approx(sum(within) + between, abs=1e-3)
+    assert plain.total_m.max() > 0.05

@@ -1,36 +1,51 @@
 """Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed.
 
-Per person: scale and place from the frames of the last moments, exact search, Viterbi over the candidates with a fixed
-lag, 1-euro filter on rotations and root.
+Per person: scale and place from the frames of the last moments, exact search, yaws between the steps, Viterbi over the
+candidates with a fixed lag, 1-euro filter on rotations and root.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, rotvec_from_unitquat, slerp, swing_between
-from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
+from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.frame_kernels import (
+    filter_rotations,
+    find_bone_rotations,
+    least_squares_scale,
+    place_bones,
+    straighten_frame,
+    transition_costs,
+    turn_from_camera_axis,
+    turn_poses,
+    unify_image,
+)
 from pasdedeux.projections.identity import Follower, IdentityOptions
-from pasdedeux.projections.proportions import estimate_proportions, retarget_image
-from pasdedeux.projections.reconstruct import Searcher, straighten_rays
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
-from pasdedeux.projections.scale import Placement, place_track, refine_placement
-from pasdedeux.projections.smoothing import OneEuro
+from pasdedeux.projections.proportions import estimate_proportions
+from pasdedeux.projections.reconstruct import Searcher
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
+from pasdedeux.projections.scale import place_track
+from pasdedeux.projections.smoothing import OneEuro, one_euro_share
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import Lens
+from pasdedeux.projections.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
 __all__ = ["Decision", "FixedLagViterbi", "LiveOptions", "LivePeople", "LivePerson", "LivePose"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+_LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
+
+_FIRST_ROUNDS = 3
+"""Searches of a person's first frame, whose scale is only guessed from the bones."""
 
 _ROOT_BETA = 2.0
 """Growth of the root's cut-off with its speed, Hz per m/s: bodies move slower than limbs turn."""
@@ -57,7 +72,7 @@ class LiveOptions:
     window_s: float = 1.0
     proportions_every: int = 15
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
-    smoothing: OneEuro = field(default_factory=OneEuro)
+    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.6, beta=0.2))
     identities: IdentityOptions = field(default_factory=IdentityOptions)
 
     def __post_init__(self) -> None:
@@ -103,10 +118,18 @@ class FixedLagViterbi:
         self._steps: deque[_Step] = deque()
         self._num_decided = 0
 
-    def push(self, frame: int, row: Integers, yaw_index: Integers, distance_m: Array) -> list[Decision]:
-        """Add a frame's candidates (k,), at least one of finite distance; give what is old enough to be decided."""
-        pose = self._database.turned(row, yaw_index)
-        following = self._database.turned(self._successors[row], yaw_index)
+    def push(self, frame: int, row: Integers, yaw_steps: Array, distance_m: Array) -> list[Decision]:
+        """Add a frame's candidates (k,), at least one of finite distance; give what is old enough to be decided.
+
+        Args:
+            frame: Its number, after that of the frame before.
+            row: Database rows.
+            yaw_steps: Their yaws in steps of the database, also between them.
+            distance_m: Their distances in the image.
+        """
+        poses, yaw_rad = self._database.poses_m, yaw_steps * self._database.yaw_step_rad
+        pose = turn_poses(poses, row, yaw_rad)
+        following = turn_poses(poses, self._successors[row], yaw_rad)
         back = np.full(len(row), -1, dtype=np.int64)
         cost = np.array(distance_m, dtype=np.float64)
         if self._steps:
@@ -114,10 +137,8 @@ class FixedLagViterbi:
             gap = frame - last.frame
             share = min(self._database.rate_hz / self._rate_hz * gap, 1.0)
             ahead = last.continued[0] + share * (last.continued[1] - last.continued[0])
-            change = np.linalg.norm(pose[:, None] - ahead[None], axis=-1).mean(axis=-1)
-            total = last.cost[None] + self._weights.pose / np.sqrt(gap) * change
-            back = np.argmin(total, axis=1)
-            cost = cost + total[np.arange(len(row)), back]
+            coming, back = transition_costs(pose, ahead, last.cost, self._weights.pose / np.sqrt(gap))
+            cost = cost + coming
         # Only differences count; without this a long night would eat the digits.
         cost -= cost.min()
         self._steps.append(_Step(frame, np.stack([pose, following]), cost, back))
@@ -176,7 +197,7 @@ class _Waiting:
 
     frame: int
     row: Integers
-    yaw_index: Integers
+    yaw_steps: Array
     distance_m: Array
     root_m: Array
     num_joints_seen: int
@@ -184,9 +205,8 @@ class _Waiting:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A frame that scale and proportions are taken from."""
+    """A frame that proportions are taken from: own and matched images, metres."""
 
-    straight_px: Array
     weights: Array
     own_m: Array
     matched_m: Array
@@ -194,6 +214,9 @@ class _Seen:
 
 class LivePerson:
     """One person's reconstruction as frames arrive.
+
+    A frame is placed by the scale so far, searched once, placed anew by its best match, and its candidates are turned
+    to their best yaws at that place.
 
     Args:
         person_id: Who.
@@ -214,14 +237,15 @@ class LivePerson:
         self._viterbi = FixedLagViterbi(
             searcher.database, rate_hz=rate_hz, lag=self._options.lag, weights=self._options.temporal
         )
-        self._window: deque[_Seen] = deque(maxlen=max(3, round(self._options.window_s * rate_hz)))
+        window = max(3, round(self._options.window_s * rate_hz))
+        self._window: deque[_Seen] = deque(maxlen=window)
+        self._scales: deque[float] = deque(maxlen=window)
         self._waiting: deque[_Waiting] = deque()
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
-        self._scale = float("nan")
-        self._rotations = _OneEuroState(self._options.smoothing, rate_hz, _turned_by, slerp)
-        root = replace(self._options.smoothing, beta=_ROOT_BETA)
-        self._root = _OneEuroState(root, rate_hz, lambda a, b: a - b, lambda a, b, share: a + share * (b - a))
+        self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
+        self._rotations = _RotationFilter(self._options.smoothing, rate_hz)
+        self._root = _PointFilter(replace(self._options.smoothing, beta=_ROOT_BETA), rate_hz)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
@@ -234,7 +258,7 @@ class LivePerson:
                 waiting = None  # too little of the person to tell the size by; a later frame will do
             if waiting is not None:
                 self._waiting.append(waiting)
-                decided = self._viterbi.push(frame, waiting.row, waiting.yaw_index, waiting.distance_m)
+                decided = self._viterbi.push(frame, waiting.row, waiting.yaw_steps, waiting.distance_m)
                 return [self._pose(one) for one in decided]
         return self.advance(frame)
 
@@ -249,33 +273,57 @@ class LivePerson:
         return [self._pose(one) for one in self._viterbi.decide_until(self._waiting[-1].frame)]
 
     def _match(self, frame: int, points: Array, weights: Array) -> _Waiting | None:
-        database, reference = self._searcher.database, self._searcher.reference
-        before = list(self._window)
-        weight = np.stack([*(one.weights for one in before), weights])
-        window = 2 * len(weight) + 1  # the median of all frames at hand
-        first = place_track(points[None], weights[None], reference, window=1)
-        straight, towards = straighten_rays(points[None], first.mid_hip_px, self._lens.focal_px)
-        image = np.stack([*(one.straight_px for one in before), straight[0]])
-        placement = place_track(image, weight, reference, window=window)
-        matched = np.full(image.shape, np.nan)
-        for index, one in enumerate(before):
-            matched[index] = one.matched_m
-        # The scale of the frame before is better than a first guess, and close enough to find the match by.
-        scale = self._scale if before else float(placement.metres_per_pixel[-1])
-        own = (image[-1] - placement.mid_hip_px[-1]) * scale
-        found = self._searcher.index.search(
-            retarget_image(own, self._proportions)[None], weights[None], num_neighbours=1
+        database, focal = self._searcher.database, self._lens.focal_px
+        if self._scales:
+            scale, rounds = float(np.median(self._scales)), 1
+        else:
+            first = place_track(points[None], weights[None], self._searcher.reference, window=1)
+            scale, rounds = float(first.metres_per_pixel[0]), _FIRST_ROUNDS
+        straight: Array
+        straight, towards = straighten_frame(points, self._mid_hip(points, weights, scale), focal)
+        weights = np.where(np.isfinite(straight[:, 0]), weights, 0.0)
+        centre = self._mid_hip(straight, weights, scale)
+        ratio = float("nan")
+        for _ in range(rounds):
+            query = unify_image((straight - centre) * scale, self._proportions)
+            found = self._searcher.index.search(query, weights, num_neighbours=self._options.num_candidates)
+            if found.projection[0] < 0:
+                return None
+            yaw_rad = np.array([found.yaw_index[0] * database.yaw_step_rad])
+            best = turn_poses(database.poses_m, found.row[:1], yaw_rad)
+            matched: Array = np.asarray(database.camera.project(best)[0])
+            fit = least_squares_scale(straight, weights, unify_image(matched, 1.0 / self._proportions))
+            ratio = float(fit[0])
+            if np.isfinite(ratio):
+                scale = float(np.median([*self._scales, ratio]))
+                centre = fit[1:3] - fit[3:] / scale
+        if np.isfinite(ratio):
+            self._scales.append(ratio)
+        own = (straight - centre) * scale
+        self._learn_proportions(_Seen(weights, own, matched))
+        refined = refine_yaws(database, found, unify_image(own, self._proportions), weights)
+        is_real = found.projection >= 0
+        place = np.append(centre * scale, -scale * focal)
+        return _Waiting(
+            frame,
+            found.row[is_real],
+            refined.yaw_steps[is_real],
+            refined.distance_m[is_real],
+            rotate(turn_from_camera_axis(towards), place),
+            int(np.count_nonzero(weights > 0)),
         )
-        if found.projection[0, 0] < 0:
-            return None
-        matched[-1] = database.camera.project(database.turned(found.row[0, 0], found.yaw_index[0, 0])[None])[0]
-        placement = self._refined(image, weight, matched, window, placement)
-        own = placement.to_metres(image)[-1]
-        found = self._searcher.index.search(
-            retarget_image(own, self._proportions)[None], weights[None], num_neighbours=self._options.num_candidates
-        )
-        is_real = np.asarray(found.projection[0] >= 0)
-        self._window.append(_Seen(straight[0], weights, own, matched[-1]))
+
+    def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
+        """Give the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
+        if weights[_LEFT_HIP] > 0 and weights[_RIGHT_HIP] > 0:
+            return np.asarray(0.5 * (points[_LEFT_HIP] + points[_RIGHT_HIP]))
+        reference = self._searcher.reference
+        share = weights / reference.variance_m2
+        off_mean = np.nan_to_num(points) - reference.mean_m / scale
+        return np.asarray(share @ off_mean / share.sum())
+
+    def _learn_proportions(self, seen: _Seen) -> None:
+        self._window.append(seen)
         self._num_seen += 1
         if self._num_seen % self._options.proportions_every == 0:
             self._proportions = estimate_proportions(
@@ -283,45 +331,27 @@ class LivePerson:
                 np.stack([one.weights for one in self._window]),
                 np.stack([one.matched_m for one in self._window]),
             )
-        self._scale = scale = float(placement.metres_per_pixel[-1])
-        place = np.append(placement.mid_hip_px[-1] * scale, -scale * self._lens.focal_px)
-        turn = swing_between(np.array([0.0, 0.0, 1.0]), towards[0])
-        return _Waiting(
-            frame,
-            found.row[0, is_real],
-            found.yaw_index[0, is_real],
-            np.asarray(found.distance_m[0, is_real], dtype=np.float64),
-            rotate(turn, place),
-            int(np.count_nonzero(weights > 0)),
-        )
-
-    def _refined(self, image: Array, weight: Array, matched: Array, window: int, previous: Placement) -> Placement:
-        own = retarget_image(matched, 1.0 / self._proportions)
-        return refine_placement(image, weight, own, window=window, previous=previous)
 
     def _pose(self, decision: Decision) -> LivePose:
         waiting = self._waiting.popleft()
         assert waiting.frame == decision.frame, "every frame pushed is decided once, in order"
-        database = self._searcher.database
-        row, yaw = waiting.row[decision.rank], waiting.yaw_index[decision.rank]
-        pose = database.turned(row, yaw) @ np.asarray(database.camera.camera_from_upright_rotmat).T
-        unitquat = self._rotations.step(waiting.frame, bone_rotations(pose))
+        database, rank = self._searcher.database, decision.rank
+        yaw_rad = waiting.yaw_steps[rank : rank + 1] * database.yaw_step_rad
+        pose = turn_poses(database.poses_m, waiting.row[rank : rank + 1], yaw_rad)[0] @ self._camera_rotmat.T
+        unitquat = self._rotations.step(waiting.frame, find_bone_rotations(pose))
         root = self._root.step(waiting.frame, waiting.root_m)
-        relative = place_bone_rotations(unitquat, REFERENCE_LENGTHS_M * self._proportions, np.zeros(3))
-        towards = -root / np.linalg.norm(root)
-        turn = swing_between(np.array([0.0, 0.0, 1.0]), towards)
-        positions = rotate(np.broadcast_to(turn, (OP14.num_joints, 4)), relative) + root
-        turned = np.array(unitquat)  # bones turn against each other, so only the body's frame turns with the whole
-        turned[OP14.root] = multiply(turn, unitquat[OP14.root])
+        # Bones turn against each other, so only the body's frame turns with the whole.
+        turned = np.array(unitquat)
+        turned[OP14.root] = multiply(turn_from_camera_axis(-root), unitquat[OP14.root])
         return LivePose(
             person_id=self.person_id,
             frame=waiting.frame,
-            positions_m=positions,
+            positions_m=place_bones(turned, REFERENCE_LENGTHS_M * self._proportions) + root,
             bone_unitquat=turned,
-            root_m=mid_hip(positions),
-            yaw_rad=float(yaw * database.yaw_step_rad),
-            score_m=float(waiting.distance_m[decision.rank]),
-            row=int(row),
+            root_m=root,
+            yaw_rad=float(np.mod(yaw_rad[0], 2.0 * np.pi)),
+            score_m=float(waiting.distance_m[rank]),
+            row=int(waiting.row[rank]),
             num_joints_seen=waiting.num_joints_seen,
         )
 
@@ -392,43 +422,50 @@ class LivePeople:
         return [pose for person in sorted(self._people) for pose in self._people[person].finish()]
 
 
-class _OneEuroState:
-    """The 1-euro filter of `smoothing.smooth_one_euro`, a frame at a time, where there is a difference and a step."""
+class _RotationFilter:
+    """The 1-euro filter of `smoothing.smooth_one_euro`, a frame at a time; after a gap its rate is that of the gap."""
 
-    def __init__(
-        self,
-        parameters: OneEuro,
-        rate_hz: float,
-        difference: Callable[[Array, Array], Array],
-        step: Callable[[Array, Array, Array], Array],
-    ) -> None:
+    def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
         self._parameters = parameters
         self._rate_hz = rate_hz
-        self._difference = difference
-        self._step = step
         self._frame = 0
         self._value: Array | None = None
-        self._speed = np.zeros(())
+        self._speed = np.zeros(OP14.num_joints)
 
     def step(self, frame: int, value: Array) -> Array:
-        """Give the smoothed value of this frame; after a gap the rate is that of the frames that came."""
+        """Give the smoothed rotations (14, 4) of this frame."""
         if self._value is None:
-            self._value, self._frame = np.array(value), frame
-            self._speed = np.zeros(value.shape[:-1])
-            return self._value
-        rate = self._rate_hz / max(frame - self._frame, 1)
-        moved = np.linalg.norm(self._difference(value, self._value), axis=-1) * rate
-        cutoff = np.asarray(self._parameters.derivative_cutoff_hz)
-        self._speed = self._speed + _share(cutoff, rate) * (moved - self._speed)
-        share = _share(self._parameters.min_cutoff_hz + self._parameters.beta * self._speed, rate)
-        self._value, self._frame = np.asarray(self._step(self._value, value, share)), frame
+            self._value = value
+        else:
+            one = self._parameters
+            rate = self._rate_hz / max(frame - self._frame, 1)
+            self._value, self._speed = filter_rotations(
+                self._value, self._speed, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
+            )
+        self._frame = frame
         return self._value
 
 
-def _turned_by(after: Array, before: Array) -> Array:
-    return rotvec_from_unitquat(multiply(after, conjugate(before)))
+class _PointFilter:
+    """The same for a point (3,): its speed is metres per second."""
 
+    def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
+        self._parameters = parameters
+        self._rate_hz = rate_hz
+        self._frame = 0
+        self._value: Array | None = None
+        self._speed = 0.0
 
-def _share(cutoff_hz: Array, rate_hz: float) -> Array:
-    """Give the weight of a new sample in a first-order low-pass."""
-    return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * cutoff_hz)))
+    def step(self, frame: int, value: Array) -> Array:
+        """Give the smoothed point of this frame."""
+        if self._value is None:
+            self._value = value
+        else:
+            one = self._parameters
+            rate = self._rate_hz / max(frame - self._frame, 1)
+            moved = float(np.linalg.norm(value - self._value)) * rate
+            self._speed += float(one_euro_share(one.derivative_cutoff_hz, rate)) * (moved - self._speed)
+            share = one_euro_share(one.min_cutoff_hz + one.beta * self._speed, rate)
+            self._value = self._value + share * (value - self._value)
+        self._frame = frame
+        return self._value

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotvec_from_unitquat, slerp
 
-__all__ = ["OneEuro", "bridge_gaps", "continuous_signs", "smooth_one_euro", "smooth_savitzky_golay"]
+__all__ = ["OneEuro", "bridge_gaps", "continuous_signs", "one_euro_share", "smooth_one_euro", "smooth_savitzky_golay"]
 
 Array = npt.NDArray[np.float64]
 
@@ -72,18 +72,18 @@ def smooth_one_euro(unitquat: Array, *, rate_hz: float, parameters: OneEuro | No
     if len(smoothed) == 0:
         return smoothed
     speed = np.zeros(smoothed.shape[1:-1])
-    derivative_share = _share(np.asarray(parameters.derivative_cutoff_hz), rate_hz)
+    derivative_share = one_euro_share(np.asarray(parameters.derivative_cutoff_hz), rate_hz)
     for frame in range(1, len(smoothed)):
         step = rotvec_from_unitquat(multiply(unitquat[frame], conjugate(smoothed[frame - 1])))
         speed = speed + derivative_share * (np.linalg.norm(step, axis=-1) * rate_hz - speed)
-        share = _share(parameters.min_cutoff_hz + parameters.beta * speed, rate_hz)
+        share = one_euro_share(parameters.min_cutoff_hz + parameters.beta * speed, rate_hz)
         smoothed[frame] = slerp(smoothed[frame - 1], unitquat[frame], share)
     return smoothed
 
 
-def _share(cutoff_hz: Array, rate_hz: float) -> Array:
-    """Give the weight of a new sample in a first-order low-pass."""
-    return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * cutoff_hz)))
+def one_euro_share(cutoff_hz: Array | float, rate_hz: float) -> Array:
+    """Give the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, eq. 3 to 5)."""
+    return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * np.asarray(cutoff_hz))))
 
 
 def bridge_gaps(unitquat: Array, is_known: npt.NDArray[np.bool_]) -> Array:

@@ -24,7 +24,6 @@ from pasdedeux.completion import (
     sample_naively,
     straight_between,
 )
-from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
 from storage_schema import ArtifactRef, Store
@@ -55,8 +54,9 @@ class LiftingParameters(Parameters):
     between_frames: int = Field(15, ge=0, description="Frames from one lifted pair of a video to the next; 0: none")
     num_spans: int = Field(2, ge=0, description="Places of each video where the pairs between are filled in")
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
-        (), description="Direct lifting and what is built on it, to compare with (seconds for each pair)"
+        (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"
     )
+    num_naive: int = Field(1000, ge=1, description="Samples round each pair of the baseline naive_sampling")
 
 
 def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
@@ -131,7 +131,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         if num_skipped
         else [],
     }
-    tables = {"lifted_pairs": _columns(rows)}
+    tables = {"lifted_pairs": _columns(rows)} if rows else {}
     if between:
         tables["in_betweens"] = _columns(between)
     return commit(shard, store, tables=tables, facts=facts)
@@ -284,7 +284,8 @@ def _baselines(
             rows.append(_row(one, "lifting_ik", by_ik))
         if "naive_sampling" in baselines:
             rng = stream(shard.seed, "lifting", one.sequence_id, one.frame)
-            sampled = sample_naively(rng, one.image_m, by_ik, limits)
+            count = int(shard.parameters["num_naive"])
+            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=count)
             rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
     return rows
 
@@ -318,8 +319,6 @@ def _fill(
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
     """Give rows as columns, in the order of the table."""
-    if not rows:
-        raise InputError("none of the annotated pairs of this source has views and enough joints to be lifted")
     ordered = sorted(rows, key=lambda row: (row["sequence_id"], row["frame"], row["method"], row.get("first_frame", 0)))
     return {name: [row[name] for row in ordered] for name in ordered[0]}
 

@@ -29,7 +29,7 @@ Mask = npt.NDArray[np.bool_]
 LEAST_SEEN = 4
 """Joints of both people together that must be seen for a comparison to mean anything."""
 _NUM_JOINTS = 2 * PAIR17.num_joints
-_FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis")
+_FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis", "left_elbow")
 _NUM_FIRST = 2 * len(_FAR_APART)
 _SLACK_M2 = 1e-4
 """What single precision may be wrong by in a sum of squares over 34 joints, with a wide margin."""

@@ -1,0 +1,70 @@
+"""What retrieval costs: `pasdedeux bench completion` shows it beside brute force, with whether answers are the same."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+
+from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.cameras import project_pair
+from pasdedeux.completion.draw_index import DrawIndex, plain_nearest
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.sampling.synthetic import random_pairs
+
+__all__ = ["BENCHMARKS", "retrieval_problem"]
+
+NUM_DRAWS, NUM_PLACES = 100_000, 4_000
+
+
+def retrieval_problem(num_draws: int = NUM_DRAWS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Give draws (n, 2, 17, 3) as chains leave them, close together round many places, images of others, and views.
+
+    The images (64, 2, 17, 2) are of pairs that are no draws, with 2 cm of noise.
+    """
+    rng = np.random.default_rng(1)
+    places = random_pairs(rng, NUM_PLACES, spread_rad=0.3)
+    apart = places[rng.integers(NUM_PLACES, size=num_draws)] - places[rng.integers(NUM_PLACES, size=num_draws)]
+    draws = places[rng.integers(NUM_PLACES, size=num_draws)] + 0.1 * apart
+    views = normalise(rng.normal(size=(64, 3)) * [1.0, 0.2, 1.0])
+    images = project_pair(random_pairs(rng, 64, spread_rad=0.3), views) + rng.normal(scale=0.02, size=(64, 2, 17, 2))
+    return draws, images, views
+
+
+def _retrieval(count: int) -> BenchmarkResult:
+    draws, images, views = retrieval_problem()
+    index = DrawIndex(draws)
+    same = [
+        np.array_equal(
+            index.nearest(images[at], views[at : at + 1], count=count).draw,
+            plain_nearest(draws, images[at], views[at : at + 1], count=count).draw,
+        )
+        for at in range(8)
+    ]
+    turns, slow_turns = itertools.cycle(range(len(images))), itertools.cycle(range(len(images)))
+
+    def fast() -> None:
+        at = next(turns)
+        index.nearest(images[at], views[at : at + 1], count=count)
+
+    def plain() -> None:
+        at = next(slow_turns)
+        plain_nearest(draws, images[at], views[at : at + 1], count=count)
+
+    rate = measure_rate(fast)
+    return BenchmarkResult(
+        name=f"retrieval of {count}",
+        unit="annotations",
+        fast_name="index",
+        fast_per_s=rate,
+        plain_name="numpy over all draws",
+        plain_per_s=measure_rate(plain),
+        note=f"{NUM_DRAWS:,} draws, one view, {1e3 / rate:.1f} ms each; same answers {np.mean(same):.0%} of {len(same)}",
+    )
+
+
+BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
+    "retrieval of 1": lambda: _retrieval(1),
+    "retrieval of 8": lambda: _retrieval(8),
+}

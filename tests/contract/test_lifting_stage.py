@@ -1,0 +1,123 @@
+"""The stage `lifting` keeps its promises over a real store."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from storage_schema import Manifest, Store, open_table
+from tasks import lifting
+from tasks.lifting import LiftingParameters
+from tasks.stage import StageInputs
+from tests.contract.test_sampling_stages import inputs, put, run, with_seeds
+
+__all__ = ["inputs"]  # the fixture
+
+
+@pytest.fixture
+def grown(inputs: Any) -> tuple[Store, StageInputs]:
+    store, tables = inputs
+    return store, with_seeds(store, tables, num_seeds=1, num_grown=30)
+
+
+def lift(store: Store, given: StageInputs, **parameters: Any) -> dict[str, Manifest]:
+    found = run(lifting.plan(given, LiftingParameters(**parameters)), lifting, store)
+    return {manifest.partition: manifest for manifest in found}
+
+
+def test_annotations_are_lifted_from_grown_seeds(grown: Any) -> None:
+    store, given = grown
+    made = lift(store, given, max_frames=6)
+    assert set(made) == {"one-views", "kept_back-views"}
+    facts = made["kept_back-views"].facts
+    assert facts["is_held_out"]
+    assert facts["learned_takes"] == ["one", "two"]
+    assert facts["takes"] == ["kept_back", "one", "two"]
+    table = store.read(made["one-views"].ref, "lifted_pairs")
+    assert sorted(set(table["method"])) == ["fitted", "mean_pair", "nearest", "neighbours"]
+    assert table.num_rows == 4 * facts["num_lifted"]
+    assert np.isfinite(np.asarray(table["pair17_m"])).all()
+    residual = {
+        m: np.asarray(table["residual_m"])[np.asarray(table["method"]) == m].mean() for m in set(table["method"])
+    }
+    assert residual["fitted"] < residual["neighbours"] < residual["mean_pair"]
+
+
+def test_a_lifted_pair_names_the_draw_it_came_from(grown: Any) -> None:
+    store, given = grown
+    table = store.read(lift(store, given, max_frames=3)["one-views"].ref, "lifted_pairs")
+    row = list(table["method"]).index("nearest")
+    lifted = np.asarray(table["pair17_m"][row], dtype=np.float64)
+    draw = np.asarray(open_table(str(table["draw"][row]), store)["pair17_m"])[0]
+    np.testing.assert_allclose(
+        np.linalg.norm(lifted[0] - lifted[1], axis=-1), np.linalg.norm(draw[0] - draw[1], axis=-1), atol=1e-4
+    )
+    baseline = list(table["method"]).index("mean_pair")
+    assert table["draw"][baseline] is None
+
+
+def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:
+    store, given = grown
+    table = store.read(lift(store, given, num_completing=5)["one-views"].ref, "lifted_pairs")
+    seen, method = np.asarray(table["num_joints_seen"]), np.asarray(table["method"])
+    assert (seen[method == "completed"] == 33).all()
+    assert (method == "completed").sum() == 1
+
+
+def test_baselines_without_draws_stand_beside(grown: Any) -> None:
+    store, given = grown
+    made = lift(store, given, max_frames=1, num_naive=40, baselines=("lifting", "lifting_ik", "naive_sampling"))
+    methods = set(store.read(made["one-views"].ref, "lifted_pairs")["method"])
+    assert {"lifting", "lifting_ik", "naive_sampling"} <= methods
+
+
+def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    annotations, views = tables["annotations"][0], tables["views"][0]
+    table = store.read(annotations.ref, "annotations")
+    # The same annotations as if one camera had seen them all, one frame after the other.
+    columns = {name: table[name] for name in table.column_names}
+    columns["sequence_id"] = ["film"] * table.num_rows
+    columns["frame"] = np.asarray(columns["take_frame"]).astype(int)
+    keep = np.flatnonzero(np.asarray(columns["is_key"]))
+    columns = {name: [values[row] for row in keep] for name, values in columns.items()}
+    film = put(store, "ingest", "film", {"annotations": columns}, {**annotations.facts, "purpose": "video"})
+    seen = store.read(views.ref, "views")
+    view_columns = {name: list(seen[name]) for name in seen.column_names}
+    view_columns["frame"] = [int(name[-5:]) for name in view_columns["sequence_id"]]
+    view_columns["sequence_id"] = ["film"] * seen.num_rows
+    film_views = put(store, "views", "film", {"views": view_columns}, views.facts, (film,))
+    video = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
+    made = lift(store, video, max_frames=2, between_frames=5, num_spans=1)["film"]
+    between = store.read(made.ref, "in_betweens")
+    assert list(between["method"]) == ["draws", "straight"] * 4
+    first = np.asarray(between["first_frame"])
+    np.testing.assert_array_equal(np.asarray(between["frame"]), np.repeat(first[0] + 1 + np.arange(4), 2))
+
+
+def test_without_draws_nothing_is_planned(inputs: Any) -> None:
+    _, tables = inputs
+    assert lifting.plan(StageInputs(tables, seed=1), LiftingParameters()) == []
+
+
+def test_annotations_that_show_nothing_are_passed_over_and_told(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=10)
+    annotations = tables["annotations"][0]
+    table = store.read(annotations.ref, "annotations")
+    columns = {name: table[name] for name in table.column_names}
+    columns["pair17_px"] = np.full(np.asarray(columns["pair17_px"]).shape, np.nan)
+    blind = put(store, "ingest", "blind", {"annotations": columns}, annotations.facts)
+    seen = store.read(tables["views"][0].ref, "views")
+    views = put(
+        store, "views", "blind", {"views": {n: seen[n] for n in seen.column_names}}, annotations.facts, (blind,)
+    )
+    shards = lifting.plan(
+        StageInputs({**given.manifests, "annotations": [blind], "views": [views]}, seed=1), LiftingParameters()
+    )
+    made = store.manifest(lifting.run_shard(shards[0], store))
+    assert not made.tables
+    assert made.facts["skipped"] == ["blind: 40 annotated pairs were not lifted, too little was seen"]

@@ -23,9 +23,12 @@ from pasdedeux.sampling import (
     build_bank,
     undo_swaps,
 )
+from pasdedeux.sampling.density import Likelihood
 from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
+from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import gather, gather_tracks
+from tasks.densities import IMAGE_DENSITIES, agreement_of, image_likelihood
 from tasks.seeds import read_limits
 from tasks.stage import Shard, stream
 
@@ -60,18 +63,22 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         InputError: The seed has density 0, with the term that made it so, or is no pair; names the seed.
     """
     options = shard.parameters
-    seen = look_at_annotations(shard, store) if options["density"] == "ic" else None
+    seen = look_at_annotations(shard, store) if options["density"] in IMAGE_DENSITIES else None
+    is_agreement = options["density"] == "agreement"
     try:
         chart = PairChart(seed.pair_m)
         prior = PhysicalPrior(
             chart,
             read_limits(shard, store),
             sigma_p=options["sigma_p_m"],
-            alpha=options["alpha"],
+            # Agreement has the bodies' mutual penetration in its likelihood, and leaves that within a body out.
+            alpha=0.0 if is_agreement else options["alpha"],
             most_invalid=options["most_invalid_angles"],
             length_tolerance=options["length_tolerance"],
         )
-        likelihood = None if seen is None else seen.likelihood
+        likelihood: Likelihood | None = None if seen is None else seen.likelihood
+        if is_agreement:
+            likelihood = agreement_of(shard, store, seed.pair_m)
         target = PairDensity(chart, prior, likelihood, truncation=options["truncation"])
     except InputError as error:
         raise InputError(f"seed {options['seed_index']} ({seed.origin}): {error}") from None
@@ -122,7 +129,7 @@ def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
 class Seen:
     """What the annotations say about pairs near one seed."""
 
-    likelihood: InteractionLikelihood
+    likelihood: InteractionLikelihood | MeasuredLikelihood
     speeds: Speeds | None
     num_annotations: int
     num_skipped: int
@@ -162,7 +169,14 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
     options = {name: shard.parameters[name] for name in LIKELIHOOD_PARAMETERS}
     seed_index = int(shard.parameters["seed_index"])
     identity = json.dumps(
-        [str(store.root), shard.seed, seed_index, options, [ref.content_digest for ref in shard.inputs]]
+        [
+            str(store.root),
+            shard.seed,
+            shard.parameters["density"],
+            seed_index,
+            options,
+            [ref.content_digest for ref in shard.inputs],
+        ]
     )
     if identity not in _KEPT:
         placed = gather(shard, store)
@@ -172,13 +186,7 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
         bank = build_bank(
             views, pairs, num_candidates=options["num_candidates"], view_bandwidth_rad=options["sigma_v_rad"]
         )
-        likelihood = InteractionLikelihood(
-            pairs,
-            bank,
-            sigma_l=options["sigma_l"],
-            beta_m=options["beta_m"],
-            num_ranked=options["num_ranked"],
-        )
+        likelihood = image_likelihood(str(shard.parameters["density"]), pairs, bank, options)
         speeds, num_swapped = None, 0
         if options["kernel"] == "velocity":
             tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))

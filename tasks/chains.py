@@ -24,6 +24,7 @@ from pasdedeux.sampling import (
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.chain_problem import LIKELIHOOD_PARAMETERS, chain_problem, read_seed_row
+from tasks.densities import IMAGE_DENSITIES, DensityName, density_inputs
 from tasks.seeds import start_indices
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
@@ -31,7 +32,6 @@ __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
 
 VERSION = 2
 
-DensityName = Literal["ic", "prior_only"]
 KernelName = Literal["unbiased", "velocity"]
 
 _PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
@@ -53,7 +53,10 @@ class ChainsParameters(Parameters):
     """What is sampled, how much, and with which steps."""
 
     densities: tuple[DensityName, ...] = Field(
-        ("ic", "prior_only"), min_length=1, description="Densities: ic (interaction coordinates), prior_only"
+        ("ic", "prior_only"),
+        min_length=1,
+        description="Densities: ic (interaction coordinates), cartesian, shape_context, prior_only, "
+        "agreement (with grown seeds)",
     )
     num_chains: int = Field(2, ge=1, le=1000, description="Chains of each seed and density")
     num_draws: int = Field(500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
@@ -117,16 +120,20 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     views = views_of(annotated, inputs)
     asked = parameters.model_dump(mode="json")
     num_segments = -(-parameters.num_draws // parameters.segment_draws)
-    if parameters.densities == ("ic",) and not (annotated and views) and inputs.of("seeds"):
+    seen = (*annotated, *views) if annotated and views else ()
+    found = {density: density_inputs(density, inputs, seen) for density in parameters.densities}
+    if inputs.of("seeds") and all(needs is None for needs in found.values()):
         raise InputError(
-            "chains.densities asks for ic alone, but there are no annotated pairs with views to sample from"
+            f"chains.densities asks for {', '.join(found)} alone, but there are no "
+            + ("grown seeds (seeds.num_grown)" if "agreement" in found else "annotated pairs with views")
+            + " to sample from"
         )
     shards: list[Shard] = []
-    for density in parameters.densities:
-        needs = [manifest.ref for manifest in (*annotated, *views)] if density == "ic" else []
-        if density == "ic" and (not annotated or not views):
+    for density, needed in found.items():
+        if needed is None:
             continue
-        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (LIKELIHOOD_PARAMETERS if density == "ic" else ())
+        needs = [manifest.ref for manifest in needed]
+        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (LIKELIHOOD_PARAMETERS if density in IMAGE_DENSITIES else ())
         starts = [(seed.ref, index) for seed in inputs.of("seeds") for index in start_indices(seed)]
         for seed, index in starts:
             common = {"density": density, "seed_index": index, **{name: asked[name] for name in names}}

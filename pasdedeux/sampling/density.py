@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.likelihood import InteractionLikelihood
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
 
-__all__ = ["Evaluation", "PairDensity"]
+__all__ = ["Evaluation", "Likelihood", "PairDensity"]
 
 Array = npt.NDArray[np.float64]
+
+
+class Likelihood(Protocol):
+    """The log of a likelihood that never exceeds 1 and does not change when the pair moves rigidly."""
+
+    def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
+        """Give it for a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -52,7 +60,7 @@ class PairDensity:
         self,
         chart: PairChart,
         prior: PhysicalPrior,
-        likelihood: InteractionLikelihood | None,
+        likelihood: Likelihood | None,
         *,
         truncation: float = 100.0,
     ) -> None:

@@ -111,6 +111,25 @@ class MeasuredLikelihood:
 
         The least dissimilarities of the views are in metres, scaled to d_I.
         """
+        self._search(pair_m)
+        least = float(self._best.min())
+        log_likelihood = -np.inf
+        if np.isfinite(least):
+            mean = np.mean(np.exp(-(self._best - least) * self._exponent))
+            log_likelihood = float(np.log(mean) - least * self._exponent)
+        entry = np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
+        return Match(
+            log_likelihood=log_likelihood if log_likelihood >= at_least else -np.inf,
+            dissimilarity_m=self._best * self.scale,
+            entry=entry,
+        )
+
+    def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
+        """Give the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
+        return self.match(pair_m).entry
+
+    def _search(self, pair_m: Array) -> None:
+        """Fill the least dissimilarity of each view and who has it."""
         images = project_pair(pair_m, self._bank.directions).reshape(len(self._best), -1, 2)
         images = np.ascontiguousarray(images - images.mean(axis=1, keepdims=True))
         if self.measure is ImageMeasure.CARTESIAN:
@@ -126,17 +145,6 @@ class MeasuredLikelihood:
                 self._best,
                 self._slot,
             )
-        least = float(self._best.min())
-        log_likelihood = -np.inf
-        if np.isfinite(least):
-            mean = np.mean(np.exp(-(self._best - least) * self._exponent))
-            log_likelihood = float(np.log(mean) - least * self._exponent)
-        entry = np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
-        return Match(
-            log_likelihood=log_likelihood if log_likelihood >= at_least else -np.inf,
-            dissimilarity_m=self._best * self.scale,
-            entry=entry,
-        )
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Give the log likelihood alone."""

@@ -247,6 +247,30 @@ def test_chains_start_from_a_spread_of_grown_seeds(inputs: Any) -> None:
     assert draws["take_id"][0] is None
 
 
+@pytest.mark.parametrize("density", ["cartesian", "shape_context", "agreement"])
+def test_every_density_is_sampled_from_what_it_needs(inputs: Any, density: str) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    planned = chains.plan(given, ChainsParameters(**{**QUICK, "num_chains": 1, "densities": (density,)}))
+    made = run(planned, chains, store)
+    draws = store.read(made[0].ref, "draws")
+    logs = np.asarray(draws["log_likelihood"])
+    assert np.isfinite(logs).all()
+    assert (logs <= 1e-9).all()
+    assert set(draws["density"]) == {density}
+    read = {table for ref in made[0].inputs for table in store.manifest(ref).tables}
+    assert ("annotations" in read) == (density != "agreement")
+
+
+def test_agreement_without_grown_seeds_is_refused_alone_and_left_out_beside_others(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    with pytest.raises(InputError, match="grown seeds"):
+        chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("agreement",)}))
+    planned = chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("prior_only", "agreement")}))
+    assert {shard.parameters["density"] for shard in planned} == {"prior_only"}
+
+
 def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
     store, tables = inputs
     without_poses = {name: part for name, part in tables.items() if name != "poses"}

@@ -60,7 +60,7 @@ def _retrieval(count: int) -> BenchmarkResult:
         fast_per_s=rate,
         plain_name="numpy over all draws",
         plain_per_s=measure_rate(plain),
-        note=f"{NUM_DRAWS:,} draws, one view, {1e3 / rate:.1f} ms each; same answers {np.mean(same):.0%} of {len(same)}",
+        note=f"{NUM_DRAWS:,} draws, one view, {1e3 / rate:.1f} ms each; same answers: {sum(same)} of 8",
     )
 
 

@@ -67,7 +67,7 @@ def coverage_scores(
     """Give the curves and their ends as scores; prior-only and the real frames are baselines."""
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
-        is_baseline = method in ("prior_only", "real_frames", "seeds")
+        is_baseline = method.startswith(("prior_only", "real_frames", "seeds"))
         for measure, values, unit in _measures(curve):
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
@@ -119,7 +119,7 @@ def realism_scores(
             metric="draw_to_nearest_real_D_C",
             method=method,
             unit="m",
-            is_baseline=method == "prior_only",
+            is_baseline=method.startswith("prior_only"),
             split=split,
         )
     return scores
@@ -134,7 +134,7 @@ def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
         f"{name} is {'better' if (own := float(curve.cartesian_m[-1])) < baseline else 'not better'} "
         f"({100 * own:.1f} against {100 * baseline:.1f} cm in D_C)"
         for name, curve in curves.items()
-        if name not in ("prior_only", "seeds")
+        if name != "seeds" and not name.startswith("prior_only")
     ]
     return f"Coverage of {split.replace('_', ' ')} frames against prior-only: {'; '.join(parts)}."
 
@@ -151,7 +151,9 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
         panels.append(
             CurvePanel(
                 curves=[
-                    Curve(name, counts, factor * measures[index][1], is_baseline=name in ("prior_only", "seeds"))
+                    Curve(
+                        name, counts, factor * measures[index][1], is_baseline=name.startswith(("prior_only", "seeds"))
+                    )
                     for name, (measures, counts) in by_method.items()
                 ],
                 y_label=f"{measure} to the nearest draw" + (" (cm)" if unit == "m" else ""),

@@ -1,13 +1,15 @@
-"""Topic `chains`: how the Markov chains went."""
+"""Topic `chains`: how the Markov chains went, and what some of their draws look like."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pasdedeux.evaluation.scores import Score
-from storage_schema import Store
+from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
+from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.skeletons import PAIR17
+from storage_schema import Manifest, Store
 from tasks.evaluation.topic import TopicResult, make_shard
 from tasks.stage import Shard, StageInputs
 
@@ -25,13 +27,69 @@ _FIGURES = {
 }
 
 
+_NUM_SHOWN = 4
+_STANDING_M = 0.95
+"""Height at which the middle of a pair is drawn."""
+
+
 def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard over the summaries of all chains."""
+    """One shard over the summaries of all chains, and one that shows draws of a chain of each density."""
     found = inputs.of("chain_info")
-    return [make_shard(topic=TOPIC, name="summary", inputs=found, parameters={}, seed=inputs.seed)] if found else []
+    shown = _first_chains(inputs.of("draws"))
+    planned = [make_shard(topic=TOPIC, name="summary", inputs=found, parameters={}, seed=inputs.seed)] if found else []
+    if shown:
+        planned.append(make_shard(topic=TOPIC, name="draws", inputs=shown, parameters={}, seed=inputs.seed))
+    return planned
 
 
 def run(shard: Shard, store: Store) -> TopicResult:
+    """Summarise the chains, or show draws."""
+    return _shown(shard, store) if shard.name == "draws" else _summarised(shard, store)
+
+
+def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
+    """Give the segments of the first chain of the first seed of each density."""
+    found = []
+    for density in sorted({str(manifest.facts["density"]) for manifest in draws}):
+        own = [manifest for manifest in draws if manifest.facts["density"] == density]
+        first = min(int(manifest.facts["seed_index"]) for manifest in own)
+        found += sorted(
+            (one for one in own if int(one.facts["seed_index"]) == first and int(one.facts["chain"]) == 0),
+            key=lambda one: int(one.facts["segment"]),
+        )
+    return found
+
+
+def _shown(shard: Shard, store: Store) -> TopicResult:
+    """Draw four draws of each density, evenly spaced, as in Yin et al. 2018, figs. 6 and 7; score their prior."""
+    chains: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for ref in shard.inputs:
+        table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
+        parts = (np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["log_prior"]))
+        chains.setdefault(str(store.manifest(ref).facts["density"]), []).append(parts)
+    scores, pictures, captions = [], {}, {}
+    for density, parts_of in sorted(chains.items()):
+        pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
+        at = np.arange(1, _NUM_SHOWN + 1) * len(pairs) // _NUM_SHOWN - 1
+        panels = [
+            pair_panel(f"draw {index + 1}", PAIR17, pairs[index] + np.array([0.0, _STANDING_M, 0.0])) for index in at
+        ]
+        name = f"draws-{density}.png"
+        pictures[name] = skeleton_sheet(panels, title=density.replace("_", " "))
+        captions[name] = f"Draws of one chain of {density} from the first seed, as in Yin et al. 2018, figs. 6 and 7."
+        scores += summarise(
+            log_prior,
+            topic=TOPIC,
+            metric="log_prior",
+            method=density,
+            unit="",
+            is_baseline=density == "prior_only",
+            item="first chain",
+        )
+    return TopicResult(scores=scores, pictures=pictures, captions=captions)
+
+
+def _summarised(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains of each density and seed."""
     scores, notes = [], []
     for ref in shard.inputs:

@@ -31,6 +31,9 @@ _MAPPED_DRAWS = (10, 50, 250)
 """Draws of each method on its panels."""
 
 
+_MANY_SEEDS = 5
+
+
 def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) -> list[Shard]:
     """One shard per part of the real frames, over the draws of every density and the grown seeds."""
     draws = draw_manifests(inputs)
@@ -84,6 +87,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
     truth = truth[generator.permutation(len(truth))[: parameters["num_truth_pairs"]]]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
+    draws |= _from_the_first_seed(store, draw_refs)
     # In random order, so that every seed counts from the start.
     draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}
     curves = {
@@ -111,6 +115,16 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions=captions,
         notes=[note] if (note := coverage_note(curves, split=split)) else [],
     )
+
+
+def _from_the_first_seed(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
+    """Give the draws of each density from the first seed alone, where there are many others: how far chains walk."""
+    facts = {ref: store.manifest(ref).facts for ref in refs if "draws" in store.manifest(ref).tables}
+    indices = {int(fact["seed_index"]) for fact in facts.values()}
+    if len(indices) < _MANY_SEEDS:
+        return {}
+    own = tuple(ref for ref, fact in facts.items() if int(fact["seed_index"]) == min(indices))
+    return {f"{name}_first_seed": found.pairs_m for name, found in read_draw_sets(store, own).items()}
 
 
 def _seed(store: Store, refs: tuple[ArtifactRef, ...]) -> np.ndarray | None:

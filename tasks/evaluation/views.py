@@ -6,17 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.cameras import true_direction
+from pasdedeux.cameras import PinholeCamera, true_direction
 from pasdedeux.evaluation.figures import view_figure
-from pasdedeux.evaluation.views import view_scores
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.views import view_robustness, view_scores
 from storage_schema import Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Shard, StageInputs, stream
+from tasks.views import ViewsParameters, read_torso_basis, shares_takes
 
 __all__ = ["TOPIC", "run", "shards"]
 
 TOPIC = "views"
+_NUM_PROBED = 300
+"""Annotated pairs whose views are estimated again under other noise and occlusion, at most."""
 
 
 def shards(inputs: StageInputs) -> list[Shard]:
@@ -26,12 +30,13 @@ def shards(inputs: StageInputs) -> list[Shard]:
         return []
     known = {ref.key for manifest in estimated for ref in manifest.inputs}
     annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in known]
+    bases = [basis for basis in inputs.of("torso_basis") if not any(shares_takes(one, basis) for one in annotations)]
     return [
         make_shard(
             topic=TOPIC,
             name="accuracy",
-            inputs=[*estimated, *annotations, *inputs.of("poses")],
-            parameters={"num_views": len(estimated), "num_annotations": len(annotations)},
+            inputs=[*estimated, *annotations, *inputs.of("poses"), *bases],
+            parameters={"num_views": len(estimated), "num_annotations": len(annotations), "num_bases": len(bases)},
             seed=inputs.seed,
         )
     ]
@@ -42,11 +47,13 @@ def run(shard: Shard, store: Store) -> TopicResult:
     num_views, num_annotations = shard.parameters["num_views"], shard.parameters["num_annotations"]
     views = [store.read(ref, "views") for ref in shard.inputs[:num_views]]
     annotated = shard.inputs[num_views : num_views + num_annotations]
-    takes = read_takes(store, shard.inputs[num_views + num_annotations :], "pair17_m")
+    last = len(shard.inputs) - int(shard.parameters["num_bases"])
+    takes = read_takes(store, shard.inputs[num_views + num_annotations : last], "pair17_m")
     cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
     annotation_facts = [store.manifest(ref).facts for ref in annotated]
     held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
-    scores = []
+    scores: list[Score] = []
+    known: list[tuple[str, tuple[str, int]]] = []
     for split in ("annotated", "held_out"):
         rows = [
             (table, start, stop, truth)
@@ -61,6 +68,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
                 [true_direction(takes[take][frame], cameras[t["sequence_id"][a]]) for t, a, _, (take, frame) in rows]
             )
             scores += view_scores(estimated, weight, true, split=split)
+            known += [(str(table["sequence_id"][start]), place) for table, start, _, place in rows]
+    if known:
+        scores += _robustness(shard, store, known, cameras, takes, last)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
     skipped = [note for ref in shard.inputs[:num_views] for note in store.manifest(ref).facts.get("skipped", [])]
@@ -70,6 +80,27 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions={"views.png": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
         notes=skipped,
     )
+
+
+def _robustness(
+    shard: Shard,
+    store: Store,
+    known: Sequence[tuple[str, tuple[str, int]]],
+    cameras: dict[str, PinholeCamera],
+    takes: dict[str, np.ndarray],
+    first_basis: int,
+) -> list[Score]:
+    """Estimate the views of some annotated pairs again, from exact images with noise and occlusion of our own."""
+    generator = stream(shard.seed, TOPIC, "robustness")
+    chosen = [known[at] for at in np.sort(generator.permutation(len(known))[:_NUM_PROBED])]
+    pairs = np.stack([takes[take][frame] for _, (take, frame) in chosen])
+    images = np.stack([cameras[name].project(pair).px for (name, _), pair in zip(chosen, pairs, strict=True)])
+    truth = np.stack([true_direction(pair, cameras[name]) for (name, _), pair in zip(chosen, pairs, strict=True)])
+    camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
+    settings = store.manifest(shard.inputs[0]).parameters
+    options = ViewsParameters.model_validate(settings, strict=False).options()
+    basis = read_torso_basis(store, shard.inputs[first_basis:])
+    return view_robustness(generator, images, truth, camera_index, basis, options)
 
 
 def _annotations(table: TableData) -> list[tuple[int, int]]:

@@ -1,0 +1,91 @@
+"""Scores of lifted pairs, completed joints, in-betweens, and of views under noise."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import ViewOptions
+from pasdedeux.evaluation.lifting import (
+    HIDDEN,
+    completion_scores,
+    in_between_scores,
+    lifted_errors,
+    lifted_scores,
+    lifted_sheet,
+)
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.views import CONDITIONS, view_robustness
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.sampling.synthetic import random_pairs
+from tests.unit.test_views import BASIS, dancers, filmed
+
+PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
+
+
+def value(scores: list[Score], metric: str, method: str) -> float:
+    return next(score.value for score in scores if (score.metric, score.method) == (metric, method))
+
+
+def test_the_truth_has_no_error_and_a_shift_of_the_pair_is_none() -> None:
+    errors = lifted_errors(PAIRS + np.array([1.0, 2.0, 3.0]), PAIRS)
+    for values in (errors.pair_m, errors.person_m, errors.shape_m, errors.distance_m, errors.depth_m):
+        np.testing.assert_allclose(values, 0.0, atol=1e-9)
+
+
+def test_a_person_slid_in_depth_shows_between_people_only() -> None:
+    slid = PAIRS.copy()
+    slid[:, 1, :, 2] += 0.4
+    errors = lifted_errors(slid, PAIRS)
+    np.testing.assert_allclose(errors.person_m, 0.0, atol=1e-9)
+    np.testing.assert_allclose(errors.depth_m, 0.4, atol=1e-9)
+    np.testing.assert_allclose(errors.pair_m, 0.2, atol=1e-9)
+
+
+def test_a_turned_pair_has_the_right_shape() -> None:
+    turned = PAIRS @ yaw_rotmat(0.5).T
+    errors = lifted_errors(turned, PAIRS)
+    np.testing.assert_allclose(errors.shape_m, 0.0, atol=1e-7)
+    assert (errors.pair_m > 0.01).all()
+
+
+def test_scores_name_baselines_and_count_pairs() -> None:
+    scores = lifted_scores(
+        {"fitted": PAIRS, "lifting": PAIRS[:3]}, {"fitted": PAIRS, "lifting": PAIRS[3:6]}, split="held_out"
+    )
+    assert {score.method for score in scores if score.is_baseline} == {"lifting"}
+    assert {score.count for score in scores if score.method == "lifting"} == {3}
+    assert value(scores, "lifted_pair_error_mean", "fitted") == pytest.approx(0.0, abs=1e-9)
+
+
+def test_hidden_joints_of_pairs_that_are_draws_are_found() -> None:
+    scores = completion_scores(np.random.default_rng(1), PAIRS[:2], PAIRS.astype(np.float32), split="learned")
+    assert {score.item for score in scores} == set(HIDDEN)
+    assert value(scores, "occluded_joint_error_mean", "nearest_draw") < 1e-5
+    assert value(scores, "occluded_joint_error_mean", "mean_pair") > 0.01
+
+
+def test_in_betweens_are_scored_beside_the_straight_line() -> None:
+    share = np.linspace(0.0, 1.0, 5)[:, None, None, None]
+    span = (1.0 - share) * PAIRS[0] + share * PAIRS[1]
+    scores = in_between_scores([span], PAIRS, split="learned", item="4 frames")
+    assert value(scores, "in_between_error_mean", "straight") == pytest.approx(0.0, abs=1e-12)
+    assert {score.method for score in scores} == {"draws", "straight"}
+
+
+def test_views_are_worse_with_noise() -> None:
+    px, truth = filmed(dancers(0, 60), 1)
+    scores = view_robustness(np.random.default_rng(0), px, truth, np.arange(60), BASIS, ViewOptions())
+    assert len({score.item for score in scores}) == len(CONDITIONS)
+    medians = {
+        score.item: score.value
+        for score in scores
+        if (score.metric, score.method) == ("view_error_median", "heaviest_hypothesis")
+    }
+    assert medians["noise 0 px, 0% hidden"] < medians["noise 7 px, 0% hidden"]
+
+
+def test_a_sheet_of_lifted_pairs_is_drawn() -> None:
+    picture = lifted_sheet([{"truth": PAIRS[0], "fitted": PAIRS[1]}], title="lifted")
+    assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR) is not None

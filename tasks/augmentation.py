@@ -44,7 +44,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, artifact_fields, 
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
-VERSION = 4
+VERSION = 5
 
 Scale = Annotated[float, Field(ge=0.05, le=20.0)]
 Girth = Annotated[float, Field(ge=0.2, le=5.0)]
@@ -138,6 +138,12 @@ class WeightParameters(Parameters):
     contact_mixed: float = Field(Weights.contact_mixed, ge=0, description="Contacts of a hand or foot with the body")
     contact_limb: float = Field(Weights.contact_limb, ge=0, description="Contacts of an elbow or knee with the body")
     contact_torso: float = Field(Weights.contact_torso, ge=0, description="Contacts of two torsos")
+    contact_direction: float = Field(
+        Weights.contact_direction,
+        ge=0,
+        le=1,
+        description="Share of body contacts that keeps direction, not only distance",
+    )
     stance: float = Field(Weights.stance, ge=0, description="Horizontal velocity of stance feet")
     floor: float = Field(Weights.floor, ge=0, description="Height of joints near the floor")
     bending: float = Field(Weights.bending, ge=0, description="Bending of the spine")

@@ -22,6 +22,7 @@ from pasdedeux.augmentation.bulk_kernels import (
 )
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.source import NUM_POINTS
+from pasdedeux.augmentation.spans import aim_spans, assemble_spans, span_vectors
 from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import place_bones
@@ -60,8 +61,8 @@ class BulkSettings:
 
     num_iterations: int = 24
     penalty: float = 8.0
-    contact_penalty: float = 0.3
-    clearance_penalty: float = 0.5
+    contact_penalty: float = 0.15
+    clearance_penalty: float = 0.12
     relaxation: float = 1.4
     is_single_precision: bool = False
 
@@ -111,6 +112,8 @@ class BulkSolver:
         self._normals: AnyFloat = near.normals.astype(dtype)
         self._near_penalties: AnyFloat = near_penalties.astype(dtype)
         self._constants: AnyFloat = np.array([self.settings.relaxation, self.settings.clearance_penalty]).astype(dtype)
+        self._span_lengths: AnyFloat = problem.spans.lengths_m.astype(dtype)
+        self._span_weights: AnyFloat = problem.spans.weights.astype(dtype)
         self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
         self._dtype = dtype
 
@@ -124,14 +127,19 @@ class BulkSolver:
         for variant in range(count):
             # One by one: BLAS sums in another order for another number of columns.
             linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
-        spans = targets.reference[:, :, _EDGES[:, 1]] - targets.reference[:, :, _EDGES[:, 0]]
+        edges = targets.reference[:, :, _EDGES[:, 1]] - targets.reference[:, :, _EDGES[:, 0]]
         lengths = np.empty((frames, len(_EDGES), count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
+        spans = problem.spans
+        between: AnyFloat = np.ascontiguousarray(
+            np.transpose(span_vectors(spans, targets.reference), (3, 1, 2, 0)), dtype
+        )
+        span_aim: AnyFloat = np.subtract(np.moveaxis(spans.vectors_m, -1, 0)[..., None], between, dtype=dtype)
         state = _Iteration(
             offsets=np.zeros(shape, dtype),
             linear=linear,
-            reference=np.ascontiguousarray(np.transpose(spans, (3, 1, 2, 0)), dtype),
+            reference=np.ascontiguousarray(np.transpose(edges, (3, 1, 2, 0)), dtype),
             dual=np.zeros((3, frames, len(_EDGES), count), dtype),
             aim=np.zeros((3, frames, len(_EDGES), count), dtype),
             lengths=lengths,
@@ -141,9 +149,12 @@ class BulkSolver:
         )
         squared: AnyFloat = np.zeros((frames, count), dtype)
         self._project(state, squared, is_first=True)
-        for _ in range(settings.num_iterations):
+        for iteration in range(settings.num_iterations):
+            if iteration > 0:
+                aim_spans(state.offsets, between, spans.points, self._span_lengths, self._span_weights, span_aim)
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
             assemble_near(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
+            assemble_spans(span_aim, spans.points, self._span_weights, state.offsets)
             for group, axes in enumerate(_AXES):
                 solve(self._factors[group], state.offsets.reshape(3, blocks, 2 * NUM_POINTS, count), axes)
             self._project(state, squared, is_first=False)

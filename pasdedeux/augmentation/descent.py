@@ -9,7 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.energy import energy_terms
-from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
+from pasdedeux.augmentation.spans import SpanTerm
+from pasdedeux.augmentation.terms import (
+    AXIS_GROUP,
+    GIRDLE_PAIRS,
+    Problem,
+    Targets,
+    contact_matrix,
+    right_hand_side,
+)
 from pasdedeux.fitting import BoneForest, DistanceTerm, FitSettings, HalfSpaceTerm, QuadraticTerm, Term, fit_bones
 from pasdedeux.skeletons import BODY22
 
@@ -40,13 +48,15 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
     zero = np.zeros((1, *one.difference.shape[1:]))
-    # At x = 0, where p = r, the girdle's energy is 0, and the clearance's is counted by its own term.
+    # At x = 0, where p = r, the girdle's energy is 0, and those of clearance and spans are counted by their own terms.
     start = energy_terms(problem, one, zero)
-    constant = float(sum(energy[0] for name, energy in start.items() if name != "clearance"))
+    constant = float(sum(energy[0] for name, energy in start.items() if name not in ("clearance", "spans")))
+    matrix = problem.matrix[groups]
+    matrix -= contact_matrix(problem.contact - problem.directed)
     girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
     quadratic = QuadraticTerm(
         origin_m=one.reference[0],
-        matrix=problem.matrix[groups],
+        matrix=matrix,
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
         linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1),
@@ -61,7 +71,7 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
         limits_m=one.clearance_m[0],
         weights=near.weights,
     )
-    return [quadratic, girdle, clearance]
+    return [quadratic, girdle, clearance, SpanTerm(problem.spans)]
 
 
 def descend(

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.clearance import separations
+from pasdedeux.augmentation.spans import span_vectors
 from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets, bending_rows
 from pasdedeux.skeletons import BODY22
 
@@ -38,8 +39,11 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
     gaps = apart[:, frame, first] - apart[:, frame, second + half]
     if problem.contact_shift is not None:
         gaps = gaps - problem.contact_shift
-    terms["contact"] = (problem.contact[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
-    points = (targets.reference + offsets)[:, :, GIRDLE_PAIRS]
+    terms["contact"] = (problem.directed[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
+    positions = targets.reference + offsets
+    lengths = np.linalg.norm(span_vectors(problem.spans, positions), axis=-1)
+    terms["spans"] = (problem.spans.weights * (lengths - problem.spans.lengths_m) ** 2).sum(axis=(1, 2))
+    points = positions[:, :, GIRDLE_PAIRS]
     distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)
     terms["girdle"] = weights.girdle * ((distance - targets.girdle_m) ** 2).sum(axis=(1, 2))
     short = np.maximum(targets.clearance_m - separations(problem.clearance, offsets), 0.0)

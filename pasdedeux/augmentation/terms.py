@@ -5,7 +5,8 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
     E = w_L |L x - L_c d|^2                     Laplacian; own edges follow the new skeleton, cross edges the source
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
-      + sum w_C |(x_i - x_j) - (d_i - d_j) - s_ij|^2   contact pairs keep the source's vector; s: what girth adds to it
+      + sum w_C k |(p_i - p_j) - v_ij|^2        contact pairs keep the source's vector v (and what girth adds to it)
+      + sum w_C (1 - k) (|p_i - p_j| - |v_ij|)^2   or its length only; k is 1 for hands and feet, small for bodies
       + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
       + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
@@ -48,6 +49,7 @@ from pasdedeux.augmentation.source import (
     reference_motion,
     scaled_lengths,
 )
+from pasdedeux.augmentation.spans import Spans, find_spans
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
@@ -60,6 +62,7 @@ __all__ = [
     "bending_rows",
     "build_problem",
     "build_targets",
+    "contact_matrix",
     "right_hand_side",
 ]
 
@@ -100,6 +103,8 @@ class Weights:
         contact_mixed: Contact pairs of a hand or foot with another body part.
         contact_limb: Contact pairs in which an elbow or knee is the finest part.
         contact_torso: Contact pairs of two torso joints.
+        contact_direction: Share k of a contact's weight that keeps its direction too, from 0 to 1; contacts of two
+            hands or feet keep all of it.
         stance: Horizontal velocity of stance feet at 30 Hz, w_F.
         floor: Height of joints near the floor, w_H.
         bending: Bending of the spine against r's, per square radian, w_B; without it short spine bones fold like a
@@ -117,15 +122,16 @@ class Weights:
     smoothness: float = 40.0
     reference: float = 0.03
     contact_extremity: float = 60.0
-    contact_mixed: float = 6.0
-    contact_limb: float = 12.0
-    contact_torso: float = 20.0
-    stance: float = 50.0
+    contact_mixed: float = 12.0
+    contact_limb: float = 30.0
+    contact_torso: float = 30.0
+    contact_direction: float = 0.02
+    stance: float = 70.0
     floor: float = 100.0
     bending: float = 0.05
     girdle: float = 10.0
-    clearance: float = 30.0
-    clearance_self: float = 5.0
+    clearance: float = 110.0
+    clearance_self: float = 20.0
     fixed: float = 1e3
 
     def __post_init__(self) -> None:
@@ -136,6 +142,8 @@ class Weights:
                 raise InputError(
                     f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'"
                 )
+        if self.contact_direction > 1:
+            raise InputError(f"weight 'contact_direction' is {self.contact_direction:g}: it is a share, up to 1")
 
 
 @dataclass(frozen=True)
@@ -149,7 +157,9 @@ class Problem:
         matrix: Quadratic form within a frame (group=2, T, 44, 44), temporal terms included.
         lag1: Coupling of each point at frames t and t+1 (group=2, T-1, 44).
         lag2: Coupling at frames t and t+2 (group=2, T-2, 44).
-        contact: Graded contact weights (T, 22 of A, 22 of B).
+        contact: Graded contact weights (T, 22 of A, 22 of B); the matrix holds all of them.
+        directed: The part of them that keeps the vector (T, 22, 22).
+        spans: The rest, which keeps the distance.
         stance: Weights of the horizontal velocity of each foot joint between frames (T-1, 44); 0 for other joints.
         floor: Weights of the height of each point (T, 44).
         smoothness: Weight of the second difference at this rate.
@@ -167,6 +177,8 @@ class Problem:
     lag1: Array
     lag2: Array
     contact: Array
+    directed: Array
+    spans: Spans
     stance: Array
     floor: Array
     smoothness: float
@@ -183,8 +195,8 @@ class Problem:
 
     @cached_property
     def touching(self) -> tuple[npt.NDArray[np.intp], ...]:
-        """Frame, joint of A and joint of B of every contact that weighs anything."""
-        return np.nonzero(self.contact)
+        """Frame, joint of A and joint of B of every contact whose vector weighs anything."""
+        return np.nonzero(self.directed)
 
     @cached_property
     def contact_shift(self) -> Array | None:
@@ -195,10 +207,10 @@ class Problem:
         if self.girth == (1.0, 1.0):
             return None
         frame, first, second = self.touching
-        radii = joint_radii_m(self.source) * (np.array(self.girth)[:, None] - 1.0)
+        added = _added_by_girth(self.source, self.girth)
         vectors = self.source.positions_m[frame, 0, first] - self.source.positions_m[frame, 1, second]
         units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-        return np.asarray(units * (radii[0, first] + radii[1, second])[:, None])
+        return np.asarray(units * added[first, second][:, None])
 
     @cached_property
     def push(self) -> Array | None:
@@ -206,7 +218,7 @@ class Problem:
         if self.contact_shift is None:
             return None
         frame, first, second = self.touching
-        pull = self.contact[frame, first, second][:, None] * self.contact_shift
+        pull = self.directed[frame, first, second][:, None] * self.contact_shift
         push = np.zeros((self.num_frames, NUM_POINTS, 3))
         np.add.at(push, (frame, first), pull)
         np.add.at(push, (frame, second + BODY22.num_joints), -pull)
@@ -282,6 +294,7 @@ def build_problem(
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
     contact = contact_weights(source, contacts, user_contacts) * _grades(weights)
+    directed = contact * _direction_shares(weights)
     standing = stance_weights(source, contacts)
     stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
     stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
@@ -295,7 +308,7 @@ def build_problem(
 
     laplacian = mesh.laplacian
     shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
-    shared += _contact_matrix(contact)
+    shared += contact_matrix(contact)
     bends = bending_rows(source)
     shared += weights.bending * bends.T @ bends
     shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
@@ -317,7 +330,7 @@ def build_problem(
             lag1[group, 1:] -= 2.0 * smoothness
             lag2[group] += smoothness
     matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
-    coupling = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian + _contact_matrix(contact)
+    coupling = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian + contact_matrix(directed)
     if fixed_person is not None:
         coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor - weights.reference
     return Problem(
@@ -328,6 +341,8 @@ def build_problem(
         lag1=lag1,
         lag2=lag2,
         contact=contact,
+        directed=directed,
+        spans=find_spans(source, contact - directed, _added_by_girth(source, girth)),
         stance=stance,
         floor=floor,
         smoothness=smoothness,
@@ -413,7 +428,19 @@ def _grades(weights: Weights) -> Array:
     return np.where(coarser == BodyPart.EXTREMITY, weights.contact_extremity, by_finer[finer])
 
 
-def _contact_matrix(contact: Array) -> Array:
+def _direction_shares(weights: Weights) -> Array:
+    """Share of each joint pair's weight (22, 22) that keeps its direction."""
+    parts = body_parts()
+    return np.where(np.minimum.outer(parts, parts) == BodyPart.EXTREMITY, 1.0, weights.contact_direction)
+
+
+def _added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
+    """What the new girth adds to the distance of each joint pair (22, 22), metres."""
+    radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
+    return np.asarray(radii[0, :, None] + radii[1, None, :])
+
+
+def contact_matrix(contact: Array) -> Array:
     """Quadratic form (T, 44, 44) of sum w_ij |x_i - x_j|^2 over pairs of A and B."""
     half = BODY22.num_joints
     matrix = np.zeros((len(contact), NUM_POINTS, NUM_POINTS))

@@ -19,6 +19,7 @@ from pasdedeux.augmentation import (
     total_energy,
     uniform_variations,
 )
+from pasdedeux.augmentation.contacts import contact_class, contact_distances
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, bending_rows, right_hand_side
 from pasdedeux.choreography import make_duet
@@ -49,8 +50,13 @@ def _residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> np.nd
         np.sqrt(w.bending) * (bending_rows(problem.source) @ offsets),
         np.sqrt(problem.floor) * (offsets[..., 1] - targets.height[0]),
         np.sqrt(problem.stance)[..., None] * np.diff(apart, axis=0)[..., [0, 2]],
-        np.sqrt(problem.contact)[..., None] * (apart[:, :22, None] - apart[:, None, 22:]),
+        np.sqrt(w.contact_direction * problem.contact)[..., None] * (apart[:, :22, None] - apart[:, None, 22:]),
     ]
+    hands_and_feet = np.sqrt((1.0 - w.contact_direction) * problem.contact) * (contact_class() == 2)
+    parts.append(hands_and_feet[..., None] * (apart[:, :22, None] - apart[:, None, 22:]))
+    pair, source = (targets.reference[0] + offsets).reshape(-1, 2, 22, 3), problem.source.positions_m
+    stretched = contact_distances(pair) - contact_distances(source)
+    parts.append(np.sqrt((1.0 - w.contact_direction) * problem.contact) * (contact_class() < 2) * stretched)
     near = problem.clearance
     for t in range(len(offsets)):
         vectors = (near.shares[t][..., None] * offsets[t, near.points[t]]).sum(axis=1)
@@ -86,12 +92,12 @@ def test_the_shared_matrix_adds_up_to_the_energy_as_it_is_written() -> None:
     offsets = np.random.default_rng(0).normal(0.0, 0.1, (1, 5, 44, 3))
     written = (_residuals(problem, targets, offsets[0]) ** 2).sum()
     assert total_energy(problem, targets, offsets)[0] == pytest.approx(written, rel=1e-12)
-    slope = np.moveaxis(right_hand_side(problem, targets)[..., 0], 0, -1)
-    quadratic = Weights(girdle=0.0, clearance=0.0, clearance_self=0.0)
+    quadratic = Weights(girdle=0.0, clearance=0.0, clearance_self=0.0, contact_direction=1.0)
     no_girdle = build_problem(problem.source, quadratic, mesh=problem.mesh)
     targets = build_targets(no_girdle, targets.bone_scale)
+    slope = np.moveaxis(right_hand_side(no_girdle, targets)[..., 0], 0, -1)
     x = offsets[0]
-    product = np.stack([_apply(problem, x[..., axis], AXIS_GROUP[axis]) for axis in range(3)], axis=-1)
+    product = np.stack([_apply(no_girdle, x[..., axis], AXIS_GROUP[axis]) for axis in range(3)], axis=-1)
     constant = total_energy(no_girdle, targets, np.zeros_like(offsets))[0]
     summed = (x * (product - 2.0 * slope)).sum() + constant
     assert summed == pytest.approx(total_energy(no_girdle, targets, offsets)[0], rel=1e-10)

@@ -1,7 +1,8 @@
 """Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed.
 
 Per person: scale and place from the frames of the last moments, exact search, yaws between the steps, Viterbi over the
-candidates with a fixed lag, 1-euro filter on rotations and root.
+candidates with a fixed lag, fit to a few frames of the image by closed form, 1-euro filter on rotations and root.
+(The fit of whole tracks, `fitting.observed_pose`, takes more than 25 ms for a window of 11 frames.)
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply, rotate
-from pasdedeux.projections.database import Database
+from pasdedeux.projections.fixed_lag import Decision, FixedLagViterbi
 from pasdedeux.projections.frame_kernels import (
     filter_rotations,
     find_bone_rotations,
+    fit_frame,
     least_squares_scale,
     place_bones,
+    place_vectors,
     straighten_frame,
-    transition_costs,
     turn_from_camera_axis,
     turn_poses,
     unify_image,
@@ -37,7 +39,7 @@ from pasdedeux.projections.tracks import Lens
 from pasdedeux.projections.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Decision", "FixedLagViterbi", "LiveOptions", "LivePeople", "LivePerson", "LivePose"]
+__all__ = ["LiveOptions", "LivePeople", "LivePerson", "LivePose"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -64,6 +66,10 @@ class LiveOptions:
         temporal: Costs of the choice over time.
         smoothing: The 1-euro filter.
         identities: How people are followed.
+        is_fitted: Poses are fitted to their frame's image.
+        retrieved_share: Weight of the retrieved pose against the image in the fit.
+        image_s: Standard deviation in time of the mean of images that is fitted to, over frames up to 3 of these away
+            that have come.
     """
 
     lag: int = 6
@@ -74,94 +80,16 @@ class LiveOptions:
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
     smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.6, beta=0.2))
     identities: IdentityOptions = field(default_factory=IdentityOptions)
+    is_fitted: bool = True
+    retrieved_share: float = 0.1
+    image_s: float = 0.06
 
     def __post_init__(self) -> None:
         """Refuse values without meaning."""
-        if self.lag < 0 or min(self.num_candidates, self.min_joints, self.proportions_every) < 1 or self.window_s <= 0:
-            raise InputError(f"live reconstruction: counts, lag and window must be positive: {self}")
-
-
-@dataclass(frozen=True)
-class Decision:
-    """What the fixed-lag choice settled on: candidate `rank` of frame `frame`."""
-
-    frame: int
-    rank: int
-
-
-@dataclass
-class _Step:
-    """A frame of the lattice."""
-
-    frame: int
-    continued: Array
-    cost: Array
-    back: Integers
-
-
-class FixedLagViterbi:
-    """Viterbi through candidates as frames arrive; with a lag of the whole sequence it is `choose_viterbi`.
-
-    Args:
-        database: Database searched.
-        rate_hz: Frames per second of the sequence.
-        lag: Frames of the sequence between a frame and its decision.
-        weights: Costs.
-    """
-
-    def __init__(self, database: Database, *, rate_hz: float, lag: int, weights: TemporalWeights | None = None) -> None:
-        self._database = database
-        self._successors = database.successors()
-        self._rate_hz = rate_hz
-        self._lag = lag
-        self._weights = weights or TemporalWeights()
-        self._steps: deque[_Step] = deque()
-        self._num_decided = 0
-
-    def push(self, frame: int, row: Integers, yaw_steps: Array, distance_m: Array) -> list[Decision]:
-        """Add a frame's candidates (k,), at least one of finite distance; give what is old enough to be decided.
-
-        Args:
-            frame: Its number, after that of the frame before.
-            row: Database rows.
-            yaw_steps: Their yaws in steps of the database, also between them.
-            distance_m: Their distances in the image.
-        """
-        poses, yaw_rad = self._database.poses_m, yaw_steps * self._database.yaw_step_rad
-        pose = turn_poses(poses, row, yaw_rad)
-        following = turn_poses(poses, self._successors[row], yaw_rad)
-        back = np.full(len(row), -1, dtype=np.int64)
-        cost = np.array(distance_m, dtype=np.float64)
-        if self._steps:
-            last = self._steps[-1]
-            gap = frame - last.frame
-            share = min(self._database.rate_hz / self._rate_hz * gap, 1.0)
-            ahead = last.continued[0] + share * (last.continued[1] - last.continued[0])
-            coming, back = transition_costs(pose, ahead, last.cost, self._weights.pose / np.sqrt(gap))
-            cost = cost + coming
-        # Only differences count; without this a long night would eat the digits.
-        cost -= cost.min()
-        self._steps.append(_Step(frame, np.stack([pose, following]), cost, back))
-        return self.decide_until(frame - self._lag)
-
-    def decide_until(self, frame: int) -> list[Decision]:
-        """Decide every frame up to this one, by the best path to the newest frame."""
-        count = sum(step.frame <= frame for step in self._steps)
-        if count <= self._num_decided:
-            return []
-        steps = list(self._steps)
-        rank = int(np.argmin(steps[-1].cost))
-        ranks = [rank]
-        for step in reversed(steps[1:]):
-            rank = int(step.back[rank])
-            ranks.append(rank)
-        ranks.reverse()
-        decided = [Decision(steps[i].frame, ranks[i]) for i in range(self._num_decided, count)]
-        # The newest decided frame stays: it is where the paths of later frames start from.
-        for _ in range(count - 1):
-            self._steps.popleft()
-        self._num_decided = 1
-        return decided
+        if self.lag < 0 or min(self.num_candidates, self.min_joints, self.proportions_every) < 1:
+            raise InputError(f"live reconstruction: counts must be at least 1 and the lag not negative: {self}")
+        if min(self.window_s, self.image_s, self.retrieved_share) <= 0:
+            raise InputError(f"live reconstruction: windows and shares must be positive: {self}")
 
 
 @dataclass(frozen=True)
@@ -200,7 +128,8 @@ class _Waiting:
     yaw_steps: Array
     distance_m: Array
     root_m: Array
-    num_joints_seen: int
+    own_m: Array
+    weights: Array
 
 
 @dataclass(frozen=True)
@@ -241,6 +170,7 @@ class LivePerson:
         self._window: deque[_Seen] = deque(maxlen=window)
         self._scales: deque[float] = deque(maxlen=window)
         self._waiting: deque[_Waiting] = deque()
+        self._decided: deque[_Waiting] = deque(maxlen=max(1, round(3.0 * self._options.image_s * rate_hz)))
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
@@ -310,7 +240,8 @@ class LivePerson:
             refined.yaw_steps[is_real],
             refined.distance_m[is_real],
             rotate(turn_from_camera_axis(towards), place),
-            int(np.count_nonzero(weights > 0)),
+            own,
+            weights,
         )
 
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
@@ -338,6 +269,8 @@ class LivePerson:
         database, rank = self._searcher.database, decision.rank
         yaw_rad = waiting.yaw_steps[rank : rank + 1] * database.yaw_step_rad
         pose = turn_poses(database.poses_m, waiting.row[rank : rank + 1], yaw_rad)[0] @ self._camera_rotmat.T
+        if self._options.is_fitted:
+            pose = self._fitted(pose, waiting)
         unitquat = self._rotations.step(waiting.frame, find_bone_rotations(pose))
         root = self._root.step(waiting.frame, waiting.root_m)
         # Bones turn against each other, so only the body's frame turns with the whole.
@@ -352,8 +285,25 @@ class LivePerson:
             yaw_rad=float(np.mod(yaw_rad[0], 2.0 * np.pi)),
             score_m=float(waiting.distance_m[rank]),
             row=int(waiting.row[rank]),
-            num_joints_seen=waiting.num_joints_seen,
+            num_joints_seen=int(np.count_nonzero(waiting.weights > 0)),
         )
+
+    def _fitted(self, pose: Array, waiting: _Waiting) -> Array:
+        """Give the retrieved pose (14, 3) fitted to the frame's image, in the person's own proportions."""
+        lengths = REFERENCE_LENGTHS_M * self._proportions
+        own = place_bones(find_bone_rotations(pose), lengths)
+        options = self._options
+        near = [waiting, *self._decided, *self._waiting]
+        near = [one for one in near if abs(one.frame - waiting.frame) <= 3.0 * options.image_s * self._rate_hz]
+        away = np.array([one.frame - waiting.frame for one in near]) / (options.image_s * self._rate_hz)
+        weight = np.exp(-0.5 * away**2)[:, None] * np.stack([one.weights for one in near])
+        total = weight.sum(axis=0)
+        image = np.einsum("fj,fjd->jd", weight, np.nan_to_num(np.stack([one.own_m for one in near])))
+        image /= np.where(total > 0, total, 1.0)[:, None]
+        distance = float(np.linalg.norm(waiting.root_m))
+        bones = fit_frame(own, image, total, lengths, distance, options.retrieved_share)
+        self._decided.append(waiting)
+        return place_vectors(bones)
 
 
 class LivePeople:

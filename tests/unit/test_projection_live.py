@@ -9,10 +9,11 @@ import pytest
 
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.live import FixedLagViterbi, LiveOptions, LivePeople, LivePose
+from pasdedeux.projections.fixed_lag import FixedLagViterbi
+from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
 from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.projections.temporal import choose_viterbi
@@ -82,6 +83,20 @@ def test_two_people_in_any_order_come_out_near_the_truth_with_bounded_delay(sear
             np.testing.assert_allclose(np.abs(np.sum(pose.bone_unitquat * bone_rotations(pose.positions_m), -1)), 1.0)
 
 
+def test_fitted_poses_are_steadier_than_retrieved_ones_and_as_near_to_the_truth(searcher: Searcher) -> None:
+    px, truth = video(60)
+    error, shake = {}, {}
+    for is_fitted in (True, False):
+        options = LiveOptions(is_fitted=is_fitted)
+        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+        poses = [pose for pose in run(people, px[:, :1]) if pose.person_id == 0]
+        found = np.stack([pose.positions_m for pose in poses])
+        error[is_fitted] = root_centred_error_m(found, truth[:, 0]).mean()
+        shake[is_fitted] = jitter_m(found - mid_hip(found)[:, None])
+    assert error[True] < 1.05 * error[False]
+    assert shake[True] < 0.9 * shake[False]
+
+
 def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(
     searcher: Searcher,
 ) -> None:
@@ -140,3 +155,5 @@ def test_bad_input_is_named(searcher: Searcher) -> None:
         LivePeople(searcher, rate_hz=0.0)
     with pytest.raises(InputError, match="lag"):
         replace(LiveOptions(), lag=-1)
+    with pytest.raises(InputError, match="windows"):
+        LiveOptions(image_s=0.0)

@@ -60,6 +60,11 @@ segment_draws = 10
 num_candidates = 12
 num_views = 4
 
+[lifting]
+max_frames = 3
+between_frames = 4
+num_spans = 1
+
 [augmentation]
 scales = [0.75, 0.95, 1.05, 1.25]
 
@@ -68,6 +73,7 @@ pitches_deg = [0.0, 20.0]
 
 [evaluation]
 num_truth_pairs = 12
+num_completed_pairs = 1
 clip_seconds = 0.5
 """
 """Every stage on two duets of a second or two, one of them held out; computed in some 20 s of processor time."""

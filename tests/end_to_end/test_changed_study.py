@@ -86,6 +86,7 @@ def test_more_draws_extend_the_chains_and_keep_what_is_there(
     assert computed["chains"] == 2 * (2 + 1)
     assert {name for name, count in computed.items() if count} <= {
         "chains",
+        "lifting",
         "projections",
         "reconstruction",
         "evaluation",
@@ -101,7 +102,7 @@ def test_more_draws_extend_the_chains_and_keep_what_is_there(
 def test_another_seed_rebuilds_everything(small: BuiltStudy, capsys: pytest.CaptureFixture[str]) -> None:
     plan = planned(small, capsys, "study.seed=4")
     assert reasons(plan["ingest"]) == {"stale: study.seed 3 -> 4"}
-    assert len(plan) == 10
+    assert len(plan) == 11
 
 
 def test_another_title_of_the_report_rebuilds_the_report_alone(

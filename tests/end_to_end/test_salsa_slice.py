@@ -48,8 +48,13 @@ scales = [0.85, 0.95, 1.05, 1.15]
 [reconstruction]
 pitches_deg = [0.0, 10.0, 20.0]
 
+[lifting]
+max_frames = 4
+between_frames = 6
+
 [evaluation]
 num_truth_pairs = 16
+num_completed_pairs = 1
 clip_seconds = 0.5
 """
 NUM_FRAMES = 30

@@ -33,6 +33,7 @@ PLACEMENT_WIDTH_M, LIMB_WIDTH_M = 0.06, 0.08
 PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -15.0
 """Logs do not fall below the floors: a real pair that nothing grown is like has an end."""
 PENETRATION_WIDTH_M = 0.01
+_SAME_M = 1e-6
 
 _LIMBS = np.array(
     [
@@ -76,7 +77,8 @@ class Agreement:
 
     Args:
         grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; at least one.
-        near_m: Only the `most` grown pairs posed most like this one (2, 17, 3) count: the bank of a chain's seed.
+        near_m: Only the `most` grown pairs posed most like this one (2, 17, 3) count, itself left out: the bank of a
+            chain's seed.
         most: How many.
 
     Raises:
@@ -88,9 +90,13 @@ class Agreement:
         if not len(grown) or not np.isfinite(grown).all():
             raise InputError("agreement needs at least one grown pair, all of its positions finite")
         self._model = capsule_model(PAIR17)
-        if near_m is not None and len(grown) > most:
+        if near_m is not None and len(grown) > 1:
             distance = _distances(near_m, grown)
-            grown = grown[np.sort(np.argsort(distance, kind="stable")[:most])]
+            order = np.argsort(distance, kind="stable")
+            # A seed that grew would agree with itself and hold its chain fast.
+            grown = grown[np.sort(order[distance[order] > _SAME_M][:most])]
+            if not len(grown):
+                raise InputError("agreement needs a grown pair that is not the seed itself")
         self._centred, self._offset = _apart(grown)
         self._limbs = _limbs_of(grown)
         self._work = np.empty((3 + _NUM_LIMBS, len(grown)))

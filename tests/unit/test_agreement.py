@@ -53,6 +53,12 @@ def test_a_bank_keeps_what_is_posed_alike() -> None:
     whole, bank = Agreement(GROWN), Agreement(GROWN, near_m=NEAR[0], most=50)
     # The far ones weigh nothing where the bank was made.
     assert bank.terms(NEAR[0]).total == pytest.approx(whole.terms(NEAR[0]).total, abs=0.02)
+    # A pair of the bank does not vouch for itself.
+    np.testing.assert_allclose(
+        Agreement(GROWN, near_m=GROWN[7], most=50).terms(GROWN[7]).total,
+        Agreement(np.delete(GROWN, 7, axis=0)).terms(GROWN[7]).total,
+        atol=0.02,
+    )
     log = whole.log_likelihood(NEAR[0])
     assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
 

@@ -8,6 +8,7 @@ import os
 import pkgutil
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -31,11 +32,15 @@ def bench(
     room: Annotated[
         str | None, typer.Argument(metavar="[ROOM]", help="One part of the science; all when none.")
     ] = None,
+    large: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Also measure databases of N projections; 2 GB for 10^7."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Measure and show a table."""
     os.environ.update(worker_environment())
-    found = find_benchmarks()
+    found = find_benchmarks(large=large)
     if room is not None and room not in found:
         raise PlanError(f"there are no benchmarks for '{room}'; there are for: {', '.join(found) or 'nothing yet'}")
     results: list[tuple[str, BenchmarkResult]] = []
@@ -55,15 +60,22 @@ def bench(
         typer.echo(f"    {result.fast_name} against {result.plain_name}" + (f"; {result.note}" if result.note else ""))
 
 
-def find_benchmarks() -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Give the benchmarks of every part of the science that has a module `benchmarks`, by its name."""
+def find_benchmarks(*, large: int | None = None) -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
+    """Give the benchmarks of every part of the science that has a module `benchmarks`, by its name.
+
+    Those of its `LARGE_BENCHMARKS`, which take a size, are among them when a size is given.
+    """
     found: dict[str, dict[str, Callable[[], BenchmarkResult]]] = {}
     for module in pkgutil.iter_modules(pasdedeux.__path__):
         if not module.ispkg:
             continue
         name = f"pasdedeux.{module.name}.benchmarks"
         if importlib.util.find_spec(name) is not None:
-            found[module.name] = dict(importlib.import_module(name).BENCHMARKS)
+            benchmarks = importlib.import_module(name)
+            found[module.name] = dict(benchmarks.BENCHMARKS)
+            if large is not None:
+                for label, function in getattr(benchmarks, "LARGE_BENCHMARKS", {}).items():
+                    found[module.name][label] = partial(function, large)
     return found
 
 

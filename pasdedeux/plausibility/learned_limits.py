@@ -26,14 +26,13 @@ from pasdedeux.plausibility.occupancy import (
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["LearnedLimits"]
+__all__ = ["ANGLES_OF_BONE", "LIMIT_BONES", "LearnedLimits"]
 
 Array = npt.NDArray[np.float64]
 
 _INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
 _SIDES = ("left", "right")
-# Joint that a bone turns about, joint it ends in, and its two angles; in the order of `bone_directions`.
-_BONES: tuple[tuple[str, str, tuple[tuple[str, str], tuple[str, str]]], ...] = (
+LIMIT_BONES: tuple[tuple[str, str, tuple[tuple[str, str], tuple[str, str]]], ...] = (
     ("spine", "chest", (("spine", "flexion"), ("spine", "lateral"))),
     ("chest", "neck", (("chest", "flexion"), ("chest", "lateral"))),
     ("neck", "head", (("neck", "flexion"), ("neck", "lateral"))),
@@ -42,7 +41,9 @@ _BONES: tuple[tuple[str, str, tuple[tuple[str, str], tuple[str, str]]], ...] = (
     *((f"{s}_hip", f"{s}_knee", ((f"{s}_hip", "flexion"), (f"{s}_hip", "abduction"))) for s in _SIDES),
     *((f"{s}_knee", f"{s}_ankle", ((f"{s}_hip", "rotation"), (f"{s}_knee", "flexion"))) for s in _SIDES),
 )
-_ANGLES_OF_BONE = np.array([[_INDEX[angle] for angle in angles] for _, _, angles in _BONES])
+"""Joint that a bone turns about, joint it ends in, its two angles; in the order of `bone_directions`."""
+ANGLES_OF_BONE = np.array([[_INDEX[angle] for angle in angles] for _, _, angles in LIMIT_BONES])
+"""Indices in `ANGLES` of the two angles of each bone, (bone=11, 2)."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class LearnedLimits:
         invalid = self.table.invalid_angles(pair17_m)
         above, cell = bone_cells(bone_directions(pair17_m))
         seen = self.occupancy.occupied[KIND_OF_BONE, above, cell]
-        for bone, angles in enumerate(_ANGLES_OF_BONE):
+        for bone, angles in enumerate(ANGLES_OF_BONE):
             invalid[..., angles] &= ~seen[..., [bone]]
         return invalid
 
@@ -83,12 +84,12 @@ class LearnedLimits:
         given = np.asarray(pair17_m, dtype=np.float64)
         poses = self._girdles.nearest_valid(given.reshape(-1, PAIR17.num_joints, 3)).positions
         cells = sphere_cells(NUM_CELLS)
-        for bone, (pivot, end, _) in enumerate(_BONES):
+        for bone, (pivot, end, _) in enumerate(LIMIT_BONES):
             directions = bone_directions(poses)
             above, cell = bone_cells(directions)
             kind = int(KIND_OF_BONE[bone])
             seen = self.occupancy.occupied[kind, above[:, bone], cell[:, bone]]
-            is_bad = self.table.invalid_angles(poses)[:, _ANGLES_OF_BONE[bone]].any(axis=1) & ~seen
+            is_bad = self.table.invalid_angles(poses)[:, ANGLES_OF_BONE[bone]].any(axis=1) & ~seen
             rows = np.flatnonzero(is_bad)
             if not len(rows):
                 continue
@@ -117,7 +118,7 @@ class LearnedLimits:
     def _girdles(self) -> JointLimits:
         """The table with every angle of a bone free."""
         lower, upper = self.table.lower_rad.copy(), self.table.upper_rad.copy()
-        lower[_ANGLES_OF_BONE], upper[_ANGLES_OF_BONE] = -2.0 * np.pi, 2.0 * np.pi
+        lower[ANGLES_OF_BONE], upper[ANGLES_OF_BONE] = -2.0 * np.pi, 2.0 * np.pi
         return JointLimits(lower_rad=lower, upper_rad=upper, source=self.table.source)
 
     @cached_property
@@ -128,14 +129,14 @@ class LearnedLimits:
         allowed = np.zeros((len(BONES), NUM_CELLS), dtype=bool)
         for kind in range(len(BONES)):
             bone = int(np.argmax(kind == KIND_OF_BONE))
-            pivot, end = (PAIR17.index(name) for name in _BONES[bone][:2])
+            pivot, end = (PAIR17.index(name) for name in LIMIT_BONES[bone][:2])
             pointed = poses.copy()
-            pointed[:, _subtree(_BONES[bone][1])] += (
+            pointed[:, _subtree(LIMIT_BONES[bone][1])] += (
                 pointed[:, [pivot]]
                 + 0.2 * np.einsum("ci,cij->cj", sphere_cells(NUM_CELLS), frames[:, bone])[:, None]
                 - pointed[:, [end]]
             )
-            allowed[kind] = ~self.table.invalid_angles(pointed)[:, _ANGLES_OF_BONE[bone]].any(axis=1)
+            allowed[kind] = ~self.table.invalid_angles(pointed)[:, ANGLES_OF_BONE[bone]].any(axis=1)
         return allowed
 
 

@@ -11,8 +11,10 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, weakest_bone
+from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec
+from pasdedeux.plausibility import ANGLES, JointLimits, LearnedLimits, Occupancy, weakest_bone
+from pasdedeux.plausibility.joint_limits import measure
+from pasdedeux.plausibility.learned_limits import ANGLES_OF_BONE, LIMIT_BONES
 from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_directions, sphere_cells
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
@@ -111,8 +113,7 @@ def test_the_nearest_valid_pose_of_learned_limits_is_valid_and_keeps_bones() -> 
     assert (nearest.squared_distance_m2[~is_valid] > 0).all()
 
 
-@pytest.mark.data
-def test_learned_limits_accept_a_subject_they_have_not_seen(data_dir: Path) -> None:
+def poses_by_subject(data_dir: Path) -> dict[str, np.ndarray]:
     folder = data_dir / "cmu_asfamc"
     poses: dict[str, list[np.ndarray]] = {}
     for file in sorted(folder.glob("0[123]_*.amc")):
@@ -120,10 +121,55 @@ def test_learned_limits_accept_a_subject_they_have_not_seen(data_dir: Path) -> N
         motion = read_amc(file.read_bytes(), asf).to_motion(metres_per_unit=asf.metres_per_unit, rate_hz=120.0)
         pair17 = derive_working_poses(motion.resample(12.0), LAYOUTS["cmu_asf"]).pair17_m
         poses.setdefault(file.stem[:2], []).append(pair17)
-    accepted = []
+    return {subject: np.concatenate(parts) for subject, parts in poses.items()}
+
+
+def with_one_joint_turned(rng: np.random.Generator, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turn one bone of each valid pose anyhow; give how far its joint is beyond the published table, radians.
+
+    Second where positions determine the angle (slack under 0.2 rad), third whether or not they do.
+    """
+    bare = JointLimits(
+        lower_rad=np.deg2rad([angle.lower_deg for angle in ANGLES]),
+        upper_rad=np.deg2rad([angle.upper_deg for angle in ANGLES]),
+        source=TABLE.source,
+    )
+    turned, determined, any_of = [], [], []
+    for bone, (pivot, end, _) in enumerate(LIMIT_BONES):
+        moved = poses.copy()
+        turn = rotmat_from_unitquat(
+            unitquat_from_rotvec(normalise(rng.normal(size=(len(poses), 3))) * rng.uniform(0.3, 2.5, (len(poses), 1)))
+        )
+        joints = [PAIR17.index(end)]
+        for joint in joints:
+            joints.extend(PAIR17.children(joint))
+        centre = moved[:, [PAIR17.index(pivot)]]
+        moved[:, joints] = np.einsum("nij,nkj->nki", turn, moved[:, joints] - centre) + centre
+        angles, slack = measure(moved)
+        own = ANGLES_OF_BONE[bone]
+        beyond = np.abs(bare.excess(slice(None), angles, 0.0 * slack))[:, own]
+        turned.append(moved)
+        determined.append(np.where(slack[:, own] < 0.2, beyond, 0.0).max(axis=1))
+        any_of.append(beyond.max(axis=1))
+    return np.concatenate(turned), np.concatenate(determined), np.concatenate(any_of)
+
+
+@pytest.mark.data
+def test_learned_limits_accept_an_unseen_subject_and_refuse_joints_20_degrees_beyond_the_table(data_dir: Path) -> None:
+    poses = poses_by_subject(data_dir)
+    rng = np.random.default_rng(0)
+    accepted, refused, refused_any = [], [], []
     for held_out, own in poses.items():
-        others = np.concatenate([one for subject, parts in poses.items() if subject != held_out for one in parts])
-        accepted.append(LearnedLimits(TABLE, Occupancy.empty().extended(others)).is_valid(np.concatenate(own)))
+        others = np.concatenate([parts for subject, parts in poses.items() if subject != held_out])
+        limits = LearnedLimits(TABLE, Occupancy.empty().extended(others))
+        accepted.append(limits.is_valid(own))
+        turned, determined, any_of = with_one_joint_turned(rng, own[TABLE.is_valid(own)])
+        is_refused = ~limits.is_valid(turned)
+        refused.append(is_refused[determined >= np.deg2rad(20.0)])
+        refused_any.append(is_refused[any_of >= np.deg2rad(20.0)])
     share = np.concatenate(accepted)
     assert len(share) > 1000
     assert share.mean() >= 0.995
+    assert len(np.concatenate(refused)) > 1000
+    assert np.concatenate(refused).mean() >= 0.97
+    assert np.concatenate(refused_any).mean() >= 0.95

@@ -213,7 +213,10 @@ class AugmentationParameters(VariationSet):
     )
     contact_m: tuple[float, float] = Field((0.2, 0.3), description="Contact distance: full weight up to, none from")
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time; 0 as published")
-    solver: Literal["bulk", "descent"] = Field("bulk", description="bulk (with descent as fallback) or descent alone")
+    solver: Literal["bulk", "polished", "descent"] = Field(
+        "bulk",
+        description="bulk (with descent as fallback), polished (every variant ends with descent) or descent alone",
+    )
     num_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver")
     window_s: float = Field(30.0, ge=10, description="Longer takes are solved in overlapping windows of this length")
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
@@ -357,7 +360,8 @@ def _settings(parameters: AugmentationParameters, take_id: str) -> AugmentationS
         joint_limits=JointLimits.published() if parameters.is_joint_limited else None,
         user_contacts=tuple(UserContact(**stated.model_dump()) for stated in parameters.contacts.get(take_id, ())),
         bulk=BulkSettings(num_iterations=parameters.num_iterations, is_single_precision=True),
-        is_bulk=parameters.solver == "bulk",
+        is_bulk=parameters.solver != "descent",
+        fallback_residual_m=0.0 if parameters.solver == "polished" else AugmentationSettings.fallback_residual_m,
         mesh_smoothing_s=parameters.mesh_smoothing_s,
         windows=WindowSettings(longest_s=parameters.window_s),
         fixed_person=None if parameters.fixed_person is None else "AB".index(parameters.fixed_person),

@@ -31,6 +31,8 @@ Array = npt.NDArray[np.float64]
 
 FAR_APART_M = 1.0
 """People whose joints never come closer than this do not interact; their variants are solved all the same."""
+_FAILED = 2
+"""Verdict of a frame that failed."""
 _KEPT_WINDOWS = 4
 """Windows of a take whose factors are kept: some 200 MB for 30 s each."""
 
@@ -170,6 +172,9 @@ class Augmenter:
             reason = "; ".join(
                 filter(None, ["neither solver gave a finite motion: this is plain forward kinematics", reason])
             )
+        failed = np.flatnonzero(frame_verdicts == _FAILED)
+        if verdict != Verdict.PASS and len(failed):
+            reason = f"{reason}; {len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}"
         if self.source.closest_m > FAR_APART_M:
             note = f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep"
             verdict = Verdict.WARN if verdict == Verdict.PASS else verdict

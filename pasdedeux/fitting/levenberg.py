@@ -188,14 +188,11 @@ def _reduce(
         if frames > lag:
             _reduce_between(carried[lag], basis, related, further, starts, lag, below)
     for pairs, weights, unit in normal.pairs:
-        moves = carries[:, pairs[:, 1]] - carries[:, pairs[:, 0]]
-        rows = np.einsum("gm,tma,tgak->tmgk", moves, unit, basis, optimize=True)[:, :, generators, columns]
-        diagonal += np.matmul(np.swapaxes(rows * weights[..., None], 1, 2), rows)
+        points = np.broadcast_to(pairs, (frames, *pairs.shape))
+        shares = np.broadcast_to(np.array([-1.0, 1.0]), points.shape)
+        _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
     for points, shares, weights, unit in normal.stencils:
-        moved = (carries.T[points] * shares[..., None]).sum(axis=2)
-        along = np.einsum("tma,tgak->tmgk", unit, basis, optimize=True)
-        rows = (moved[..., None] * along)[:, :, generators, columns]
-        diagonal += np.matmul(np.swapaxes(rows * weights[..., None], 1, 2), rows)
+        _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
     return BlockMatrix(diagonal=diagonal, below=below), gradient
 
 
@@ -224,6 +221,45 @@ def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices
                         diagonal[t, starts[h] + j, starts[g] + i] = value
             for i in range(starts[g], starts[g + 1]):
                 diagonal[t, i, i] += bending[t, g]
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_stencils(
+    points: Indices,
+    shares: Array,
+    weights: Array,
+    units: Array,
+    carries: Array,
+    basis: Array,
+    starts: Indices,
+    diagonal: Array,
+) -> None:
+    """Add sum w r' r: r is how far each unknown moves a combination of points along its unit vector; most do not."""
+    frames, count, size = points.shape
+    num_bones = len(carries)
+    row, used = np.empty(starts[-1]), np.empty(starts[-1], np.int64)
+    for t in range(frames):
+        for e in range(count):
+            weight = weights[t, e]
+            if weight == 0.0:
+                continue
+            num_used = 0
+            for g in range(num_bones):
+                moved = 0.0
+                for k in range(size):
+                    moved += shares[t, e, k] * carries[g, points[t, e, k]]
+                if moved == 0.0:
+                    continue
+                for i in range(starts[g + 1] - starts[g]):
+                    along = 0.0
+                    for axis in range(3):
+                        along += units[t, e, axis] * basis[t, g, axis, i]
+                    row[num_used], used[num_used] = moved * along, starts[g] + i
+                    num_used += 1
+            for i in range(num_used):
+                value = weight * row[i]
+                for j in range(num_used):
+                    diagonal[t, used[i], used[j]] += value * row[j]
 
 
 @numba.njit(cache=True, nogil=True)

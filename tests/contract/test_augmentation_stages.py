@@ -163,6 +163,16 @@ def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> N
     assert np.isnan(quality["scale_a"]).all()
 
 
+def test_polished_variants_end_with_descent_and_failures_name_their_frames(store: Store) -> None:
+    take = put_take(store, "pair")
+    strict = {"limits": {"jerk_ratio": (0.0, 0.0)}, "frame_limits": {"jerk_ratio": (0.0, 0.0)}}
+    (made,) = augment(store, [take], scales=(0.8,), solver="polished", **strict)
+    quality = store.read(made.ref, "variant_quality")
+    assert list(quality["solver"]) == ["bulk+descent"]
+    assert list(quality["verdict"]) == ["fail"]
+    assert f"{FRAMES} of {FRAMES} frames fail, the first is 0" in quality["reason"][0]
+
+
 def test_a_broken_off_take_goes_on_where_it_stopped(store: Store) -> None:
     take = put_take(store, "pair")
     parameters = AugmentationParameters(scales=(0.8, 0.9, 1.1), variants_per_shard=1)

@@ -47,6 +47,8 @@ MOST_STRETCHED = 0.6
 """Real detections come to 0.26 in their own layout and to 0.44 to 0.66 in wrong ones (tested)."""
 CLEARLY_SHORTER = 0.75
 """Another layout whose segments are shorter by this factor is the right one."""
+MOST_OFF_MIDDLE = 0.1
+"""A mid-hip further from the middle of the hips, as a share of the diagonal, is none; a thigh away it is about 0.25."""
 LEAST_CHECKED = 5
 """A segment seen in fewer rows than this says nothing."""
 
@@ -157,8 +159,22 @@ def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
     return float(np.mean(lengths)) if len(lengths) >= 4 else float("nan")
 
 
+def _off_middle(frames: AnnotatedFrames) -> float:
+    """Give the median distance of the mid-hip from the middle of the hips against the diagonal; NaN if not seen."""
+    names = get_keypoint_layout(frames.layout).keypoint_names
+    if "mid_hip" not in names:
+        return float("nan")
+    middle, left, right = (names.index(name) for name in ("mid_hip", "left_hip", "right_hip"))
+    points = frames.keypoints_px[np.isfinite(frames.keypoints_px[:, [middle, left, right]]).all(axis=(1, 2))]
+    if len(points) < LEAST_CHECKED:
+        return float("nan")
+    diagonal = np.linalg.norm(np.nanmax(points, axis=1) - np.nanmin(points, axis=1), axis=-1)
+    away = np.linalg.norm(points[:, middle] - 0.5 * (points[:, left] + points[:, right]), axis=-1)
+    return float(np.median(away / np.maximum(diagonal, 1e-9)))
+
+
 def check_anatomy(frames: AnnotatedFrames) -> None:
-    """Refuse keypoints whose order is not that of their layout: eyes at ankles, hips a body apart.
+    """Refuse keypoints whose order is not that of their layout: eyes at ankles, hips a body apart, a mid-hip at a hip.
 
     Raises:
         InputError: The segments are too long for a body, or much longer than in another layout, which is then named.
@@ -172,6 +188,13 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
         if name != frames.layout and layout.num_keypoints <= frames.keypoints_px.shape[1]
     }
     better = [name for name, value in others.items() if value < CLEARLY_SHORTER * own]
+    off_middle = _off_middle(frames)
+    if off_middle > MOST_OFF_MIDDLE:
+        hint = "; the order of 'coco18' fits" if others.get("coco18", np.inf) < own else ""
+        raise InputError(
+            f"the keypoints do not look like people in the layout '{frames.layout}': the mid-hip lies "
+            f"{off_middle:.0%} of a body from the middle of the hips{hint}"
+        )
     if own <= MOST_STRETCHED and not better:
         return
     hint = f"; the order of '{min(better, key=lambda name: others[name])}' fits" if better else ""

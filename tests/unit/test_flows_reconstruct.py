@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 from flows.console.app import run_command_line
@@ -20,6 +22,8 @@ from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, artifact_key
+from storage_schema.errors import SchemaError
+from tasks.reconstruction import read_database
 from tests.walkers import walk
 
 LAYOUT = KEYPOINT_LAYOUTS["coco18"]
@@ -206,3 +210,75 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     assert "is not a folder" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--database", str(store.root)]) == 2
     assert "run a study first" in capsys.readouterr().err
+
+
+def written(folder: Path, frames: dict[int, str]) -> Path:
+    """Write OpenPose files by frame number."""
+    folder.mkdir(exist_ok=True)
+    for number, text in frames.items():
+        (folder / f"film_{number:012d}_keypoints.json").write_text(text)
+    return folder
+
+
+def padded(text: str) -> str:
+    """COCO-18 keypoints in files that say BODY_25 by their number of values."""
+    frame = json.loads(text)
+    for person in frame["people"]:
+        person["pose_keypoints_2d"] += [0.0] * 21
+    return json.dumps(frame)
+
+
+@pytest.mark.parametrize("mode", [[], ["--follow", "--idle", "0"]])
+def test_coco_18_in_files_of_25_keypoints_is_noticed(
+    video: Path, store: Store, tmp_path: Path, mode: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = {number: padded(path.read_text()) for number, path in list_frames(video)}
+    folder = written(tmp_path / "padded", frames)
+    assert run_command_line(["reconstruct", str(folder), *reference(store), *mode, "--out", str(tmp_path / "x")]) == 2
+    assert "'coco18' fits" in capsys.readouterr().err
+
+
+def test_people_without_any_joint_are_nobody(store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = openpose(np.zeros((1, 14, 2))).replace("0.9", "0.0")
+    folder = written(tmp_path / "empty", dict.fromkeys(range(12), empty))
+    assert run_command_line(["reconstruct", str(folder), *reference(store), "--out", str(tmp_path / "x")]) == 2
+    assert "no frame shows enough joints of a person" in capsys.readouterr().err
+    command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(tmp_path / "y")]
+    assert run_command_line(command) == 0
+    assert "12 frames, nobody to be seen" in capsys.readouterr().err
+    assert (tmp_path / "y").read_text() == ""
+
+
+def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
+    video: Path, store: Store, tmp_path: Path
+) -> None:
+    frames = {}
+    for number, path in list_frames(video):
+        if 18 <= number < 21:
+            continue  # three frames were lost
+        frame = json.loads(path.read_text())
+        if number < 8:  # the second person comes later
+            frame["people"] = frame["people"][:1] if number % 2 == 0 else frame["people"][1:]
+        frames[3 * number] = json.dumps(frame)  # every third frame of a faster camera
+    folder, out = written(tmp_path / "gaps", frames), tmp_path / "lines"
+    command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
+    assert run_command_line([*command, "--rate", "90"]) == 0
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    seen = {one: [line["frame"] for line in lines if line["person_id"] == one] for one in (0, 1)}
+    assert seen[0] == sorted(frames)
+    assert seen[1] == [number for number in sorted(frames) if number >= 24]
+
+
+def test_a_database_written_with_other_columns_is_refused(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "store"
+    shutil.copytree(store.root, other)
+    (path,) = other.rglob("projections.parquet")
+    table = pyarrow.parquet.read_table(path)
+    kept = table.drop_columns(["joint_radius_m"])
+    pyarrow.parquet.write_table(kept, path)
+    with pytest.raises(SchemaError, match=r"'projections'.*other columns; run its stage again"):
+        read_database(Store(other), [manifest.ref for manifest in store.artifacts("projections")])
+    assert run_command_line(["reconstruct", str(video), "--store", str(other), *reference(store)[2:]]) == 2
+    assert "projections" in capsys.readouterr().err

@@ -19,6 +19,7 @@ __all__ = [
     "curve_points",
     "real_frame_levels",
     "realism_scores",
+    "union_scores",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -95,6 +96,25 @@ def coverage_scores(
 def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
     """Give the three measures with their values along the curve and their unit."""
     return [("D_I", curve.interaction_m, "m"), ("D_C", curve.cartesian_m, "m"), ("D_S", curve.shape, "")]
+
+
+def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, grown: str, *, split: str) -> list[Score]:
+    """Give the coverage in D_C of the draws of each method together with the grown seeds they started from."""
+    if grown not in curves:
+        return []
+    scores = []
+    for method, curve in curves.items():
+        if method != grown:
+            least = np.minimum(curve.least_cartesian_m, curves[grown].least_cartesian_m)
+            worth = as_good_as_real_frames(float(least.mean()), levels.cartesian_m, levels.num_draws)
+            for metric, value, unit in (
+                ("coverage_D_C", float(least.mean()), "m"),
+                ("as_good_as_real_frames_D_C", worth, "frames"),
+            ):
+                is_baseline = method.startswith("prior_only")
+                name = f"{method}_and_{grown}"
+                scores.append(Score("coverage", metric, name, value, unit, is_baseline, split, count=len(least)))
+    return scores
 
 
 def realism_scores(

@@ -8,7 +8,7 @@ contexts).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -35,12 +35,14 @@ class CoverageCurve:
         interaction_m: C(G, S) in D_I, (point,), metres.
         cartesian_m: C(G, S) in D_C, (point,), metres.
         shape: C(G, S) in D_S, (point,), from 0 to 1.
+        least_cartesian_m: Least D_C of each real pair to any of the draws, (truth,), metres; empty where not kept.
     """
 
     num_draws: npt.NDArray[np.int64]
     interaction_m: Array
     cartesian_m: Array
     shape: Array
+    least_cartesian_m: Array = field(default_factory=lambda: np.empty(0))
 
 
 class Coverage:
@@ -135,6 +137,7 @@ def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> 
         interaction_m=np.array(interaction),
         cartesian_m=np.array(cartesian),
         shape=np.array(shape),
+        least_cartesian_m=coverage.cartesian_m,
     )
 
 

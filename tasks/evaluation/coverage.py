@@ -12,6 +12,7 @@ from pasdedeux.evaluation.coverage import (
     curve_points,
     real_frame_levels,
     realism_scores,
+    union_scores,
 )
 from pasdedeux.evaluation.embedding import PairMap, map_figure
 from pasdedeux.sampling.coverage import coverage_curve
@@ -80,7 +81,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
             f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], sorted(held_out)
         )
     takes = read_takes(store, take_refs, "pair17_m")
-    annotated = set(read_take_frames(store, annotation_refs).values())
+    annotated = set(read_take_frames(store, annotation_refs, keys_only=True).values())
     generator = stream(shard.seed, TOPIC, split)
     truth, others = _split(takes, annotated, held_out, split)
     if not len(truth) or not len(others):
@@ -97,6 +98,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
     levels = real_frame_levels(truth, others, generator)
     words = split.replace("_", " ")
     scores = coverage_scores(curves, levels, split=split, num_truth=len(truth))
+    scores += union_scores(curves, levels, GROWN, split=split)
     scores += realism_scores(draws, np.concatenate([truth, others]), generator, split=split)
     name = f"coverage-{split}.png"
     pictures = {name: coverage_figure(curves, levels, split=split)}

@@ -36,15 +36,22 @@ def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[s
     return {store.manifest(ref).facts["take_id"]: read_people(store, ref, column) for ref in refs}
 
 
-def read_take_frames(store: Store, refs: Iterable[ArtifactRef]) -> dict[tuple[str, int], tuple[str, int]]:
-    """Give the take and its frame behind every (sequence, frame) of virtual video."""
+def read_take_frames(
+    store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False
+) -> dict[tuple[str, int], tuple[str, int]]:
+    """Give the take and its frame behind every (sequence, frame) of virtual video, or behind the annotated ones only.
+
+    Frames that are not annotated are there for velocity.
+    """
     frames = {}
     for ref in refs:
         if not store.manifest(ref).facts["is_virtual"]:
             continue  # a video of the user's own may show a take, but nobody knows which frame of it
-        table = store.read(ref, "annotations", columns=["sequence_id", "frame", "take_id", "take_frame"])
-        for sequence_id, frame, take_id, take_frame in zip(
-            table["sequence_id"], table["frame"], table["take_id"], table["take_frame"], strict=True
+        table = store.read(ref, "annotations", columns=["sequence_id", "frame", "is_key", "take_id", "take_frame"])
+        for sequence_id, frame, is_key, take_id, take_frame in zip(
+            *(table[name] for name in ("sequence_id", "frame", "is_key", "take_id", "take_frame")), strict=True
         ):
+            if keys_only and not is_key:
+                continue
             frames[sequence_id, int(frame)] = (take_id, int(take_frame))
     return frames

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores
+from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores, union_scores
 from pasdedeux.evaluation.embedding import PairMap, interaction_distances, map_figure
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.shape_context import pair_shape_dissimilarity
@@ -41,6 +41,16 @@ def test_shape_coverage_of_a_curve_is_the_least_dissimilarity() -> None:
     curve = coverage_curve(PAIRS[:5], PAIRS[5:], [1, 8])
     plain = pair_shape_dissimilarity(PAIRS[:5, None], PAIRS[None, 5:13])
     np.testing.assert_allclose(curve.shape, [plain[:, 0].mean(), plain.min(axis=1).mean()], atol=1e-9)
+
+
+def test_draws_and_grown_seeds_together_cover_as_one_set() -> None:
+    curves = {"ic": coverage_curve(PAIRS[:5], PAIRS[5:12], [7]), "grown": coverage_curve(PAIRS[:5], PAIRS[12:20], [8])}
+    levels = real_frame_levels(PAIRS[:5], PAIRS[5:], np.random.default_rng(0))
+    scores = union_scores(curves, levels, "grown", split="annotated")
+    together = coverage_curve(PAIRS[:5], PAIRS[5:20], [15]).cartesian_m[-1]
+    assert {score.method for score in scores} == {"ic_and_grown"}
+    assert scores[0].value == pytest.approx(together)
+    assert union_scores({"ic": curves["ic"]}, levels, "grown", split="annotated") == []
 
 
 def test_real_pairs_are_at_no_distance_from_themselves() -> None:

@@ -10,24 +10,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.projections.camera import OrthographicCamera
-from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
-from pasdedeux.projections.motion_out import upright_motion
-from pasdedeux.projections.reconstruct import (
-    Method,
-    Reconstruction,
-    ReconstructionOptions,
-    Searcher,
-    choose_pitch,
-    floor_offset,
-    match_track,
-    reconstruct_track,
-)
+from pasdedeux.projections.people import reconstruct_people
+from pasdedeux.projections.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
@@ -35,7 +24,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 4
+VERSION = 5
 
 
 class ReconstructionParameters(Parameters):
@@ -205,37 +194,18 @@ def _reconstruct(
         Searcher.of(Database(poses, starts, num_yaws=parameters.num_yaws, rate_hz=rate_hz, camera=camera))
         for camera in cameras
     ]
-    chosen = choose_pitch(searchers, [one.track for one in people], options)
-    searcher, camera = searchers[chosen], cameras[chosen]
-    facts["pitch_deg"] = parameters.pitches_deg[chosen]
-    facts["num_projections"] = searcher.database.num_projections
-    rows: list[dict[str, Any]] = []
-    attachments: dict[str, bytes] = {}
-    matched = []
-    for person in people:
-        try:
-            matched.append((person, match_track(searcher, person.track, options)))
-        except InputError as error:
-            facts["skipped"].append(f"{sequence_id}, person {person.person_id}: {error}")
-    for method in parameters.methods if matched else ():
-        found = [
-            (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
-            for person, matches in matched
-        ]
-        origin = floor_offset([one for _, one in found], camera)
-        rows += [_rows_of(sequence_id, person, method.value, one, origin, take_ids, frames) for person, one in found]
-        if method is not parameters.methods[-1]:
-            continue
-        if parameters.has_clean_up:
-            found = [
-                (person, clean_reconstruction(one, origin, camera, rate_hz=person.track.rate_hz))
-                for person, one in found
-            ]
-            name = f"{method.value}_clean"
-            rows += [_rows_of(sequence_id, person, name, one, origin, take_ids, frames) for person, one in found]
-        for person, one in found:
-            motion = upright_motion(one.positions_m - origin, camera, rate_hz=person.track.rate_hz)
-            attachments[f"{sequence_id}_{person.person_id}.bvh"] = write_bvh(motion).encode()
+    found = reconstruct_people(searchers, people, parameters.methods, options, has_clean_up=parameters.has_clean_up)
+    facts["pitch_deg"] = parameters.pitches_deg[found.searcher_index]
+    facts["num_projections"] = searchers[found.searcher_index].database.num_projections
+    facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
+    rows = [
+        _rows_of(sequence_id, person, made.name, one, made.origin_m, take_ids, frames)
+        for made in found.methods
+        for person, one in made.people
+    ]
+    attachments = {
+        f"{sequence_id}_{person_id}.bvh": write_bvh(motion).encode() for person_id, motion in found.motions.items()
+    }
     return rows, attachments
 
 

@@ -29,6 +29,8 @@ from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.cleanup import clean_reconstruction
+from pasdedeux.projections.pitch import floor_offset
+from pasdedeux.projections.proportions import retarget_image
 from pasdedeux.projections.published import Codebook, recall, search_published
 from pasdedeux.projections.reconstruct import (
     Matches,
@@ -36,7 +38,6 @@ from pasdedeux.projections.reconstruct import (
     Reconstruction,
     ReconstructionOptions,
     Searcher,
-    floor_offset,
     match_track,
     reconstruct_track,
 )
@@ -188,7 +189,7 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
     neighbours = found.neighbours
-    poses = searcher.database.turned(np.maximum(neighbours.row, 0), neighbours.yaw_index)
+    poses = searcher.database.turned(np.maximum(neighbours.row, 0), found.yaws)
     poses = np.einsum("ij,...nj->...ni", searcher.database.camera.camera_from_upright_rotmat, poses)
     centred = truth_m - mid_hip(truth_m)[:, None]
     error = np.linalg.norm(poses - centred[:, None], axis=-1).mean(axis=-1)
@@ -227,9 +228,12 @@ def reconstruct_seen(
     if codebook is not None:
         published = search_published(searcher.database, codebook, found.query_m, found.weights)
         made[AS_PUBLISHED] = reconstruct_track(
-            searcher, track, Method.WINDOW, options, matches=replace(found, neighbours=published)
+            searcher, track, Method.WINDOW, options, matches=replace(found, neighbours=published, yaw_steps=None)
         )
-        recalls = {f"recall_at_{n}": recall(published, found.neighbours, num_best=n) for n in (1, 50)}
+        exact = searcher.index.search(
+            retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=options.num_candidates
+        )
+        recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
     motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
     for name, one in made.items():
         motions[name] = one.positions_m

@@ -1,4 +1,4 @@
-"""From the detections of a whole video to one motion per person: follow, repair, reconstruct, clean up."""
+"""From the people of a whole video to their motions: follow, repair, reconstruct, put into one frame, clean up."""
 
 from __future__ import annotations
 
@@ -15,22 +15,60 @@ from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.motion_out import upright_motion
+from pasdedeux.projections.pitch import choose_pitch, floor_offset
 from pasdedeux.projections.reconstruct import (
     Method,
     Reconstruction,
     ReconstructionOptions,
     Searcher,
-    choose_pitch,
-    floor_offset,
     match_track,
     reconstruct_track,
 )
 from pasdedeux.projections.tracks import PersonTrack, tracks_from_rows
 
-__all__ = ["ReconstructedCrowd", "ReconstructedPerson", "reconstruct_detections"]
+__all__ = [
+    "MethodMotions",
+    "ReconstructedCrowd",
+    "ReconstructedPerson",
+    "ReconstructedTracks",
+    "reconstruct_detections",
+    "reconstruct_people",
+]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MethodMotions:
+    """What one method made of a sequence's people.
+
+    Args:
+        name: The method; `<method>_clean` after the clean-up.
+        people: Their tracks and reconstructions, camera axes.
+        origin_m: What to subtract (3,) to have all of them in the sequence's own frame, see `floor_offset`.
+    """
+
+    name: str
+    people: tuple[tuple[PersonTrack, Reconstruction], ...]
+    origin_m: Array
+
+
+@dataclass(frozen=True)
+class ReconstructedTracks:
+    """What all methods made of a sequence's people.
+
+    Args:
+        methods: In the order asked for; the clean-up of the last one comes last.  None when nobody could be searched.
+        motions: Upright motions of the last by person id, floor at 0.
+        skipped: Why the others could not be reconstructed, by person id.
+        searcher_index: Which of the databases' cameras suited best.
+    """
+
+    methods: tuple[MethodMotions, ...]
+    motions: dict[int, Motion]
+    skipped: dict[int, str]
+    searcher_index: int
 
 
 @dataclass(frozen=True)
@@ -69,6 +107,59 @@ class ReconstructedCrowd:
     num_repaired_joints: int
 
 
+def reconstruct_people(
+    searchers: Sequence[Searcher],
+    people: Sequence[PersonTrack],
+    methods: Sequence[Method],
+    options: ReconstructionOptions | None = None,
+    *,
+    has_clean_up: bool = True,
+) -> ReconstructedTracks:
+    """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
+
+    Args:
+        searchers: Databases made ready, one per pitch of an orthographic camera; the one that suits best is used.
+        people: Tracks, repaired as far as they can be.
+        methods: Methods; the last one is cleaned up and gives the motions.
+        options: How.
+        has_clean_up: Planted feet are stilled and the floor is kept.
+
+    Raises:
+        InputError: A searcher's camera is not orthographic.
+    """
+    options = options or ReconstructionOptions()
+    chosen = choose_pitch(searchers, [one.track for one in people], options)
+    searcher, camera = searchers[chosen], searchers[chosen].database.camera
+    if not isinstance(camera, OrthographicCamera):
+        raise InputError(f"reconstruction needs a database of an orthographic camera, this one has {camera}")
+    skipped: dict[int, str] = {}
+    matched = []
+    for person in people:
+        try:
+            matched.append((person, match_track(searcher, person.track, options)))
+        except InputError as error:
+            skipped[person.person_id] = str(error)
+    made = []
+    for method in methods if matched else ():
+        found = tuple(
+            (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
+            for person, matches in matched
+        )
+        made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
+    if made and has_clean_up:
+        last = made[-1]
+        cleaned = tuple(
+            (person, clean_reconstruction(one, last.origin_m, camera, rate_hz=person.track.rate_hz))
+            for person, one in last.people
+        )
+        made.append(MethodMotions(f"{last.name}_clean", cleaned, last.origin_m))
+    motions = {
+        person.person_id: upright_motion(one.positions_m - made[-1].origin_m, camera, rate_hz=person.track.rate_hz)
+        for person, one in (made[-1].people if made else ())
+    }
+    return ReconstructedTracks(tuple(made), motions, skipped, chosen)
+
+
 def reconstruct_detections(
     searchers: Sequence[Searcher],
     frame: Integers,
@@ -97,7 +188,6 @@ def reconstruct_detections(
     Raises:
         InputError: Nobody can be reconstructed (says why), or a searcher's camera is not orthographic.
     """
-    options = options or ReconstructionOptions()
     followed = follow_people(frame, keypoints_px, confidence, rate_hz=rate_hz)
     rows = followed.track_id >= 0
     width, height = image_size_px or (None, None)
@@ -113,26 +203,13 @@ def reconstruct_detections(
     tracks, num_repaired = repair_tracks(tracks)
     if not tracks:
         raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
-    chosen = choose_pitch(searchers, [one.track for one in tracks], options)
-    camera = searchers[chosen].database.camera
-    if not isinstance(camera, OrthographicCamera):
-        raise InputError(f"reconstruction needs a database of an orthographic camera, this one has {camera}")
-    skipped: dict[int, str] = {}
-    found: list[tuple[PersonTrack, Reconstruction]] = []
-    for one in tracks:
-        try:
-            matches = match_track(searchers[chosen], one.track, options)
-        except InputError as error:
-            skipped[one.person_id] = str(error)
-            continue
-        found.append((one, reconstruct_track(searchers[chosen], one.track, method, options, matches=matches)))
-    if not found:
-        raise InputError(f"nobody can be reconstructed: {next(iter(skipped.values()))}")
-    origin = floor_offset([reconstruction for _, reconstruction in found], camera)
-    people = []
-    for tracked, reconstruction in found:
-        if has_clean_up:
-            reconstruction = clean_reconstruction(reconstruction, origin, camera, rate_hz=rate_hz)
-        motion = upright_motion(reconstruction.positions_m - origin, camera, rate_hz=rate_hz)
-        people.append(ReconstructedPerson(tracked, reconstruction, motion))
-    return ReconstructedCrowd(tuple(people), skipped, chosen, followed.num_merged, followed.num_ghosts, num_repaired)
+    found = reconstruct_people(searchers, tracks, [method], options, has_clean_up=has_clean_up)
+    if not found.methods:
+        raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
+    people = tuple(
+        ReconstructedPerson(tracked, reconstruction, found.motions[tracked.person_id])
+        for tracked, reconstruction in found.methods[-1].people
+    )
+    return ReconstructedCrowd(
+        people, found.skipped, found.searcher_index, followed.num_merged, followed.num_ghosts, num_repaired
+    )

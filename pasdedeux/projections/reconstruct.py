@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -13,7 +12,6 @@ from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
-from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_depths, place_depths
 from pasdedeux.projections.proportions import estimate_proportions, retarget_image
@@ -23,6 +21,7 @@ from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_inde
 from pasdedeux.projections.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.projections.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
 from pasdedeux.projections.tracks import Track
+from pasdedeux.projections.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
 __all__ = [
@@ -31,8 +30,6 @@ __all__ = [
     "Reconstruction",
     "ReconstructionOptions",
     "Searcher",
-    "choose_pitch",
-    "floor_offset",
     "match_track",
     "reconstruct_track",
     "straighten_rays",
@@ -52,7 +49,7 @@ _MODEL_ERROR_M = 0.012
 """What estimated proportions, scale and lens leave over in the image even where keypoints are exact."""
 
 _DEVIATION_PER_MISFIT = 2.0
-_BONE_DEVIATION_RANGE_M = (0.04, 0.2)
+_BONE_DEVIATION_RANGE_M = (0.01, 0.2)
 """A retrieved bone is trusted to this many times the misfit of the retrieval, within these bounds."""
 
 _NOISE_OF_EQUAL_SHARES_M = 0.03
@@ -134,6 +131,7 @@ class Matches:
         placement: Scale and place searched with; pixels with y up about the principal point, rays straightened.
         towards_camera: Unit direction (frame, 3) from the mid-hip to the camera, camera axes.
         proportions: Length of each bone (14,) as a multiple of the reference body's.
+        yaw_steps: Yaw of each candidate (frame, k) in steps of the database; the steps themselves when not given.
     """
 
     neighbours: Neighbours
@@ -142,6 +140,12 @@ class Matches:
     placement: Placement
     towards_camera: Array
     proportions: Array
+    yaw_steps: Array | None = None
+
+    @property
+    def yaws(self) -> Array:
+        """Yaw of each candidate (frame, k), in steps of the database."""
+        return self.neighbours.yaw_index.astype(np.float64) if self.yaw_steps is None else self.yaw_steps
 
     @property
     def mean_distance_m(self) -> float:
@@ -215,39 +219,17 @@ def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions
             placement = refine_placement(
                 straight, weights, matched, window=window, previous=placement, metres_per_pixel=scale
             )
+    # The steps of the database are coarse: each candidate is turned to the image, and the order is by what is left.
+    refined = refine_yaws(searcher.database, neighbours, retarget_image(own, proportions), weights)
+    order = np.argsort(refined.distance_m, axis=-1, kind="stable")
+    neighbours = replace(
+        neighbours,
+        projection=np.take_along_axis(neighbours.projection, order, axis=-1),
+        distance_m=np.take_along_axis(refined.distance_m, order, axis=-1),
+    )
+    yaw_steps = np.take_along_axis(refined.yaw_steps, order, axis=-1)
     query = np.where(weights[..., None] > 0, own, np.nan)
-    return Matches(neighbours, query, weights, placement, towards, proportions)
-
-
-def choose_pitch(
-    databases: Sequence[Searcher],
-    tracks: Sequence[Track],
-    options: ReconstructionOptions | None = None,
-    *,
-    stride: int = 5,
-) -> int:
-    """Give the index of the searcher (one per camera pitch) that matches the tracks of a sequence best.
-
-    A camera does not change its pitch within a sequence, so every `stride`-th frame of all tracks decides together; the
-    sum of the mean distances of the tracks is compared, ties go to the first.
-    """
-    options = options or ReconstructionOptions()
-    thinned = [
-        replace(track, keypoints_px=track.keypoints_px[::stride], confidence=track.confidence[::stride])
-        for track in tracks
-    ]
-    costs = []
-    for searcher in databases:
-        found = [_mean_distance(searcher, track, options) for track in thinned]
-        costs.append(sum(found))
-    return int(np.argmin(costs))
-
-
-def _mean_distance(searcher: Searcher, track: Track, options: ReconstructionOptions) -> float:
-    try:
-        return match_track(searcher, track, replace(options, num_candidates=1)).mean_distance_m
-    except InputError:
-        return 0.0  # a track too thin to be searched has no say
+    return Matches(neighbours, query, weights, placement, towards, proportions, yaw_steps)
 
 
 def reconstruct_track(
@@ -278,15 +260,17 @@ def reconstruct_track(
     if method is Method.NEAREST:
         ranks = choose_nearest(neighbours)
     elif method is Method.WINDOW:
-        ranks = choose_window(database, neighbours)
+        ranks = choose_window(database, neighbours, yaw_steps=found.yaw_steps)
     else:
-        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, weights=options.temporal)
+        ranks = choose_viterbi(
+            database, neighbours, rate_hz=track.rate_hz, weights=options.temporal, yaw_steps=found.yaw_steps
+        )
     is_known = ranks >= 0
     frames = np.arange(len(ranks))
     rank = np.maximum(ranks, 0)
     row = np.where(is_known, neighbours.row[frames, rank], -1)
-    yaw_index = neighbours.yaw_index[frames, rank]
-    unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_index)), is_known)
+    yaw_steps = found.yaws[frames, rank]
+    unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_steps)), is_known)
     if method is not Method.NEAREST:
         unitquat = smooth_savitzky_golay(unitquat, num_frames=_odd_window(options.smoothing_s, track.rate_hz))
     lengths = REFERENCE_LENGTHS_M * found.proportions
@@ -303,7 +287,7 @@ def reconstruct_track(
         positions_m=positions,
         bone_unitquat=bone_rotations(positions),
         root_m=mid_hip(positions),
-        yaw_rad=np.where(is_known, yaw_index * database.yaw_step_rad, np.nan),
+        yaw_rad=np.where(is_known, yaw_steps * database.yaw_step_rad, np.nan),
         score_m=np.where(is_known, neighbours.distance_m[frames, rank], np.nan),
         row=row,
         num_joints_seen=(track.confidence > 0).sum(axis=1),
@@ -338,7 +322,7 @@ def _fit(
     trust = np.clip(_DEVIATION_PER_MISFIT * best, *_BONE_DEVIATION_RANGE_M) * np.ones(OP14.num_joints)
     window = _odd_window(0.5 * options.smoothing_s, track.rate_hz)
     positions = retrieved
-    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), neighbours.yaw_index)
+    candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaws)
     candidates[~is_known] = reference[~is_known, None]
     misfit = np.where(is_known[:, None], neighbours.distance_m, 0.0)
     misfit = misfit - misfit[:, :1]
@@ -378,23 +362,9 @@ def _fit(
     return positions
 
 
-def floor_offset(reconstructions: Sequence[Reconstruction], camera: OrthographicCamera | None = None) -> Array:
-    """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
-
-    The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
-    along the upright axis of the pitched camera, camera axes.
-    """
-    upright = np.eye(3) if camera is None else np.asarray(camera.camera_from_upright_rotmat)
-    ankles = OP14.indices(["left_ankle", "right_ankle"])
-    points = [found.positions_m @ upright for found in reconstructions]  # camera axes to upright axes: the transpose
-    floor = min(float(np.min(one[:, ankles, 1])) for one in points)
-    start = np.mean([mid_hip(one[0]) for one in points], axis=0)
-    return np.asarray(upright @ np.array([start[0], floor, start[2]]))
-
-
-def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_index: npt.NDArray[np.int64]) -> Array:
+def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_steps: Array) -> Array:
     """Give database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
-    turned = database.turned(row, yaw_index)
+    turned = database.turned(row, yaw_steps)
     return np.asarray(np.einsum("ij,...nj->...ni", database.camera.camera_from_upright_rotmat, turned))
 
 

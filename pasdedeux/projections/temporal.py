@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import angle_between
+from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
+from pasdedeux.skeletons import OP14
 
 __all__ = ["TemporalWeights", "choose_nearest", "choose_viterbi", "choose_window", "viterbi_path"]
 
@@ -43,7 +44,12 @@ def choose_nearest(neighbours: Neighbours) -> Integers:
 
 
 def choose_viterbi(
-    database: Database, neighbours: Neighbours, *, rate_hz: float, weights: TemporalWeights | None = None
+    database: Database,
+    neighbours: Neighbours,
+    *,
+    rate_hz: float,
+    weights: TemporalWeights | None = None,
+    yaw_steps: Array | None = None,
 ) -> Integers:
     """Give the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
 
@@ -58,13 +64,15 @@ def choose_viterbi(
         neighbours: Candidates (frame, k).
         rate_hz: Frames per second of the sequence.
         weights: Weights of the costs.
+        yaw_steps: Yaw of each candidate (frame, k) in steps, where it lies between the steps of the database.
     """
     weights = weights or TemporalWeights()
     ranks = np.full(len(neighbours.projection), -1, dtype=np.int64)
     frames = np.flatnonzero(neighbours.projection[:, 0] >= 0)
     if len(frames) == 0:
         return ranks
-    row, yaw = np.maximum(neighbours.row[frames], 0), neighbours.yaw_index[frames]
+    row = np.maximum(neighbours.row[frames], 0)
+    yaw = (neighbours.yaw_index if yaw_steps is None else yaw_steps)[frames]
     pose = database.turned(row, yaw)
     following = database.turned(database.successors()[row], yaw)
     gap = np.diff(frames, append=frames[-1] + 1)
@@ -121,7 +129,9 @@ def viterbi_path(emission: Array, continued: npt.NDArray, pose: npt.NDArray, wei
     return path
 
 
-def choose_window(database: Database, neighbours: Neighbours, *, window: int = 4) -> Integers:
+def choose_window(
+    database: Database, neighbours: Neighbours, *, window: int = 4, yaw_steps: Array | None = None
+) -> Integers:
     """Give the ranks (frame,) chosen by the paper's rule; -1 where nothing was seen.
 
     Each candidate's `window` previous frames in its own motion are compared with the `window` previously reconstructed
@@ -134,12 +144,14 @@ def choose_window(database: Database, neighbours: Neighbours, *, window: int = 4
     ranks = np.full(len(neighbours.projection), -1, dtype=np.int64)
     starts = np.flatnonzero(database.is_sequence_start)
     start_of = starts[np.searchsorted(starts, np.arange(database.num_rows), side="right") - 1]
+    yaws = neighbours.yaw_index if yaw_steps is None else yaw_steps
+    rotations = _Rotations.of(database, neighbours, window=window)
     chosen: list[Array] = []
     for frame in range(len(ranks)):
         is_real = neighbours.projection[frame] >= 0
         if not is_real.any():
             continue
-        row, yaw = neighbours.row[frame, is_real], neighbours.yaw_index[frame, is_real]
+        row, yaw = neighbours.row[frame, is_real], yaws[frame, is_real]
         past = min(window, len(chosen))
         if past == 0:
             rank = 0
@@ -148,12 +160,48 @@ def choose_window(database: Database, neighbours: Neighbours, *, window: int = 4
             rows = row[:, None] - back
             has_past = rows >= start_of[row][:, None]
             rows = np.where(has_past, rows, start_of[row][:, None])
-            candidates = bone_rotations(database.turned(rows, np.broadcast_to(yaw[:, None], rows.shape)))
+            candidates = rotations.turned(rows, yaw[:, None])
             reconstructed = np.stack(chosen[: -past - 1 : -1])
             distance = np.sum((0.5 * angle_between(candidates, reconstructed[None])) ** 2, axis=-1)
             weight = np.where(has_past, 1.0, 0.0) / back
             weight[~has_past.any(axis=1), 0] = 1.0
             rank = int(np.argmin(np.sum(weight * np.sqrt(distance), axis=1) / weight.sum(axis=1)))
         ranks[frame] = rank
-        chosen.append(bone_rotations(database.turned(row[rank], yaw[rank])))
+        chosen.append(rotations.turned(row[rank], yaw[rank]))
     return ranks
+
+
+@dataclass(frozen=True)
+class _Rotations:
+    """Bone rotations of the rows that a choice looks at, facing +Z: computed once, because yaw turns the neck alone.
+
+    Args:
+        place: Where a row of the database lies (row,).
+        unitquat: (place, 14, 4).
+        step_rad: A step of yaw.
+    """
+
+    place: Integers
+    unitquat: Array
+    step_rad: float
+
+    @classmethod
+    def of(cls, database: Database, neighbours: Neighbours, *, window: int) -> _Rotations:
+        """Compute those of all candidates and of `window` rows before each."""
+        is_used = np.zeros(database.num_rows, dtype=bool)
+        rows = neighbours.row[neighbours.projection >= 0]
+        for back in range(window + 1):
+            is_used[np.maximum(rows - back, 0)] = True
+        used = np.flatnonzero(is_used)
+        place = np.full(database.num_rows, -1)
+        place[used] = np.arange(len(used))
+        return cls(place, bone_rotations(database.poses_m[used].astype(np.float64)), database.yaw_step_rad)
+
+    def turned(self, rows: Integers, yaw: npt.ArrayLike) -> Array:
+        """Give the rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
+        found = np.array(self.unitquat[self.place[rows]])
+        half = np.broadcast_to(0.5 * self.step_rad * np.asarray(yaw, dtype=np.float64), np.shape(rows))
+        zero = np.zeros(half.shape)
+        turn = np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
+        found[..., OP14.root, :] = multiply(turn, found[..., OP14.root, :])
+        return found

@@ -39,13 +39,14 @@ def errors(found: np.ndarray, truth: np.ndarray) -> float:
     return float(root_centred_error_m(found, truth).mean())
 
 
-def test_the_fit_is_much_nearer_than_retrieval_and_as_smooth_as_the_truth(searcher: Searcher) -> None:
+def test_the_fit_is_nearer_than_retrieval_and_as_smooth_as_the_truth(searcher: Searcher) -> None:
     track, truth = parallel_track(walk(80, seed=11))
     matches = match_track(searcher, track)
     found = {method: reconstruct_track(searcher, track, method, matches=matches) for method in Method}
     error = {method: errors(one.positions_m, truth) for method, one in found.items()}
-    assert error[Method.FIT] < 0.6 * error[Method.VITERBI]
-    assert error[Method.FIT] < 0.03
+    # The database holds walks of the same kind, so retrieval alone is within a centimetre.
+    assert error[Method.FIT] < 0.75 * error[Method.VITERBI]
+    assert error[Method.FIT] < 0.01
     fitted = found[Method.FIT].positions_m
     centred = fitted - mid_hip(fitted)[:, None]
     assert jitter_m(centred) < jitter_m(truth - mid_hip(truth)[:, None]) + 0.002
@@ -59,7 +60,7 @@ def test_the_fit_is_no_worse_than_retrieval_when_the_image_is_poor(searcher: Sea
     matches = match_track(searcher, track)
     fitted = reconstruct_track(searcher, track, Method.FIT, matches=matches)
     retrieved = reconstruct_track(searcher, track, Method.VITERBI, matches=matches)
-    assert errors(fitted.positions_m, truth) < errors(retrieved.positions_m, truth) + 0.002
+    assert errors(fitted.positions_m, truth) < errors(retrieved.positions_m, truth) + 0.001
 
 
 def test_a_joint_that_lies_now_and_then_does_not_bend_the_fit(searcher: Searcher) -> None:

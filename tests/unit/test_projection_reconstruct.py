@@ -15,15 +15,14 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     scale_free_error_m,
 )
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.pitch import choose_pitch, floor_offset
 from pasdedeux.projections.reconstruct import (
     Method,
     ReconstructionOptions,
     Searcher,
-    choose_pitch,
-    floor_offset,
     match_track,
     reconstruct_track,
 )
@@ -99,6 +98,21 @@ def test_the_pitch_of_the_camera_is_found() -> None:
         assert chosen == expected
         found = reconstruct_track(searchers[chosen], track)
         assert root_centred_error_m(found.positions_m, truth).mean() < 0.09
+
+
+@pytest.mark.parametrize(("bow_rad", "true_pitch"), [(0.1, 0.35), (0.15, 0.175), (-0.1, 0.35)])
+def test_a_flat_floor_tells_the_pitch_where_the_database_leans(bow_rad: float, true_pitch: float) -> None:
+    # An upright person looks like one who bows, or leans back, before a camera of another pitch.
+    bow = rotmat_from_unitquat(unitquat_from_rotvec(np.array([bow_rad, 0.0, 0.0])))
+    poses = np.concatenate([centre_and_face(walk(150, seed=seed)).poses_m @ bow.T for seed in range(4)])
+    pitches = (0.0, 0.175, 0.35, 0.525)
+    searchers = [
+        Searcher.of(Database(poses, np.tile(np.arange(150) == 0, 4), camera=OrthographicCamera(pitch)))
+        for pitch in pitches
+    ]
+    track, _ = film(walk(120, seed=9, turn_rad=0.0), yaw=0.0, pitch=true_pitch)
+    assert pitches[choose_pitch(searchers, [track], floor_weight=0.0)] != true_pitch
+    assert pitches[choose_pitch(searchers, [track])] == true_pitch
 
 
 def test_missing_joints_cost_little_and_empty_frames_are_bridged_and_marked(searcher: Searcher) -> None:

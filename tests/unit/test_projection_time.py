@@ -9,6 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, normalise, slerp, unitquat_from_rotvec
+from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
@@ -58,6 +59,40 @@ def toy_search(num_frames: int = 40) -> tuple[Database, Neighbours]:
     database = Database(poses, np.zeros(num_frames, dtype=bool))
     query = database.project()[:, 3] + np.random.default_rng(0).normal(0, 0.01, (num_frames, 14, 2))
     return database, build_index(database).search(query, num_neighbours=20)
+
+
+def plain_window(database: Database, neighbours: Neighbours, *, window: int = 4) -> list[int]:
+    """The rule of the paper, one candidate and one past frame after the other."""
+    starts = set(np.flatnonzero(database.is_sequence_start).tolist())
+    chosen: list[np.ndarray] = []
+    ranks = []
+    for row, yaw in zip(neighbours.row, neighbours.yaw_index, strict=True):
+        costs = []
+        for at, turn in zip(row, yaw, strict=True):
+            distances, weights, before = [], [], int(at)
+            for back, past in enumerate(reversed(chosen[-window:]), start=1):
+                if before in starts:
+                    break
+                before -= 1
+                bones = bone_rotations(database.turned(before, turn))
+                distances.append(np.sqrt(np.sum((0.5 * angle_between(bones, past)) ** 2)))
+                weights.append(1.0 / back)
+            if not weights and chosen:
+                bones = bone_rotations(database.turned(before, turn))
+                distances, weights = [np.sqrt(np.sum((0.5 * angle_between(bones, chosen[-1])) ** 2))], [1.0]
+            costs.append(np.average(distances, weights=weights) if weights else 0.0)
+        ranks.append(int(np.argmin(costs)))
+        chosen.append(bone_rotations(database.turned(row[ranks[-1]], yaw[ranks[-1]])))
+    return ranks
+
+
+def test_the_window_rule_agrees_with_its_plain_form() -> None:
+    motions = [walk(12, seed=seed) for seed in range(3)]
+    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions])
+    database = Database(poses, np.tile(np.arange(12) == 0, 3))
+    query = database.project(0, 12)[:, 3] + np.random.default_rng(1).normal(0, 0.02, (12, 14, 2))
+    neighbours = build_index(database).search(query, num_neighbours=8)
+    assert choose_window(database, neighbours).tolist() == plain_window(database, neighbours)
 
 
 def test_choices_follow_a_motion_of_the_database() -> None:

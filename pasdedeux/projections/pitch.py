@@ -1,0 +1,91 @@
+"""Where up is: the pitch of a sequence's camera, and the floor its people stand on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.reconstruct import (
+    Method,
+    Reconstruction,
+    ReconstructionOptions,
+    Searcher,
+    match_track,
+    reconstruct_track,
+)
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.tracks import Track
+from pasdedeux.skeletons import OP14
+
+__all__ = ["choose_pitch", "floor_offset"]
+
+Array = npt.NDArray[np.float64]
+
+_FLOOR_WEIGHT = 0.05
+"""Cost of a metre that standing feet leave the floor by, against a metre of misfit."""
+_MOST_FLOOR_M = 0.1
+"""More than this says only that the floor is wrong: how far away people are who come very near is badly known."""
+
+_ANKLES = OP14.indices(["left_ankle", "right_ankle"])
+
+
+def choose_pitch(
+    databases: Sequence[Searcher],
+    tracks: Sequence[Track],
+    options: ReconstructionOptions | None = None,
+    *,
+    stride: int = 5,
+    floor_weight: float = _FLOOR_WEIGHT,
+) -> int:
+    """Give the index of the searcher (one per camera pitch) that suits the tracks of a sequence best.
+
+    A camera does not change its pitch within a sequence, so every `stride`-th frame of all tracks decides together: by
+    the sum over tracks of the mean distance of the matches and `floor_weight` times how far the lower ankle leaves its
+    median height, up to a bound.  Who comes nearer on a flat floor seems to sink or to climb under a wrong pitch; who
+    stays at one depth does neither, and the matches alone decide.  Ties go to the first.
+    """
+    options = options or ReconstructionOptions()
+    thinned = [
+        replace(
+            track,
+            keypoints_px=track.keypoints_px[::stride],
+            confidence=track.confidence[::stride],
+            rate_hz=track.rate_hz / stride,
+        )
+        for track in tracks
+    ]
+    costs = []
+    for searcher in databases:
+        found = [_misfit(searcher, track, options, floor_weight) for track in thinned]
+        costs.append(sum(found))
+    return int(np.argmin(costs))
+
+
+def floor_offset(reconstructions: Sequence[Reconstruction], camera: OrthographicCamera | None = None) -> Array:
+    """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
+
+    The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
+    along the upright axis of the pitched camera, camera axes.
+    """
+    upright = np.eye(3) if camera is None else np.asarray(camera.camera_from_upright_rotmat)
+    points = [found.positions_m @ upright for found in reconstructions]  # camera axes to upright axes: the transpose
+    floor = min(float(np.min(one[:, _ANKLES, 1])) for one in points)
+    start = np.mean([mid_hip(one[0]) for one in points], axis=0)
+    return np.asarray(upright @ np.array([start[0], floor, start[2]]))
+
+
+def _misfit(searcher: Searcher, track: Track, options: ReconstructionOptions, floor_weight: float) -> float:
+    try:
+        matches = match_track(searcher, track, replace(options, num_candidates=1))
+    except InputError:
+        return 0.0  # a track too thin to be searched has no say
+    found = reconstruct_track(searcher, track, Method.NEAREST, options, matches=matches)
+    upright = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
+    height = (found.positions_m @ upright)[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
+    off = float(np.median(np.abs(height - np.median(height))))
+    return matches.mean_distance_m + floor_weight * min(off, _MOST_FLOOR_M)

@@ -285,10 +285,10 @@ def place_vectors(bones: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def filter_rotations(
-    value: Array, speed: Array, new: Array, rate: float, min_cutoff: float, beta: float, derivative_cutoff: float
+    value: Array, velocity: Array, new: Array, rate: float, min_cutoff: float, beta: float, derivative_cutoff: float
 ) -> tuple[Array, Array]:
-    """Do a frame of `smoothing.smooth_one_euro`: the next smoothed rotations (n, 4) and speeds (n,), rad/s."""
-    smooth, pace = np.empty(value.shape), np.empty(speed.shape)
+    """Do a frame of `smoothing.smooth_one_euro`: the next smoothed rotations (n, 4) and velocities (n, 3), rad/s."""
+    smooth, pace = np.empty(value.shape), np.empty(velocity.shape)
     derivative_share = 1.0 / (1.0 + rate / (2.0 * np.pi * derivative_cutoff))
     for at in range(value.shape[0]):
         old = _of(value, at)
@@ -296,11 +296,14 @@ def filter_rotations(
         sign = -1.0 if w < 0 else 1.0
         sine = np.sqrt(x * x + y * y + z * z)
         angle = 2.0 * np.arctan2(sine, sign * w)
-        pace[at] = speed[at] + derivative_share * (angle * rate - speed[at])
-        share = 1.0 / (1.0 + rate / (2.0 * np.pi * (min_cutoff + beta * pace[at])))
-        along = sign * np.sin(0.5 * share * angle) / sine if sine > 1e-12 else 0.0
-        part = (along * x, along * y, along * z, np.cos(0.5 * share * angle))
-        _put(smooth, at, _multiply(part, old))
+        axis = _scaled((x, y, z), sign / sine) if sine > 1e-12 else (0.0, 0.0, 0.0)
+        for part in range(3):
+            pace[at, part] = velocity[at, part] + derivative_share * (axis[part] * angle * rate - velocity[at, part])
+        cutoff = min_cutoff + beta * _length(_at(pace, at))
+        share = 1.0 / (1.0 + rate / (2.0 * np.pi * cutoff))
+        along = _scaled(axis, np.sin(0.5 * share * angle))
+        step = (along[0], along[1], along[2], np.cos(0.5 * share * angle))
+        _put(smooth, at, _multiply(step, old))
     return smooth, pace
 
 

@@ -78,7 +78,7 @@ class LiveOptions:
     window_s: float = 1.0
     proportions_every: int = 15
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
-    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.6, beta=0.2))
+    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.8, beta=0.5))
     identities: IdentityOptions = field(default_factory=IdentityOptions)
     is_fitted: bool = True
     retrieved_share: float = 0.1
@@ -380,7 +380,7 @@ class _RotationFilter:
         self._rate_hz = rate_hz
         self._frame = 0
         self._value: Array | None = None
-        self._speed = np.zeros(OP14.num_joints)
+        self._velocity = np.zeros((OP14.num_joints, 3))
 
     def step(self, frame: int, value: Array) -> Array:
         """Give the smoothed rotations (14, 4) of this frame."""
@@ -389,8 +389,8 @@ class _RotationFilter:
         else:
             one = self._parameters
             rate = self._rate_hz / max(frame - self._frame, 1)
-            self._value, self._speed = filter_rotations(
-                self._value, self._speed, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
+            self._value, self._velocity = filter_rotations(
+                self._value, self._velocity, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
             )
         self._frame = frame
         return self._value
@@ -404,7 +404,7 @@ class _PointFilter:
         self._rate_hz = rate_hz
         self._frame = 0
         self._value: Array | None = None
-        self._speed = 0.0
+        self._velocity = np.zeros(3)
 
     def step(self, frame: int, value: Array) -> Array:
         """Give the smoothed point of this frame."""
@@ -413,9 +413,9 @@ class _PointFilter:
         else:
             one = self._parameters
             rate = self._rate_hz / max(frame - self._frame, 1)
-            moved = float(np.linalg.norm(value - self._value)) * rate
-            self._speed += float(one_euro_share(one.derivative_cutoff_hz, rate)) * (moved - self._speed)
-            share = one_euro_share(one.min_cutoff_hz + one.beta * self._speed, rate)
+            moved = (value - self._value) * rate
+            self._velocity = self._velocity + one_euro_share(one.derivative_cutoff_hz, rate) * (moved - self._velocity)
+            share = one_euro_share(one.min_cutoff_hz + one.beta * float(np.linalg.norm(self._velocity)), rate)
             self._value = self._value + share * (value - self._value)
         self._frame = frame
         return self._value

@@ -65,24 +65,28 @@ class OneEuro:
 def smooth_one_euro(unitquat: Array, *, rate_hz: float, parameters: OneEuro | None = None) -> Array:
     """Smooth rotations (frame, *batch, 4) as they arrive: each result uses this frame and earlier ones only.
 
-    The filter runs on the sphere: the speed is the angle turned per second, the low-pass a step on the short arc.
+    The filter of Casiez, Roussel and Vogel (2012, algorithm 1) on the sphere: the difference to the last result is the
+    rotation vector on the short arc, its low-passed value per second is the velocity (0 at first), the length of that
+    raises the cut-off, and the low-pass of the rotation is a step along the arc.  About one fixed axis it is the filter
+    of the angle.
     """
     parameters = parameters or OneEuro()
     smoothed = np.array(unitquat, dtype=np.float64)
     if len(smoothed) == 0:
         return smoothed
-    speed = np.zeros(smoothed.shape[1:-1])
+    velocity = np.zeros((*smoothed.shape[1:-1], 3))
     derivative_share = one_euro_share(np.asarray(parameters.derivative_cutoff_hz), rate_hz)
     for frame in range(1, len(smoothed)):
         step = rotvec_from_unitquat(multiply(unitquat[frame], conjugate(smoothed[frame - 1])))
-        speed = speed + derivative_share * (np.linalg.norm(step, axis=-1) * rate_hz - speed)
+        velocity = velocity + derivative_share * (step * rate_hz - velocity)
+        speed = np.linalg.norm(velocity, axis=-1)
         share = one_euro_share(parameters.min_cutoff_hz + parameters.beta * speed, rate_hz)
         smoothed[frame] = slerp(smoothed[frame - 1], unitquat[frame], share)
     return smoothed
 
 
 def one_euro_share(cutoff_hz: Array | float, rate_hz: float) -> Array:
-    """Give the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, eq. 3 to 5)."""
+    """Give the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, algorithm 1)."""
     return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * np.asarray(cutoff_hz))))
 
 

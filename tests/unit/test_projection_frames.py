@@ -109,9 +109,9 @@ def test_the_filter_of_a_frame_is_that_of_a_motion(rng: np.random.Generator) -> 
     unitquat *= rng.choice([-1.0, 1.0], (40, 14, 1))
     options = OneEuro(min_cutoff_hz=0.8, beta=0.3)
     expected = smooth_one_euro(unitquat, rate_hz=30.0, parameters=options)
-    value, speed = unitquat[0], np.zeros(14)
+    value, velocity = unitquat[0], np.zeros((14, 3))
     for frame in range(1, 40):
-        value, speed = filter_rotations(value, speed, unitquat[frame], 30.0, 0.8, 0.3, 1.0)
+        value, velocity = filter_rotations(value, velocity, unitquat[frame], 30.0, 0.8, 0.3, 1.0)
         np.testing.assert_allclose(np.abs(np.sum(value * expected[frame], axis=-1)), 1.0, atol=1e-12)
 
 

@@ -3,10 +3,11 @@
 Grown pairs come from annotations under many views, so what one image hides another shows.  Given how the two bodies of
 a pair are posed, each centred on its own, a kernel density over the grown pairs posed alike says where person B is
 against person A (`placement`), and where the two bones of each limb point (`limbs`, the least likely of eight).  Being
-conditional, they do not mistake a rare pair for a wrong one.  With the depth to which the *two* bodies penetrate each
-other they make the likelihood of the density `agreement`, whose prior is the joint limits alone.  Penetration within a
-body is left out: captured and lifted people have so much of it that it hides all else.  Our own; weights and floors
-were chosen by the study `density`.
+conditional, they do not mistake a rare pair for a wrong one; but alone they let a chain walk to poses that nothing
+grown is like, so the density of the grown pairs' poses themselves (`pose`) holds it.  With the depth to which the *two*
+bodies penetrate each other they make the likelihood of the density `agreement`, whose prior is the joint limits alone.
+Penetration within a body is left out: captured and lifted people have so much of it that it hides all else.  Our own;
+weights and floors were chosen by the study `density`.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ Array = npt.NDArray[np.float64]
 POSE_WIDTH_M = 0.03
 """How alike pairs are posed to be compared: width of the root mean square joint distance, metres."""
 PLACEMENT_WIDTH_M, LIMB_WIDTH_M = 0.06, 0.08
+POSE_WEIGHT = 0.5
+"""More would tell lifted pairs from corrupted ones worse; without it chains walk away."""
 PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -15.0
 """Logs do not fall below the floors: a real pair that nothing grown is like has an end."""
 PENETRATION_WIDTH_M = 0.01
@@ -51,11 +54,13 @@ class AgreementTerms:
     """What agreement is made of, logs, each at most 0 up to rounding.
 
     Args:
+        pose: How both are posed, each centred on its own.
         placement: Where person B is against A, given how both are posed.
         limbs: Where the least likely of the eight limbs points, given how both are posed.
         contact: Minus the penetration of one body by the other, in centimetres.
     """
 
+    pose: float
     placement: float
     limbs: float
     contact: float
@@ -64,7 +69,7 @@ class AgreementTerms:
     def total(self) -> float:
         """Log of the density up to a constant, at most 0."""
         placement = _floored(self.placement, PLACEMENT_FLOOR)
-        return PLACEMENT_WEIGHT * placement + _floored(self.limbs, LIMB_FLOOR) + self.contact
+        return POSE_WEIGHT * self.pose + PLACEMENT_WEIGHT * placement + _floored(self.limbs, LIMB_FLOOR) + self.contact
 
 
 def _floored(value: float, floor: float) -> float:
@@ -99,13 +104,13 @@ class Agreement:
                 raise InputError("agreement needs a grown pair that is not the seed itself")
         self._centred, self._offset = _apart(grown)
         self._limbs = _limbs_of(grown)
-        self._work = np.empty((3 + _NUM_LIMBS, len(grown)))
+        self._work = np.empty((2 + _NUM_LIMBS, len(grown)))
 
     def terms(self, pair_m: Array) -> AgreementTerms:
         """Give the terms of a pair (2, 17, 3), metres."""
         pair = np.ascontiguousarray(pair_m, dtype=np.float64)
         centred, offset = _apart(pair[None])
-        placement, limbs = _kernel_logs(
+        pose, placement, limbs = _kernel_logs(
             centred[0],
             offset[0],
             _limbs_of(pair[None])[0],
@@ -118,7 +123,7 @@ class Agreement:
         radii = self._model.radii_of(pair[None])
         model = self._model
         inside = clip_penetration(pair[None], radii, model.parents, model.within, model.between)[0, 2]
-        return AgreementTerms(placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
+        return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Give the log of the density of a pair (2, 17, 3), at most 0; -inf when it lies below `at_least`."""
@@ -126,8 +131,8 @@ class Agreement:
         return total if total >= at_least else -np.inf
 
 
-def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float]:
-    """Give `placement` and `limbs` of a pair (2, 17, 3) by the definition, over grown pairs (grown, 2, 17, 3)."""
+def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]:
+    """Give `pose`, `placement`, `limbs` of a pair (2, 17, 3) by the definition, over grown pairs (grown, 2, 17, 3)."""
     moving, offset = _apart(np.asarray(pair_m, dtype=np.float64)[None])
     fixed, offsets = _apart(np.asarray(grown_m, dtype=np.float64))
     moving = np.broadcast_to(moving, fixed.shape)
@@ -140,6 +145,7 @@ def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float]:
     point = -0.5 * ((limbs - _limbs_of(np.asarray(grown_m))) ** 2).sum(axis=(2, 3)) / LIMB_WIDTH_M**2
     every = np.logaddexp.reduce(weight)
     return (
+        float(every - np.log(len(weight))),
         float(np.logaddexp.reduce(weight + place) - every),
         float((np.logaddexp.reduce(weight[:, None] + point, axis=0) - every).min()),
     )
@@ -168,7 +174,7 @@ def _distances(pair_m: Array, grown_m: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths):  # type: ignore[no-untyped-def]
-    """Give the logs of the two conditional kernel densities; `work` is (3 + limbs, other)."""
+    """Give the logs of the kernel density of poses and of the two given the pose; `work` is (2 + limbs, other)."""
     num_others, num_points, num_limbs = others.shape[0], others.shape[1], limbs.shape[0]
     key, m, q, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     for one in range(num_others):
@@ -209,7 +215,7 @@ def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, wid
     least = np.inf
     for limb in range(num_limbs):
         least = min(least, _log_sum(work[2 + limb]) - every)
-    return _log_sum(work[1]) - every, least
+    return every - np.log(num_others), _log_sum(work[1]) - every, least
 
 
 @numba.njit(cache=True, nogil=True)

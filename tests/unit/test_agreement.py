@@ -21,7 +21,8 @@ def test_the_kernel_agrees_with_the_definition() -> None:
     for pair in [*NEAR, *dancers(2, 10)]:
         terms = agreement.terms(pair)
         # Logs in the hundreds of pairs that nothing is near: relative to the size of the exponents.
-        assert (terms.placement, terms.limbs) == pytest.approx(plain_agreement(pair, GROWN), rel=1e-6, abs=1e-6)
+        found = (terms.pose, terms.placement, terms.limbs)
+        assert found == pytest.approx(plain_agreement(pair, GROWN), rel=1e-6, abs=1e-6)
 
 
 def test_rigid_motion_changes_nothing_and_no_log_is_above_zero() -> None:
@@ -41,9 +42,11 @@ def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
         moved[1] += [0.0, 0.0, 0.4]
         assert agreement.terms(moved).placement < own.placement - 3.0
         assert agreement.terms(moved).limbs == pytest.approx(own.limbs, abs=1e-6)
+        assert agreement.terms(moved).pose == pytest.approx(own.pose, abs=1e-6)
         bent = pair.copy()
         bent[0, 7] = 2.0 * bent[0, 6] - bent[0, 7] + [0.0, 0.2, 0.0]
         assert agreement.terms(bent).limbs < own.limbs
+        assert agreement.terms(bent).pose < own.pose
         together = pair.copy()
         together[1] += pair[0].mean(axis=0) - pair[1].mean(axis=0)
         assert agreement.terms(together).contact < -5.0
@@ -51,14 +54,13 @@ def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
 
 def test_a_bank_keeps_what_is_posed_alike() -> None:
     whole, bank = Agreement(GROWN), Agreement(GROWN, near_m=NEAR[0], most=50)
-    # The far ones weigh nothing where the bank was made.
-    assert bank.terms(NEAR[0]).total == pytest.approx(whole.terms(NEAR[0]).total, abs=0.02)
+    # The far ones weigh nothing where the bank was made; they only count in the mean.
+    few, every = bank.terms(NEAR[0]), whole.terms(NEAR[0])
+    assert few.pose == pytest.approx(every.pose + np.log(200 / 50), abs=0.02)
+    assert (few.placement, few.limbs) == pytest.approx((every.placement, every.limbs), abs=0.02)
     # A pair of the bank does not vouch for itself.
-    np.testing.assert_allclose(
-        Agreement(GROWN, near_m=GROWN[7], most=50).terms(GROWN[7]).total,
-        Agreement(np.delete(GROWN, 7, axis=0)).terms(GROWN[7]).total,
-        atol=0.02,
-    )
+    others = Agreement(np.delete(GROWN, 7, axis=0)).terms(GROWN[7])
+    assert Agreement(GROWN, near_m=GROWN[7]).terms(GROWN[7]) == others
     log = whole.log_likelihood(NEAR[0])
     assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
 

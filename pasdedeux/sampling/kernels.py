@@ -193,6 +193,57 @@ def _rough_other_side(dx, dy, c, starts, ends, count, weights, squares):  # type
 
 
 @numba.njit(cache=True, nogil=True)
+def _rank_views(  # type: ignore[no-untyped-def]
+    points, directions, candidate_counts, rank_x, rank_y, rank_squares, num_ranked, x, y, kept, of, turn, spread
+):
+    """Project under every view and keep its best candidates by what the best rotation in the plane leaves.
+
+    Args:
+        points: Joints of both people, (n, 3), metres.
+        directions: Views (m, 3) in the pair's local frame.
+        candidate_counts: Candidates of each view, (m,).
+        rank_x: As for `best_per_view`.
+        rank_y: The same.
+        rank_squares: The same.
+        num_ranked: Candidates kept, R.
+        x: Result (m, n), the centred image, metres.
+        y: The same upwards.
+        kept: Result (m,): number of kept candidates.
+        of: Result (m, R): which they are.
+        turn: Result (m, 2, R), float32: cosine and sine of the best rotation.
+        spread: Result (m,): root mean square over the joints of what it leaves of the best one, metres; inf for none.
+    """
+    num_points, most = points.shape[0], rank_x.shape[2]
+    axes = np.empty((3, 3))
+    a, b = np.empty(most, dtype=np.float32), np.empty(most, dtype=np.float32)
+    score = np.empty(most, dtype=np.float32)
+    order = np.empty(most, dtype=np.int32)
+    pair_axes(points, axes)
+    for view in range(directions.shape[0]):
+        count = candidate_counts[view]
+        kept[view] = 0
+        spread[view] = np.inf
+        if count == 0:
+            continue
+        _project(points, axes, directions[view], x[view], y[view])
+        _rank(x[view], y[view], rank_x[view], rank_y[view], rank_squares[view], count, a, b, score)
+        kept[view] = _least(score, count, num_ranked, order)
+        least = np.float32(np.inf)
+        for at in range(kept[view]):
+            c = order[at]
+            of[view, at] = c
+            length = np.sqrt(a[c] * a[c] + b[c] * b[c])
+            turn[view, 0, at], turn[view, 1, at] = np.float32(1.0), np.float32(0.0)
+            if length > np.float32(0.0):
+                turn[view, 0, at], turn[view, 1, at] = a[c] / length, b[c] / length
+            least = min(least, score[c])
+        square = 0.0
+        for k in range(num_points):
+            square += x[view, k] * x[view, k] + y[view, k] * y[view, k]
+        spread[view] = np.sqrt(max(square + least, 0.0) / num_points)
+
+
+@numba.njit(cache=True, nogil=True)
 def best_per_view(  # type: ignore[no-untyped-def]
     points,
     directions,
@@ -205,14 +256,14 @@ def best_per_view(  # type: ignore[no-untyped-def]
     annotation_edges,
     annotation_weights,
     annotation_counts,
-    rough_x,
-    rough_y,
     rough_starts,
     rough_ends,
     rough_weights,
     offsets,
     beta_m,
     num_ranked,
+    least_ratio,
+    own_share,
     limit,
     margin,
     best,
@@ -220,7 +271,9 @@ def best_per_view(  # type: ignore[no-untyped-def]
 ):
     """Write the least d_I of each view, as far as it can matter.
 
-    Candidates are compared roughly, in float32, first; only those that may be the best by that are compared in float64.
+    Views are taken in the order of what the best rotation leaves of their best candidate, so the best view mostly
+    comes first.  Candidates are compared roughly, in float32, first; only those that may be the best by that are
+    compared in float64.
 
     Args:
         points: Joints of both people, (n, 3), metres.
@@ -234,86 +287,100 @@ def best_per_view(  # type: ignore[no-untyped-def]
         annotation_edges: Their Delaunay edges.
         annotation_weights: Their weights, summing to 1.
         annotation_counts: Their numbers of edges.
-        rough_x: x of `annotations`, (annotation, n), float32.
-        rough_y: y of them.
         rough_starts: First joints of the edges, (annotation, edge), uint8.
         rough_ends: Second joints of them.
         rough_weights: The weights, float32.
         offsets: Jitter of the triangulation, (n, 2), metres.
         beta_m: Edge length below which weights stop growing, metres.
         num_ranked: Candidates compared in full per view.
+        least_ratio: A view is left when so many times what the best rotation leaves is more than matters; 0: never.
+        own_share: A candidate is left when the side of eq. 8 over the pair's own edges alone is more than this share of
+            what matters; 1 never loses any.
         limit: d_I above which nothing matters unless a better one is found, metres.
         margin: How far behind the best view another still matters, metres.
         best: Result (m,), metres: least d_I, inf where it is beyond what matters.
         best_slot: Annotation that reached it, (m,); -1 where none did.
     """
-    num_points, most = points.shape[0], slots.shape[1]
-    axes = np.empty((3, 3))
-    x, y = np.empty(num_points), np.empty(num_points)
+    num_points, num_views = points.shape[0], directions.shape[0]
+    lanes = min(num_ranked, slots.shape[1])
+    xs, ys = np.empty((num_views, num_points)), np.empty((num_views, num_points))
     jx, jy = np.empty(num_points), np.empty(num_points)
     dx, dy = np.empty(num_points), np.empty(num_points)
-    a, b = np.empty(most, dtype=np.float32), np.empty(most, dtype=np.float32)
-    score = np.empty(most, dtype=np.float32)
-    order = np.empty(most, dtype=np.int32)
-    lanes = min(num_ranked, most)
+    kept_of = np.empty(num_views, dtype=np.int64)
+    of = np.empty((num_views, lanes), dtype=np.int32)
+    turn = np.empty((num_views, 2, lanes), dtype=np.float32)
+    spread = np.empty(num_views)
     dx32 = np.empty((num_points, lanes), dtype=np.float32)
     dy32 = np.empty((num_points, lanes), dtype=np.float32)
     squares32 = np.empty(3 * num_points, dtype=np.float32)
-    rough = np.empty(most, dtype=np.float32)
+    rough = np.empty(lanes, dtype=np.float32)
     triangles = np.empty((2 * num_points + 8, 3), dtype=np.int32)
     neighbours = np.empty((2 * num_points + 8, 3), dtype=np.int32)
     scratch = np.empty((5, 2 * num_points + 8), dtype=np.int32)
     edges = np.empty((3 * num_points, 2), dtype=np.int32)
     weights = np.empty(3 * num_points)
-    pair_axes(points, axes)
-    overall = limit
-    for view in range(directions.shape[0]):
+    for view in range(num_views):
         best[view] = np.inf
         best_slot[view] = -1
-        count = candidate_counts[view]
-        if count == 0:
-            continue
-        _project(points, axes, directions[view], x, y)
-        _rank(x, y, rank_x[view], rank_y[view], rank_squares[view], count, a, b, score)
-        kept = _least(score, count, num_ranked, order)
+    _rank_views(
+        points,
+        directions,
+        candidate_counts,
+        rank_x,
+        rank_y,
+        rank_squares,
+        lanes,
+        xs,
+        ys,
+        kept_of,
+        of,
+        turn,
+        spread,
+    )
+    overall = limit
+    for view in np.argsort(spread):
+        kept = kept_of[view]
+        if kept == 0 or least_ratio * spread[view] > overall + margin:
+            # Views after this one leave more.
+            break
+        x, y = xs[view], ys[view]
         for k in range(num_points):
             jx[k] = x[k] + offsets[k, 0]
             jy[k] = y[k] + offsets[k, 1]
         num_edges = triangulate(jx, jy, triangles, neighbours, scratch, edges)
         fill_edge_weights(x, y, edges, num_edges, beta_m, weights)
-        for at in range(kept):
-            c = order[at]
-            slot = slots[view, c]
-            length32 = np.sqrt(a[c] * a[c] + b[c] * b[c])
-            cosine32, sine32 = np.float32(1.0), np.float32(0.0)
-            if length32 > np.float32(0.0):
-                cosine32, sine32 = a[c] / length32, b[c] / length32
-            for k in range(num_points):
-                px, py = np.float32(x[k]), np.float32(y[k])
-                dx32[k, at] = cosine32 * px - sine32 * py - rough_x[slot, k]
-                dy32[k, at] = sine32 * px + cosine32 * py - rough_y[slot, k]
+        for k in range(num_points):
+            px, py = np.float32(x[k]), np.float32(y[k])
+            fixed_x, fixed_y, along_x, along_y = rank_x[view, k], rank_y[view, k], dx32[k], dy32[k]
+            for at in range(kept):
+                c = of[view, at]
+                along_x[at] = turn[view, 0, at] * px - turn[view, 1, at] * py - fixed_x[c]
+                along_y[at] = turn[view, 1, at] * px + turn[view, 0, at] * py - fixed_y[c]
         _rough_own_side(dx32, dy32, edges, num_edges, weights, kept, rough)
         bound = np.float32(overall + margin + ROUGH_TOLERANCE_M)
-        for at in range(kept):
-            if rough[at] <= bound:
-                slot = slots[view, order[at]]
-                rough[at] += _rough_other_side(
-                    dx32,
-                    dy32,
-                    at,
-                    rough_starts[slot],
-                    rough_ends[slot],
-                    annotation_counts[slot],
-                    rough_weights[slot],
-                    squares32,
-                )
-                bound = min(bound, rough[at] + np.float32(ROUGH_TOLERANCE_M))
-            else:
+        # The candidate with the least own side goes first: it is mostly the best, and bounds the rest.
+        first = int(np.argmin(rough[:kept]))
+        for turn_of in range(kept):
+            at = first if turn_of == 0 else (0 if turn_of == first else turn_of)
+            if rough[at] > np.float32(own_share) * bound:
                 rough[at] = np.float32(np.inf)
+                continue
+            slot = slots[view, of[view, at]]
+            rough[at] += _rough_other_side(
+                dx32,
+                dy32,
+                at,
+                rough_starts[slot],
+                rough_ends[slot],
+                annotation_counts[slot],
+                rough_weights[slot],
+                squares32,
+            )
+            bound = min(bound, rough[at] + np.float32(ROUGH_TOLERANCE_M))
         for at in range(kept):
             if rough[at] > bound:
                 continue
-            slot = slots[view, order[at]]
+            slot = slots[view, of[view, at]]
             fixed = annotations[slot]
             dot = cross = 0.0
             for k in range(num_points):

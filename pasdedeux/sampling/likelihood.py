@@ -34,6 +34,18 @@ Array = npt.NDArray[np.float64]
 LEAST_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""
 
+LEAST_RATIO = 0.55
+"""d_I is taken to be at least so many times what the best rotation in the plane leaves: a view that cannot matter by
+that is left.  Over 4,000 views of random pairs and of salsa frames the ratio was 0.6 to 2.6, 1.7 in the median."""
+
+OWN_SHARE = 0.75
+"""Share of the best d_I that the pair's own edges are taken to account for at most: candidates beyond that are left.
+Over the same views it was 0.51 in the median and 0.71 at most."""
+
+NUM_RANKED = 192
+"""Candidates of a view that are compared in full.  With 32 the best was missed in 6 % of random pairs among 8,000
+annotations and in 1 % of salsa frames among 600; with 192 in none of 1,200 evaluations."""
+
 
 @dataclass(frozen=True)
 class AnnotatedPairs:
@@ -177,9 +189,9 @@ def _log_mean(best: Array, sigma_l: float) -> float:
 class InteractionLikelihood:
     """The likelihood of eqs. 6 and 9 over a fixed bank, as a compiled kernel.
 
-    For each view the candidates are ranked by what the best rotation in the plane leaves; only the best `num_ranked`
-    are compared in full, and the pair's own triangulation is made only while one of them can still matter.  Views far
-    behind the best one contribute less than rounding and are left out.
+    For each view the candidates are ranked by what the best rotation in the plane leaves; the best `num_ranked` are
+    compared over the pair's own edges, and over an annotation's only while that can still matter.  Views far behind the
+    best one contribute less than rounding and are left out, mostly before anything is triangulated.
 
     Args:
         pairs: Annotated pairs.
@@ -200,7 +212,7 @@ class InteractionLikelihood:
         *,
         sigma_l: float = 0.01,
         beta_m: float = BETA_M,
-        num_ranked: int = 32,
+        num_ranked: int = NUM_RANKED,
         is_exact: bool = False,
     ) -> None:
         if not sigma_l > 0.0 or num_ranked < 1:
@@ -208,6 +220,7 @@ class InteractionLikelihood:
         self.sigma_l = sigma_l
         self._beta_m = beta_m
         self._num_ranked = int(bank.candidates.shape[1]) if is_exact else num_ranked
+        self._least_ratio, self._own_share = (0.0, 1.0) if is_exact else (LEAST_RATIO, OWN_SHARE)
         self._directions = np.ascontiguousarray(bank.directions)
         self._counts = bank.counts
         # Only the entries that some view may meet are kept.
@@ -224,8 +237,6 @@ class InteractionLikelihood:
         self._rank_y = np.ascontiguousarray(np.moveaxis(table[..., 1], 2, 1))
         self._rank_squares = np.sum(table**2, axis=(-1, -2))
         self._rough = (
-            np.ascontiguousarray(self._points[..., 0], dtype=np.float32),
-            np.ascontiguousarray(self._points[..., 1], dtype=np.float32),
             np.ascontiguousarray(self._table.edges[..., 0], dtype=np.uint8),
             np.ascontiguousarray(self._table.edges[..., 1], dtype=np.uint8),
             self._table.weights.astype(np.float32),
@@ -273,6 +284,8 @@ class InteractionLikelihood:
             self._jitter,
             self._beta_m,
             self._num_ranked,
+            self._least_ratio,
+            self._own_share,
             limit,
             margin,
             self._best,

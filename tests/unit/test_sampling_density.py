@@ -200,12 +200,28 @@ def test_compiled_likelihood_agrees_with_the_definition(annotated: tuple[Annotat
         np.testing.assert_array_equal(match.entry[mattered], plain.entry[mattered])
 
 
-def test_ranked_likelihood_finds_the_same_best_as_the_exact_one(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
-    pairs, bank = annotated
+def test_ranked_likelihood_finds_the_same_best_as_the_exact_one() -> None:
+    rng = np.random.default_rng(8)
+    pairs = random_annotations(rng, random_pairs(rng, 500, spread_rad=0.2), 1500)
+    views = ViewDensity(pairs.directions, np.ones(1500), 0.5).sample(rng, 6)
+    bank = build_bank(views, pairs, num_candidates=400, view_bandwidth_rad=1.2)
+    assert bank.counts.max() > 300
     ranked, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
-    samples = random_pairs(np.random.default_rng(8), 200, spread_rad=0.15)
-    same = [ranked.log_likelihood(pair) == pytest.approx(exact.log_likelihood(pair), rel=1e-9) for pair in samples]
-    assert np.mean(same) >= 0.99
+    few = InteractionLikelihood(pairs, bank, num_ranked=8)
+    samples = random_pairs(rng, 150, spread_rad=0.2)
+    expected = np.array([exact.log_likelihood(pair) for pair in samples])
+    assert np.array([ranked.log_likelihood(pair) for pair in samples]) == pytest.approx(expected, rel=1e-9)
+    assert np.array([few.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-9)
+
+
+def test_every_view_finds_its_nearest_annotation_also_where_it_cannot_matter(
+    annotated: tuple[AnnotatedPairs, ViewBank],
+) -> None:
+    pairs, bank = annotated
+    likelihood = InteractionLikelihood(pairs, bank)
+    for pair in random_pairs(np.random.default_rng(9), 12, spread_rad=0.15):
+        plain = plain_log_likelihood(pair, pairs, bank)
+        np.testing.assert_array_equal(likelihood.nearest(pair), plain.entry)
 
 
 def test_likelihood_of_an_annotated_pair_under_its_own_view_is_one() -> None:

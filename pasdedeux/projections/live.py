@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
+from statistics import median
 
 import numpy as np
 import numpy.typing as npt
@@ -205,7 +206,7 @@ class LivePerson:
     def _match(self, frame: int, points: Array, weights: Array) -> _Waiting | None:
         database, focal = self._searcher.database, self._lens.focal_px
         if self._scales:
-            scale, rounds = float(np.median(self._scales)), 1
+            scale, rounds = median(self._scales), 1
         else:
             first = place_track(points[None], weights[None], self._searcher.reference, window=1)
             scale, rounds = float(first.metres_per_pixel[0]), _FIRST_ROUNDS
@@ -225,7 +226,7 @@ class LivePerson:
             fit = least_squares_scale(straight, weights, unify_image(matched, 1.0 / self._proportions))
             ratio = float(fit[0])
             if np.isfinite(ratio):
-                scale = float(np.median([*self._scales, ratio]))
+                scale = median([*self._scales, ratio])
                 centre = fit[1:3] - fit[3:] / scale
         if np.isfinite(ratio):
             self._scales.append(ratio)

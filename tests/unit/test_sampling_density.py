@@ -360,3 +360,28 @@ def test_seeds_take_turns_over_the_takes_and_lie_apart() -> None:
     np.testing.assert_array_equal(choose_seeds(pairs, take_index, quality, 3), chosen[:3])
     with pytest.raises(InputError, match="200 seeds were asked for"):
         choose_seeds(pairs, take_index, quality, 200)
+
+
+def test_swapping_the_two_people_everywhere_changes_nothing() -> None:
+    """In the pair, the annotations and the frame of the views: i and k turn round, j stays (lift eq. 3)."""
+    rng = np.random.default_rng(19)
+    pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 60)
+    swap_view = np.array([-1.0, 1.0, -1.0])
+    swapped = AnnotatedPairs(pairs.points_m[:, ::-1].copy(), pairs.directions * swap_view, pairs.annotation_index)
+    views = ViewDensity(pairs.directions, np.ones(60), 0.5).sample(rng, 5)
+    one = InteractionLikelihood(pairs, build_bank(views, pairs))
+    other = InteractionLikelihood(swapped, build_bank(views * swap_view, swapped))
+    for pair in random_pairs(rng, 20, spread_rad=0.1):
+        assert other.log_likelihood(pair[::-1]) == pytest.approx(one.log_likelihood(pair), rel=1e-9)
+        # Who is who matters: the same pair with its people exchanged is another one.
+        assert one.log_likelihood(pair[::-1]) != pytest.approx(one.log_likelihood(pair), rel=1e-3)
+    chart, mirror = PairChart(SEED), PairChart(SEED[::-1].copy())
+    own, exchanged = PhysicalPrior(chart, LIMITS), PhysicalPrior(mirror, LIMITS)
+    for _ in range(20):
+        parameters = random_parameters(rng, scale=0.1)
+        flipped = np.concatenate([parameters[NUM_PARAMETERS // 2 :], parameters[: NUM_PARAMETERS // 2]])
+        terms = own.terms(parameters, chart.positions(parameters))
+        there = exchanged.terms(flipped, mirror.positions(flipped))
+        np.testing.assert_allclose(mirror.positions(flipped), chart.positions(parameters)[::-1], atol=1e-12)
+        assert there.log_prior == pytest.approx(terms.log_prior, rel=1e-9)
+        assert there.penetration_m == pytest.approx(terms.penetration_m, rel=1e-9, abs=1e-12)

@@ -23,6 +23,7 @@ from pasdedeux.sampling import (
     build_bank,
     undo_swaps,
 )
+from pasdedeux.sampling.agreement import SHARPNESS
 from pasdedeux.sampling.density import Likelihood
 from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
 from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
@@ -70,7 +71,7 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         prior = PhysicalPrior(
             chart,
             read_limits(shard, store),
-            sigma_p=options["sigma_p_m"],
+            sigma_p=options["sigma_p_m"] / (SHARPNESS**0.5 if is_agreement else 1.0),
             # Agreement has the bodies' mutual penetration in its likelihood, and leaves that within a body out.
             alpha=0.0 if is_agreement else options["alpha"],
             most_invalid=options["most_invalid_angles"],

@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.sampling.agreement import Agreement, plain_agreement
+from pasdedeux.sampling.agreement import SHARPNESS, Agreement, plain_agreement
 from tests.unit.test_views import dancers
 
 _RNG = np.random.default_rng(0)
@@ -62,6 +62,7 @@ def test_a_bank_keeps_what_is_posed_alike() -> None:
     others = Agreement(np.delete(GROWN, 7, axis=0)).terms(GROWN[7])
     assert Agreement(GROWN, near_m=GROWN[7]).terms(GROWN[7]) == others
     log = whole.log_likelihood(NEAR[0])
+    assert log == pytest.approx(SHARPNESS * every.total)
     assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
 
 

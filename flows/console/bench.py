@@ -22,6 +22,9 @@ from tasks.shards import worker_environment
 
 __all__ = ["find_benchmarks", "register"]
 
+_ROOM_OF_STAGE = {"chains": "sampling", "reconstruction": "projections"}
+"""Stages whose benchmarks go by the name of a part of the science."""
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -30,7 +33,7 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     room: Annotated[
-        str | None, typer.Argument(metavar="[ROOM]", help="One part of the science; all when none.")
+        str | None, typer.Argument(metavar="[ROOM]", help="One part of the science or a stage; all when none.")
     ] = None,
     large: Annotated[
         int | None,
@@ -41,6 +44,7 @@ def bench(
     """Measure and show a table."""
     os.environ.update(worker_environment())
     found = find_benchmarks(large=large)
+    room = _ROOM_OF_STAGE.get(room or "", room)
     if room is not None and room not in found:
         raise PlanError(f"there are no benchmarks for '{room}'; there are for: {', '.join(found) or 'nothing yet'}")
     results: list[tuple[str, BenchmarkResult]] = []

@@ -90,7 +90,7 @@ def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
 
 @dataclass(frozen=True)
 class _Annotated:
-    """One annotated pair: where it is, pixels (2, 17, 2), views (hypothesis, 3) and scales (2,), likeliest first."""
+    """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first."""
 
     sequence_id: str
     frame: int

@@ -26,6 +26,8 @@ _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
 _NUM_EXAMPLES = 2
+_MOST_DRAWS = 20_000
+"""Draws of chains that joints are completed from, at most; grown seeds are all used."""
 
 
 def shards(inputs: StageInputs, *, num_completed_pairs: int) -> list[Shard]:
@@ -159,9 +161,6 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
             if spans:
                 scores += in_between_scores(spans, pool, split=split, item=f"{gap} frames")
     return TopicResult(scores=scores, notes=[f"Joints were completed from {len(pool):,} draws and grown seeds."])
-
-
-_MOST_DRAWS = 20_000
 
 
 def _spans(takes: Sequence[np.ndarray], gap: int, count: int, generator: np.random.Generator) -> list[np.ndarray]:

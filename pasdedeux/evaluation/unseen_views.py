@@ -23,6 +23,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
+    scale_free_error_m,
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
@@ -275,6 +276,8 @@ def unseen_view_scores(
         topic: Topic of the scores; the setting's own when empty.
     """
     topic = topic or setting.value
+    # Parallel rays of unknown scale leave the depth of the way open: a thousandth of scale is a thousandth of infinity.
+    has_way = setting is Setting.PINHOLE or condition.has_scale
     figures: dict[tuple[str, str], list[float]] = {}
     motions: dict[str, list[Array]] = {}
     for view, yaw in enumerate(yaws_deg):
@@ -282,7 +285,7 @@ def unseen_view_scores(
         made, recalls = reconstruct_seen(searcher, seen, methods=methods, codebook=codebook, has_clean_up=has_clean_up)
         for method, positions in made.items():
             motions.setdefault(method, []).append(positions)
-            for metric, value in _figures(positions, seen.truth_m, has_way=method != BEST_MARK).items():
+            for metric, value in _figures(positions, seen.truth_m, has_way=has_way and method != BEST_MARK).items():
                 figures.setdefault((metric, method), []).append(value)
         for metric in ("jitter", "foot_slide"):
             value = _figures(seen.truth_m, seen.truth_m, has_way=True)[metric]
@@ -363,11 +366,13 @@ def level_scores(
 
 
 def _figures(found: Array, truth: Array, *, has_way: bool) -> dict[str, float]:
-    known = found[np.isfinite(found).all(axis=(1, 2))]
+    is_known = np.isfinite(found).all(axis=(1, 2))
+    known = found[is_known]
     centred = known - mid_hip(known)[:, None]
     figures = {
         "error_root_kept": _mean(root_centred_error_m(found, truth)),
         "error_root_removed": _mean(root_removed_error_m(found, truth)),
+        "error_scale_free": _mean(scale_free_error_m(known, truth[is_known])),
         "jitter": jitter_m(centred),
     }
     return {**figures, "foot_slide": foot_slide_m(known)} if has_way else figures

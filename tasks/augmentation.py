@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from pasdedeux.augmentation import (
     LIMB_GROUPS,
     PAPER_SCALES,
+    POLISH,
     AugmentationSettings,
     Augmenter,
     BulkSettings,
@@ -351,7 +352,7 @@ def _variations(parameters: AugmentationParameters, seed: int, take_id: str) -> 
 
 def _settings(parameters: AugmentationParameters, take_id: str) -> AugmentationSettings:
     limits, frame_limits = parameters.limits.model_dump(), parameters.frame_limits.model_dump()
-    return AugmentationSettings(
+    settings = AugmentationSettings(
         weights=Weights(**parameters.weights.model_dump()),
         contacts=ContactSettings(contact_m=parameters.contact_m),
         limits=QualityLimits(**{name: Limit(*pair) for name, pair in limits.items()}),
@@ -361,11 +362,11 @@ def _settings(parameters: AugmentationParameters, take_id: str) -> AugmentationS
         user_contacts=tuple(UserContact(**stated.model_dump()) for stated in parameters.contacts.get(take_id, ())),
         bulk=BulkSettings(num_iterations=parameters.num_iterations, is_single_precision=True),
         is_bulk=parameters.solver != "descent",
-        fallback_residual_m=0.0 if parameters.solver == "polished" else AugmentationSettings.fallback_residual_m,
         mesh_smoothing_s=parameters.mesh_smoothing_s,
         windows=WindowSettings(longest_s=parameters.window_s),
         fixed_person=None if parameters.fixed_person is None else "AB".index(parameters.fixed_person),
     )
+    return replace(settings, descent=POLISH, fallback_residual_m=0.0) if parameters.solver == "polished" else settings
 
 
 def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Variant) -> None:

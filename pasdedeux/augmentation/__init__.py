@@ -8,7 +8,7 @@ from pasdedeux.augmentation.energy import energy_terms, total_energy
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
 from pasdedeux.augmentation.quality import FrameLimits, FrameQuality, Limit, Quality, QualityLimits
 from pasdedeux.augmentation.rotations import variant_rotations
-from pasdedeux.augmentation.settings import AugmentationSettings
+from pasdedeux.augmentation.settings import POLISH, AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion
 from pasdedeux.augmentation.terms import Problem, Targets, Weights, build_problem, build_targets
 from pasdedeux.augmentation.variations import (
@@ -27,6 +27,7 @@ from pasdedeux.augmentation.windows import WindowSettings
 __all__ = [
     "LIMB_GROUPS",
     "PAPER_SCALES",
+    "POLISH",
     "AugmentationSettings",
     "Augmenter",
     "BulkSettings",

@@ -21,6 +21,7 @@ from pasdedeux.augmentation import (
 )
 from pasdedeux.augmentation.contacts import contact_class, contact_distances
 from pasdedeux.augmentation.factor import factorise, solve
+from pasdedeux.augmentation.settings import POLISH
 from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, bending_rows, right_hand_side
 from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
@@ -137,6 +138,8 @@ def test_bulk_and_descent_reach_the_optimum_of_a_slow_plain_solver(scale: float)
     bulk_energy = total_energy(problem, targets, bulk.positions - targets.reference)[0]
     assert descent.energies[-1] <= best * (1.0 + 1e-3)
     assert bulk_energy <= best * (1.0 + 1e-3)
+    start = BulkSolver(problem, BulkSettings(is_single_precision=True)).solve(targets).positions[0]
+    assert descend(problem, targets, 0, start, POLISH).energies[-1] <= best * (1.0 + 1e-3)
 
 
 def test_energy_never_rises_in_the_guaranteed_solver_whatever_the_scales() -> None:

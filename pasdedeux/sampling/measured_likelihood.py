@@ -155,23 +155,26 @@ def _histograms(points: Array) -> npt.NDArray[np.uint8]:
     """Give how many other joints fall into each bin, (entry, n, bin)."""
     counts = np.zeros((len(points), points.shape[1], _NUM_BINS), dtype=np.uint8)
     for entry in range(len(points)):
-        _fill_histograms(points[entry], 0.0, counts[entry])
+        _fill_histograms(points[entry], counts[entry])
     return counts
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill_histograms(points, turn, counts):  # type: ignore[no-untyped-def]
-    """Count the bins of points (n, 2) turned by an angle; `counts` (n, bin) is overwritten."""
+def _shell(dx, dy):  # type: ignore[no-untyped-def]
+    radius = max(np.sqrt(dx * dx + dy * dy), 1e-12)
+    return min(max(int(np.floor(np.log2(radius / INNER_RADIUS_M))) + 1, 0), NUM_SHELLS - 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_histograms(points, counts):  # type: ignore[no-untyped-def]
+    """Count the bins of points (n, 2); `counts` (n, bin) is overwritten."""
     counts[:] = 0
     for i in range(points.shape[0]):
         for j in range(points.shape[0]):
             if i != j:
                 dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-                radius = max(np.sqrt(dx * dx + dy * dy), 1e-12)
-                shell = int(np.floor(np.log2(radius / INNER_RADIUS_M))) + 1
-                shell = min(max(shell, 0), NUM_SHELLS - 1)
-                share = (np.arctan2(dy, dx) + turn) / (2.0 * np.pi) % 1.0
-                counts[i, shell * NUM_SECTORS + min(int(share * NUM_SECTORS), NUM_SECTORS - 1)] += 1
+                share = np.arctan2(dy, dx) / (2.0 * np.pi) % 1.0
+                counts[i, _shell(dx, dy) * NUM_SECTORS + min(int(share * NUM_SECTORS), NUM_SECTORS - 1)] += 1
 
 
 @numba.njit(cache=True, nogil=True)
@@ -212,11 +215,19 @@ def _turn(moving, fixed):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, nogil=True)
 def _best_shape(images, counts, slots, points, histograms, num_ranked, best, best_slot):  # type: ignore[no-untyped-def]
     """Write the least shape-context cost of each view among the candidates nearest by rigid residual."""
-    num_points, num_bins = histograms.shape[1], histograms.shape[2]
-    own = np.empty((num_points, num_bins), dtype=np.uint8)
+    num_points = histograms.shape[1]
+    own = np.zeros(histograms.shape[2], dtype=np.int64)
+    shells = np.zeros((num_points, num_points), dtype=np.int64)
+    shares = np.zeros((num_points, num_points))
+    bins = np.empty(num_points, dtype=np.int64)
     for view in range(images.shape[0]):
         best[view], best_slot[view] = np.inf, -1
         moving = images[view]
+        for i in range(num_points):
+            for j in range(num_points):
+                dx, dy = moving[j, 0] - moving[i, 0], moving[j, 1] - moving[i, 1]
+                shells[i, j] = NUM_SECTORS * _shell(dx, dy)
+                shares[i, j] = np.arctan2(dy, dx) / (2.0 * np.pi)
         residual = np.empty(counts[view])
         for at in range(counts[view]):
             fixed = points[slots[view, at]]
@@ -230,15 +241,25 @@ def _best_shape(images, counts, slots, points, histograms, num_ranked, best, bes
         for rank in range(min(num_ranked, counts[view])):
             slot = slots[view, order[rank]]
             cosine, sine = _turn(moving, points[slot])
-            _fill_histograms(moving, np.arctan2(sine, cosine), own)
+            turn = np.arctan2(sine, cosine) / (2.0 * np.pi)
+            limit = best[view] * num_points
             cost = 0.0
             for i in range(num_points):
+                for j in range(num_points):
+                    if i != j:
+                        share = (shares[i, j] + turn) % 1.0
+                        bins[j] = shells[i, j] + min(int(share * NUM_SECTORS), NUM_SECTORS - 1)
+                        own[bins[j]] += 1
                 shared = 0.0
-                for b in range(num_bins):
-                    one, two = own[i, b], histograms[slot, i, b]
-                    if one and two:
+                for j in range(num_points):
+                    # A bin is counted at its first joint and emptied, ready for the next.
+                    if i != j and own[bins[j]]:
+                        one, two = own[bins[j]], histograms[slot, i, bins[j]]
                         shared += 2.0 * one * two / (one + two)
+                        own[bins[j]] = 0
                 cost += 1.0 - shared / (num_points - 1)
+                if cost >= limit:
+                    break
             cost /= num_points
             if cost < best[view]:
                 best[view], best_slot[view] = cost, slot

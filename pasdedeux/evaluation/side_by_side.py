@@ -43,14 +43,17 @@ def side_by_side_clip(
     tall = keypoints[is_whole, :, 1] if is_whole.any() else keypoints[..., 1].reshape(1, -1)
     heights = np.nanmax(tall, axis=1) - np.nanmin(tall, axis=1)
     given = (keypoints - _middle_of(keypoints)) * (_PERSON_SHARE * _PANEL_PX / max(float(np.median(heights)), 1.0))
-    figures = [_panel(given, 0), _panel(_image(found, (0, 1)) * per_metre, 1)]
-    side = _panel(_image(found, (2, 1)) * [-1.0, 1.0] * per_metre, 2)
+    # Hips are not half way up: what stands about them would run out of the panel.
+    centred = _image(found, (0, 1))[..., 1]
+    down = [0.0, -0.5 * per_metre * float(np.median(centred.max(axis=1) + centred.min(axis=1)))]
+    figures = [_panel(given, 0), _panel(_image(found, (0, 1)) * per_metre + down, 1)]
+    side = _panel(_image(found, (2, 1)) * [-1.0, 1.0] * per_metre + down, 2)
     if truth_m is None:
         figures += [np.full(side.shape, np.nan), side]
     else:
         truth = truth_m[:most_frames]
-        figures += [_panel(_image(truth, (2, 1)) * [-1.0, 1.0] * per_metre, 2), side]
-        figures += [_panel(_image(truth, (0, 1)) * per_metre, 1)]
+        figures += [_panel(_image(truth, (2, 1)) * [-1.0, 1.0] * per_metre + down, 2), side]
+        figures += [_panel(_image(truth, (0, 1)) * per_metre + down, 1)]
     return overlay_clip(OP14, np.stack(figures, axis=1), image_size_px=(3 * _PANEL_PX, _PANEL_PX), rate_hz=rate_hz)
 
 

@@ -13,7 +13,7 @@ from pasdedeux.sampling.chain import (
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
-from pasdedeux.sampling.growth import Growth, GrowthOptions, grow, spread
+from pasdedeux.sampling.growth import Growth, GrowthOptions, grow
 from pasdedeux.sampling.lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
@@ -78,7 +78,6 @@ __all__ = [
     "plain_log_likelihood",
     "run_segment",
     "seed_quality",
-    "spread",
     "step",
     "undo_swaps",
     "warm_up",

@@ -6,7 +6,7 @@ annotation, depth and bone lengths from the pair); if the physical prior finds i
 
 Depth comes from several lifted pairs that look alike, not from one, and once everything is lifted the neighbours agree:
 the depth of each grown pair becomes that of the pairs that look like it under its view.  Their image planes are others,
-so what one annotation does not see another one does.  Grown pairs are no draws: they are a spread of starts for chains,
+so what one annotation does not see another one does.  Grown pairs are no draws: they are starts for chains,
 and a set that covers.  Our own; Yin et al. (2018) start from one seed.
 """
 
@@ -28,7 +28,7 @@ from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Growth", "GrowthOptions", "grow", "spread", "view_residuals"]
+__all__ = ["Growth", "GrowthOptions", "grow", "view_residuals"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -168,22 +168,6 @@ def view_residuals(pair_m: Array, images: Array, directions: Array) -> Array:
     own = np.trace(spread_m2) - np.einsum("nx,xy,ny->n", towards, spread_m2, towards)
     squared = own + (images**2).sum(axis=(1, 2)) - 2.0 * np.sqrt(np.maximum(best, 0.0))
     return np.sqrt(np.maximum(squared, 0.0) / _NUM_POINTS)
-
-
-def spread(pairs_m: Array, count: int) -> Indices:
-    """Give up to `count` pairs of (n, person=2, joint, 3) that cover them: the first, then always the farthest left.
-
-    Far is the mean joint distance as the pairs stand, which gauge-fixing makes comparable.  Asking for more keeps the
-    first ones.
-    """
-    points = np.asarray(pairs_m, dtype=np.float64).reshape(len(pairs_m), -1, 3)
-    chosen: list[int] = []
-    distance = np.full(len(points), np.inf)
-    while len(chosen) < min(count, len(points)):
-        chosen.append(int(np.argmax(distance)))
-        latest = np.linalg.norm(points - points[chosen[-1]], axis=-1).mean(axis=-1)
-        distance = np.minimum(distance, latest)
-    return np.array(chosen, dtype=np.int64)
 
 
 class _Views:

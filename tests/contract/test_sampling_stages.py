@@ -230,12 +230,15 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
     assert np.isfinite(np.asarray(table["log_prior"])).all()
 
 
-def test_chains_start_from_a_spread_of_grown_seeds(inputs: Any) -> None:
+def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=2)
     options = {**QUICK, "num_chains": 1, "densities": ("ic",)}
     planned = chains.plan(given, ChainsParameters(**options))
     starts = given.of("seeds")[-1].facts["starts"]
+    assert (
+        starts == with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=5).of("seeds")[-1].facts["starts"][:2]
+    )
     assert [shard.parameters["seed_index"] for shard in planned if shard.name == "summary"] == [0, *starts]
     of_grown = [shard for shard in planned if shard.parameters["seed_index"] == starts[0]]
     made = run(of_grown, chains, store)

@@ -13,10 +13,10 @@ from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow, spread
+from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
 from pasdedeux.sampling.growth import _Views, view_residuals
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
+from pasdedeux.sampling.synthetic import random_annotations, random_pairs
 from pasdedeux.skeletons import PAIR17
 
 ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
@@ -176,10 +176,3 @@ def test_seeds_that_cannot_grow_are_refused_with_the_reason() -> None:
         grow(np.zeros((0, 2, 17, 3)), entries, WIDE, num_grown=1)
     with pytest.raises(InputError, match="positive widths"):
         GrowthOptions(image_deviation_m=0.0)
-
-
-def test_a_spread_covers_and_keeps_its_beginning() -> None:
-    pairs = np.concatenate([standing_pair(distance_m=gap)[None] for gap in (0.5, 0.52, 1.5, 1.0, 0.51)])
-    np.testing.assert_array_equal(spread(pairs, 3), [0, 2, 3])
-    np.testing.assert_array_equal(spread(pairs, 2), [0, 2])
-    assert len(spread(pairs, 10)) == 5

@@ -29,19 +29,21 @@ STAGES = {
     "views",
     "seeds",
     "chains",
+    "lifting",
     "projections",
     "reconstruction",
     "augmentation",
     "training",
     "evaluation",
 }
-TOPICS = {"takes", "views", "chains", "coverage", "reconstruction", "augmentation", "models"}
+TOPICS = {"takes", "views", "chains", "coverage", "lifting", "reconstruction", "augmentation", "models"}
 SECTIONS = {
     "Takes",
     "Sequences",
     "Views",
     "Chains",
     "Coverage",
+    "Lifting",
     "Reconstruction",
     "Augmentation",
     "Models",

@@ -53,7 +53,12 @@ def write(folder: Path, text: str) -> Path:
         ),
         ("duration_s = 1.5", "duration = 1.5", "ingest.duets.1.duration: unknown; did you mean duration_s?"),
         ("seed = 3", "sed = 3", "study.sed: unknown; did you mean seed?"),
-        ('"prior_only"', '"prior_onli"', "chains.densities.1: should be 'ic' or 'prior_only'; found 'prior_onli'"),
+        (
+            '"prior_only"',
+            '"prior_onli"',
+            "chains.densities.1: should be 'ic', 'cartesian', 'shape_context', 'agreement' or 'prior_only'; "
+            "found 'prior_onli'",
+        ),
         ("num_seeds = 1", "num_seeds = -1", "seeds.num_seeds: should be greater than or equal to 0; found -1"),
         (
             'held_out = ["hug"]',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,8 @@ from pasdedeux.evaluation.drawing import figure_png
 __all__ = ["Curve", "CurvePanel", "box_figure", "curve_figure", "panel_figure", "view_figure"]
 
 Array = npt.NDArray[np.float64]
+
+_LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
 @dataclass(frozen=True)
@@ -41,16 +44,8 @@ def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> b
     figure = Figure(figsize=(3.6 * max(len(panels), 1), 3.2), dpi=110)
     axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
     for axis, panel in zip(axes, panels, strict=False):
-        for curve in panel.curves:
-            axis.plot(curve.x, curve.y, linestyle="--" if curve.is_baseline else "-", marker=".", label=curve.name)
-        for name, level in panel.levels.items():
-            axis.axhline(level, color="#999999", linewidth=0.7)
-            axis.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=5, ha="right", va="bottom")
         axis.set_xscale("log")
-        axis.set_xlabel(x_label, fontsize=8)
-        axis.set_ylabel(panel.y_label, fontsize=8)
-        axis.tick_params(labelsize=7)
-        axis.grid(visible=True, alpha=0.25)
+        _draw_panel(axis, panel, x_label)
     if panels and panels[0].curves:
         axes[0].legend(fontsize=6)
     figure.suptitle(title, fontsize=9)
@@ -64,30 +59,36 @@ def curve_figure(
     title: str,
     x_label: str,
     y_label: str,
-    is_log_x: bool = False,
-    levels: Mapping[str, float] | None = None,
 ) -> bytes:
-    """Draw curves over a common x, with named horizontal levels; give PNG bytes."""
+    """Draw curves over a common x; give PNG bytes."""
     from matplotlib.figure import Figure  # here: planning does not draw
 
     figure = Figure(figsize=(6.0, 3.4), dpi=110)
     axis = figure.subplots()
-    for curve in curves:
-        axis.plot(curve.x, curve.y, linestyle="--" if curve.is_baseline else "-", marker=".", label=curve.name)
-    for name, level in (levels or {}).items():
-        axis.axhline(level, color="#999999", linewidth=0.8)
-        axis.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom")
-    if is_log_x:
-        axis.set_xscale("log")
+    _draw_panel(axis, CurvePanel(curves, y_label, {}), x_label)
     axis.set_title(title, fontsize=9)
-    axis.set_xlabel(x_label, fontsize=8)
-    axis.set_ylabel(y_label, fontsize=8)
-    axis.tick_params(labelsize=7)
-    axis.grid(visible=True, alpha=0.25)
     if curves:
         axis.legend(fontsize=7)
     figure.tight_layout()
     return figure_png(figure)
+
+
+def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
+    """Draw curves and levels; a level too close above another keeps its line and goes without its name."""
+    for curve in panel.curves:
+        axis.plot(curve.x, curve.y, linestyle="--" if curve.is_baseline else "-", marker=".", label=curve.name)
+    for level in panel.levels.values():
+        axis.axhline(level, color="#999999", linewidth=0.7)
+    bottom, top = axis.get_ylim()
+    named = bottom - (top - bottom)
+    for name, level in sorted(panel.levels.items(), key=lambda item: item[1]):
+        if level - named > _LEVEL_GAP * (top - bottom):
+            axis.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom")
+            named = level
+    axis.set_xlabel(x_label, fontsize=8)
+    axis.set_ylabel(panel.y_label, fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.grid(visible=True, alpha=0.25)
 
 
 def box_figure(groups: Mapping[str, Array], *, title: str, y_label: str) -> bytes:

@@ -17,14 +17,15 @@ from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.people import reconstruct_people
 from pasdedeux.projections.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
+from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 5
+VERSION = 6
 
 
 class ReconstructionParameters(Parameters):
@@ -53,6 +54,12 @@ class ReconstructionParameters(Parameters):
         description="Pitches of the database's camera; the one that matches a sequence best is taken",
     )
     num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
+    exact_up_to: int = Field(
+        EXACT_UP_TO,
+        ge=0,
+        description="Projections (poses times yaws) up to which the search is exact; of more it may miss some of the "
+        "nearest, and its recall is measured",
+    )
     min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
     pose_weight: float = Field(
         0.5, ge=0, description="Cost of a pose change per metre, against the misfit in the image"
@@ -124,7 +131,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     if not database_refs:
         facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
-        rows, attachments = _reconstruct(store, database_refs, sequence_id, people, parameters, facts)
+        rows, attachments = _reconstruct(store, database_refs, sequence_id, people, parameters, facts, shard.seed)
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(shard, store, tables={"motions": _columns(rows)}, facts=facts, attachments=attachments)
 
@@ -175,6 +182,7 @@ def _reconstruct(
     people: Sequence[PersonTrack],
     parameters: ReconstructionParameters,
     facts: dict[str, Any],
+    seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
     """Give the rows of `motions` of every method and person, and a BVH file a person."""
     options = ReconstructionOptions(
@@ -191,12 +199,19 @@ def _reconstruct(
     rate_hz = float(store.manifest(database_refs[0]).facts["rate_hz"])
     cameras = [OrthographicCamera(math.radians(pitch)) for pitch in parameters.pitches_deg]
     searchers = [
-        Searcher.of(Database(poses, starts, num_yaws=parameters.num_yaws, rate_hz=rate_hz, camera=camera))
+        Searcher.of(
+            Database(poses, starts, num_yaws=parameters.num_yaws, rate_hz=rate_hz, camera=camera),
+            exact_up_to=parameters.exact_up_to,
+        )
         for camera in cameras
     ]
     found = reconstruct_people(searchers, people, parameters.methods, options, has_clean_up=parameters.has_clean_up)
+    chosen = searchers[found.searcher_index]
     facts["pitch_deg"] = parameters.pitches_deg[found.searcher_index]
-    facts["num_projections"] = searchers[found.searcher_index].database.num_projections
+    facts["num_projections"] = chosen.database.num_projections
+    facts["search_slack"] = chosen.index.slack
+    rng = stream(seed, "reconstruction", "recall", sequence_id)
+    facts["search_recall"] = measure_recall(chosen.database, chosen.index, rng) if chosen.index.slack else 1.0
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
     rows = [
         _rows_of(sequence_id, person, made.name, one, made.origin_m, take_ids, frames)

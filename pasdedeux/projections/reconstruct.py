@@ -17,7 +17,7 @@ from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_dept
 from pasdedeux.projections.proportions import estimate_proportions, retarget_image
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
-from pasdedeux.projections.search import Neighbours, ProjectionIndex, build_index
+from pasdedeux.projections.search import EXACT_UP_TO, Neighbours, ProjectionIndex, build_index
 from pasdedeux.projections.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.projections.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
 from pasdedeux.projections.tracks import Track
@@ -115,9 +115,9 @@ class Searcher:
     reference: ScaleReference
 
     @classmethod
-    def of(cls, database: Database) -> Searcher:
-        """Build index and scale reference."""
-        return cls(database, build_index(database), ScaleReference.of(database))
+    def of(cls, database: Database, *, exact_up_to: int = EXACT_UP_TO) -> Searcher:
+        """Build index and scale reference; the search of more than `exact_up_to` projections has a slack."""
+        return cls(database, build_index(database, exact_up_to=exact_up_to), ScaleReference.of(database))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +88,17 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
-    return TopicResult(scores=scores, pictures=pictures, captions=captions)
+    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=_search_notes(shard.name, facts))
+
+
+def _search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
+    """Say how the database was searched when that was not exactly."""
+    if not facts.get("search_slack"):
+        return []
+    return [
+        f"{name}: {facts['num_projections']:,} projections were searched with a slack of {facts['search_slack']:g}; "
+        f"{100 * facts['search_recall']:.1f} % of the 50 nearest are found."
+    ]
 
 
 def _read_motions(store: Store, motions: ArtifactRef) -> TableData:

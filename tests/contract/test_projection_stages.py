@@ -16,6 +16,7 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import TABLES, ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import projections, reconstruction
+from tasks.evaluation.reconstruction import _search_notes
 from tasks.stage import StageInputs
 from tests.walkers import walk
 
@@ -247,6 +248,21 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     apart = [positions[(method == "viterbi") & (person == one)].mean(axis=(0, 1)) for one in (0, 1)]
     true_apart = truth[1].mean(axis=(0, 1)) - truth[0].mean(axis=(0, 1))
     np.testing.assert_allclose(apart[1] - apart[0], true_apart, atol=0.5)
+
+
+def test_a_search_that_may_miss_says_how_much_it_finds(store: Store) -> None:
+    built = build(store, [put_take(store, name) for name in "ab"])
+    video, _ = put_video(store, "film", ["held"])
+    (exact,) = reconstruct(store, [video], built, methods=("nearest",), pitches_deg=(0.0,))
+    (missing,) = reconstruct(store, [video], built, methods=("nearest",), pitches_deg=(0.0,), exact_up_to=0)
+    facts = [store.manifest(ref).facts for ref in (exact, missing)]
+    assert facts[0]["search_slack"] == 0.0
+    assert facts[0]["search_recall"] == 1.0
+    assert facts[1]["search_slack"] > 0.0
+    assert 0.8 < facts[1]["search_recall"] <= 1.0
+    assert _search_notes("film", facts[0]) == []
+    (note,) = _search_notes("film", facts[1])
+    assert note.startswith(f"film: {facts[1]['num_projections']:,} projections were searched with a slack")
 
 
 def test_running_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:

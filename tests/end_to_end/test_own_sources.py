@@ -151,7 +151,7 @@ def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> 
         assert f"{sequence}: a video whose truth nobody knows; no scores." in own.report
     scores = open_table("scores:own", own.store)
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
-    assert items == {"hug.video00 person 0", "hug.video00 person 1"}
+    assert items == {"hug.video00 person 0", "hug.video00 person 1", "hug.video00 person 0 with 1"}
 
 
 def error_m(found: np.ndarray, truth: np.ndarray) -> float:

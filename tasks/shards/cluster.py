@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,22 +73,24 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                 _check_workers(client, settings.scheduler, store_root)
                 yield client
             return
-        cluster = LocalCluster(
-            n_workers=settings.num_workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=settings.memory_bytes,
-            dashboard_address="127.0.0.1:0",
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,
-            host="127.0.0.1",
-        )
+        with _no_ctrl_c_for_children():
+            cluster = LocalCluster(
+                n_workers=settings.num_workers,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=settings.memory_bytes,
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.CRITICAL,
+                host="127.0.0.1",
+            )
         try:
             with _client_of(cluster) as client:
                 client.register_plugin(_tether(), name="pasdedeux-tether")
                 try:
                     yield client
                 except BaseException:
+                    logging.getLogger("asyncio").setLevel(logging.CRITICAL + 1)  # what was cancelled is no news
                     _kill_workers(cluster)
                     raise
         finally:
@@ -147,6 +150,21 @@ def _tether() -> Any:
             _die_with_parent()
 
     return Tether()
+
+
+@contextmanager
+def _no_ctrl_c_for_children() -> Iterator[None]:
+    """Start threads and processes that never see Ctrl-C: a terminal sends it to all, and only this one answers.
+
+    Both inherit what is blocked here; a Ctrl-C that comes meanwhile arrives when the block ends.  The resource tracker
+    of multiprocessing lifts the block where it is started, so it is started before.
+    """
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _hush_dask() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -58,6 +59,8 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
             typer.echo(f"error: {_sentence(error)}", err=True)
         return exit_code_of(error)
     if code == _INTERRUPTED:
+        # Prefect's calls that were cut off are no news, and are told of when they are collected, after this.
+        warnings.filterwarnings("ignore", message="coroutine .* was never awaited", category=RuntimeWarning)
         typer.echo("interrupted; the same command goes on from here", err=True)
     return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
 

@@ -13,13 +13,11 @@ from pydantic import Field
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.faults import repair_tracks
-from pasdedeux.projections.identity import follow_people
-from pasdedeux.projections.people import reconstruct_people
+from pasdedeux.projections.people import follow_and_repair, reconstruct_people
 from pasdedeux.projections.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.projections.temporal import TemporalWeights
-from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows, why_no_video
+from pasdedeux.projections.tracks import PersonTrack, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
@@ -151,28 +149,24 @@ def _read_tracks(
     if reason:
         facts["skipped"].append(f"{sequence_id}: {reason}")
         return []
-    person_id = np.asarray(table["person_id"])[rows]
-    points = np.asarray(table["op14_px"], dtype=np.float64)[rows]
-    confidence = np.asarray(table["op14_confidence"], dtype=np.float64)[rows]
     is_numbered_anew = store.manifest(ref).facts.get("format") == "openpose"
-    if parameters.identities == "follow" or (parameters.identities == "auto" and is_numbered_anew):
-        followed = follow_people(frame, points, confidence, rate_hz=rate_from_times(frame, time_s))
-        facts["num_merged_rows"], facts["num_ghost_rows"] = followed.num_merged, followed.num_ghosts
-        is_kept = followed.track_id >= 0
-        frame, time_s, person_id = frame[is_kept], time_s[is_kept], followed.track_id[is_kept]
-        points, confidence = followed.keypoints_px[is_kept], followed.confidence[is_kept]
-    people = tracks_from_rows(
+    is_followed = parameters.identities == "follow" or (parameters.identities == "auto" and is_numbered_anew)
+    found = follow_and_repair(
         frame,
-        person_id,
         time_s,
-        points,
-        confidence,
-        width_px=None if is_unknown else int(table["image_width_px"][rows[0]]),
-        height_px=None if is_unknown else int(table["image_height_px"][rows[0]]),
+        np.asarray(table["op14_px"], dtype=np.float64)[rows],
+        np.asarray(table["op14_confidence"], dtype=np.float64)[rows],
+        person_id=None if is_followed else np.asarray(table["person_id"])[rows],
+        image_size_px=None
+        if is_unknown
+        else (int(table["image_width_px"][rows[0]]), int(table["image_height_px"][rows[0]])),
+        has_repair=parameters.has_repair,
     )
+    if is_followed:
+        facts["num_merged_rows"], facts["num_ghost_rows"] = found.num_merged_rows, found.num_ghost_rows
     if parameters.has_repair:
-        people, facts["num_repaired_joints"] = repair_tracks(people)
-    return people
+        facts["num_repaired_joints"] = found.num_repaired_joints
+    return found.tracks
 
 
 def _reconstruct(

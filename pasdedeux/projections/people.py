@@ -24,19 +24,38 @@ from pasdedeux.projections.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.projections.tracks import PersonTrack, tracks_from_rows
+from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows
 
 __all__ = [
+    "FollowedTracks",
     "MethodMotions",
     "ReconstructedCrowd",
     "ReconstructedPerson",
     "ReconstructedTracks",
+    "follow_and_repair",
     "reconstruct_detections",
     "reconstruct_people",
 ]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class FollowedTracks:
+    """The people of a sequence, followed and repaired.
+
+    Args:
+        tracks: By person id.
+        num_merged_rows: Doubled detections that were merged.
+        num_ghost_rows: Detections that were dropped.
+        num_repaired_joints: Joints that were put right or masked.
+    """
+
+    tracks: list[PersonTrack]
+    num_merged_rows: int
+    num_ghost_rows: int
+    num_repaired_joints: int
 
 
 @dataclass(frozen=True)
@@ -105,6 +124,44 @@ class ReconstructedCrowd:
     num_merged_rows: int
     num_ghost_rows: int
     num_repaired_joints: int
+
+
+def follow_and_repair(
+    frame: Integers,
+    time_s: Array,
+    keypoints_px: Array,
+    confidence: Array,
+    *,
+    person_id: Integers | None = None,
+    image_size_px: tuple[int, int] | None = None,
+    has_repair: bool = True,
+) -> FollowedTracks:
+    """Give the tracks of a sequence's people: who is who, then swapped sides, exchanged limbs and wild keypoints.
+
+    Args:
+        frame: Frame of each detection (row,).
+        time_s: Its time (row,).
+        keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; NaN where not seen.
+        confidence: (row, 14), 0 where not seen.
+        person_id: Person of each detection (row,) where that is known; they are followed otherwise.
+        image_size_px: Width and height where known.
+        has_repair: Faults are put right or left out.
+
+    Raises:
+        InputError: A person twice in a frame, or times that do not grow.
+    """
+    merged = ghosts = repaired = 0
+    if person_id is None:
+        followed = follow_people(frame, keypoints_px, confidence, rate_hz=rate_from_times(frame, time_s))
+        merged, ghosts = followed.num_merged, followed.num_ghosts
+        kept = followed.track_id >= 0
+        frame, time_s, person_id = frame[kept], time_s[kept], followed.track_id[kept]
+        keypoints_px, confidence = followed.keypoints_px[kept], followed.confidence[kept]
+    width, height = image_size_px or (None, None)
+    tracks = tracks_from_rows(frame, person_id, time_s, keypoints_px, confidence, width_px=width, height_px=height)
+    if has_repair:
+        tracks, repaired = repair_tracks(tracks)
+    return FollowedTracks(tracks, merged, ghosts, repaired)
 
 
 def reconstruct_people(
@@ -188,19 +245,10 @@ def reconstruct_detections(
     Raises:
         InputError: Nobody can be reconstructed (says why), or a searcher's camera is not orthographic.
     """
-    followed = follow_people(frame, keypoints_px, confidence, rate_hz=rate_hz)
-    rows = followed.track_id >= 0
-    width, height = image_size_px or (None, None)
-    tracks = tracks_from_rows(
-        frame[rows],
-        followed.track_id[rows],
-        frame[rows] / rate_hz,
-        followed.keypoints_px[rows],
-        followed.confidence[rows],
-        width_px=width,
-        height_px=height,
-    )
-    tracks, num_repaired = repair_tracks(tracks)
+    if not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise InputError(f"the frame rate is {rate_hz}, it must be positive")
+    followed = follow_and_repair(frame, frame / rate_hz, keypoints_px, confidence, image_size_px=image_size_px)
+    tracks = followed.tracks
     if not tracks:
         raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
     found = reconstruct_people(searchers, tracks, [method], options, has_clean_up=has_clean_up)
@@ -211,5 +259,10 @@ def reconstruct_detections(
         for tracked, reconstruction in found.methods[-1].people
     )
     return ReconstructedCrowd(
-        people, found.skipped, found.searcher_index, followed.num_merged, followed.num_ghosts, num_repaired
+        people,
+        found.skipped,
+        found.searcher_index,
+        followed.num_merged_rows,
+        followed.num_ghost_rows,
+        followed.num_repaired_joints,
     )

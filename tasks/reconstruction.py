@@ -23,7 +23,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 6
+VERSION = 7
 
 
 class ReconstructionParameters(Parameters):

@@ -285,10 +285,11 @@ def unseen_view_scores(
         made, recalls = reconstruct_seen(searcher, seen, methods=methods, codebook=codebook, has_clean_up=has_clean_up)
         for method, positions in made.items():
             motions.setdefault(method, []).append(positions)
-            for metric, value in _figures(positions, seen.truth_m, has_way=has_way and method != BEST_MARK).items():
+            way_hz = rate_hz if has_way and method != BEST_MARK else None
+            for metric, value in _figures(positions, seen.truth_m, way_hz=way_hz).items():
                 figures.setdefault((metric, method), []).append(value)
         for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, has_way=True)[metric]
+            value = _figures(seen.truth_m, seen.truth_m, way_hz=rate_hz)[metric]
             figures.setdefault((metric, "truth"), []).append(value)
         for metric, value in recalls.items():
             figures.setdefault((metric, AS_PUBLISHED), []).append(value)
@@ -365,7 +366,8 @@ def level_scores(
     return scores
 
 
-def _figures(found: Array, truth: Array, *, has_way: bool) -> dict[str, float]:
+def _figures(found: Array, truth: Array, *, way_hz: float | None) -> dict[str, float]:
+    """Give errors of a motion, and of feet where it has a way, at so many frames per second."""
     is_known = np.isfinite(found).all(axis=(1, 2))
     known = found[is_known]
     centred = known - mid_hip(known)[:, None]
@@ -375,7 +377,7 @@ def _figures(found: Array, truth: Array, *, has_way: bool) -> dict[str, float]:
         "error_scale_free": _mean(scale_free_error_m(known, truth[is_known])),
         "jitter": jitter_m(centred),
     }
-    return {**figures, "foot_slide": foot_slide_m(known)} if has_way else figures
+    return figures if way_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=way_hz)}
 
 
 def _mean(values: Array) -> float:

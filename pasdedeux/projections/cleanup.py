@@ -30,8 +30,9 @@ _LEGS = tuple(
     tuple(OP14.indices([f"{side}_{name}" for name in ("hip", "knee", "ankle")])) for side in ("left", "right")
 )
 _ANKLES = np.array([leg[2] for leg in _LEGS])
-_UP = 1
+_UP, _AWAY = 1, 2
 _FLOOR_QUANTILE = 0.1
+_NEAR_QUANTILE = 0.2
 _STRAIGHT = 1.0 - 1e-6
 """A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
 
@@ -44,7 +45,9 @@ class CleanUpOptions:
 
     Args:
         contact_speed_m_s: Feet slower than this may be planted.
+        away_share: Part of the speed along z, away from the camera, that counts: one camera sees it badly.
         contact_height_m: Feet lower than this over the lower foot and, twice this, over the floor may be planted.
+        floor_s: The floor that contacts are judged by is that of this time: a wrong pitch tilts it.
         least_contact_s: Shorter contacts are none.
         blend_s: A foot comes into its lock and out of it over this time.
         most_bend_m: The legs move a foot by at most this.
@@ -53,8 +56,10 @@ class CleanUpOptions:
         floor_pull: Cost of the height of a planted foot over the floor.
     """
 
-    contact_speed_m_s: float = 0.45
+    contact_speed_m_s: float = 0.3
+    away_share: float = 0.5
     contact_height_m: float = 0.05
+    floor_s: float = 1.5
     least_contact_s: float = 0.1
     blend_s: float = 0.12
     most_bend_m: float = 0.04
@@ -66,7 +71,7 @@ class CleanUpOptions:
         """Refuse values without meaning."""
         if min(self.contact_speed_m_s, self.contact_height_m, self.way_stiffness, self.way_hold, self.floor_pull) <= 0:
             raise InputError(f"clean-up: speeds, heights and costs must be positive: {self}")
-        if min(self.least_contact_s, self.blend_s, self.most_bend_m) < 0:
+        if min(self.least_contact_s, self.blend_s, self.most_bend_m, self.away_share, self.floor_s) < 0:
             raise InputError(f"clean-up: times and ways must not be negative: {self}")
 
 
@@ -91,7 +96,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | No
     """Clean a motion up.
 
     Args:
-        positions_m: op14 positions (frame, 14, 3), upright axes (y up), metres.
+        positions_m: op14 positions (frame, 14, 3), upright axes (y up, z towards the camera), metres.
         rate_hz: Frames per second.
         options: How.
 
@@ -106,7 +111,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | No
     lengths = np.median(bone_lengths(OP14, positions_m), axis=0)
     positions = retarget_proportions(positions_m, lengths)
     floor = float(np.quantile(positions[:, _ANKLES, _UP].min(axis=1), _FLOOR_QUANTILE))
-    is_planted = find_contacts(positions, floor, rate_hz=rate_hz, options=options)
+    is_planted = find_contacts(positions, rate_hz=rate_hz, options=options)
     shift = _correct_way(positions[:, _ANKLES], is_planted, floor, options)
     positions = positions + shift[:, None]
     for side, (hip, knee, ankle) in enumerate(_LEGS):
@@ -117,15 +122,21 @@ def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | No
     return CleanedMotion(positions, is_planted, shift, floor)
 
 
-def find_contacts(positions_m: Array, floor_m: float, *, rate_hz: float, options: CleanUpOptions) -> Booleans:
+def find_contacts(positions_m: Array, *, rate_hz: float, options: CleanUpOptions) -> Booleans:
     """Tell which feet are planted (frame, 2): slow, low over the floor, and not much higher than the other foot."""
+    from scipy.ndimage import percentile_filter  # here: 0.3 s that planning does not need
+
     ankles = positions_m[:, _ANKLES]
     if len(ankles) < 3:
         return np.zeros(ankles.shape[:2], dtype=bool)
-    speed = np.linalg.norm(np.gradient(ankles, axis=0), axis=-1) * rate_hz
+    velocity = np.gradient(ankles, axis=0) * rate_hz
+    velocity[..., _AWAY] *= options.away_share
+    speed = np.linalg.norm(velocity, axis=-1)
     height = ankles[..., _UP]
     is_low = height < height.min(axis=1, keepdims=True) + options.contact_height_m
-    is_near = height < floor_m + 2.0 * options.contact_height_m
+    window = max(1, round(options.floor_s * rate_hz)) | 1
+    floor = percentile_filter(height.min(axis=1), 100.0 * _NEAR_QUANTILE, window)
+    is_near = height < floor[:, None] + 2.0 * options.contact_height_m
     planted = (speed < options.contact_speed_m_s) & is_low & is_near
     least = max(2, round(options.least_contact_s * rate_hz))
     for side in range(2):

@@ -216,6 +216,16 @@ def test_error_measures_forget_what_they_say_they_forget() -> None:
     assert scale_free_error_m(1.3 * world, world).max() < 1e-9
     assert jitter_m(np.arange(9.0)[:, None, None] * np.ones((1, 14, 3))) == pytest.approx(0.0, abs=1e-12)
     assert jitter_m(world[:2]) == 0.0
-    slid = np.zeros((5, 14, 3))
-    slid[:, :, 0] = 0.1 * np.arange(5)[:, None]
-    assert foot_slide_m(slid) == pytest.approx(0.1)
+
+
+def test_feet_slide_where_they_stand_in_the_truth_alone() -> None:
+    true = np.zeros((6, 14, 3))
+    true[3:, :, 0] = 0.5 * np.arange(1, 4)[:, None]  # three frames of standing, then a run
+    slid = true.copy()
+    slid[:, :, 2] = 0.1 * np.arange(6)[:, None]
+    slid[0, :, 1] = -3.0  # who sinks once is judged in the same frames
+    assert foot_slide_m(slid, true, rate_hz=30.0) == pytest.approx(0.1)
+    assert foot_slide_m(true, true, rate_hz=30.0) == 0.0
+    slid[0] = np.nan
+    assert foot_slide_m(slid, true, rate_hz=30.0) == pytest.approx(0.1)
+    assert foot_slide_m(slid[:1], true[:1], rate_hz=30.0) == 0.0

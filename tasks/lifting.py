@@ -30,7 +30,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import DrawSet, draw_manifests, join_draws, read_draw_sets
 from tasks.seeds import read_limits
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
-from tasks.views import read_torso_basis, shares_takes
+from tasks.torso_bases import read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "LiftingParameters", "plan", "run_shard"]
 

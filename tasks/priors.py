@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.cameras import TorsoBasis, default_torso_basis, learn_torso_basis
+from pasdedeux.cameras import TorsoBasis, learn_torso_basis
 from pasdedeux.plausibility import ANGLES, BONES, JointLimits, Occupancy
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.torso_bases import default_origin, default_torso_basis
 
 __all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_occupancy", "run_shard"]
 
-VERSION = 2
+VERSION = 3
 
 LEAST_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
@@ -40,7 +41,7 @@ def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
             version=VERSION,
             partition="body",
             name="priors",
-            parameters=parameters.model_dump(mode="json"),
+            parameters={**parameters.model_dump(mode="json"), "default_basis": default_origin(inputs.of("poses"))},
             inputs=tuple(manifest.ref for manifest in takes),
             seed=inputs.seed,
         )
@@ -60,7 +61,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     takes = merge_takes(*(store.manifest(ref) for ref in shard.inputs))
     is_learned = len(poses) >= LEAST_POSES
     count = int(options["num_components"])
-    basis = learn_torso_basis(poses, num_components=count) if is_learned else default_torso_basis(num_components=count)
+    origin = str(options["default_basis"])
+    if is_learned:
+        basis = learn_torso_basis(poses, num_components=count)
+    else:
+        basis = default_torso_basis(origin, num_components=count)
     limits = JointLimits.published()
     if is_learned:
         limits = limits.widened(poses, name="prior takes", percentile=float(options["percentile"]))
@@ -69,7 +74,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "kind": "priors",
         "takes": takes,
         "num_poses": len(poses),
-        "origin": "prior takes" if is_learned else "body proportions: no prior take is named",
+        "origin": "prior takes" if is_learned else f"{origin}: no prior take is named",
         "explained_variance": float(basis.explained_variance.sum()),
         "valid_share": float(limits.is_valid(poses).mean()) if len(poses) else None,
     }

@@ -15,7 +15,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.seed_files import SeedFile, credits_of, load_seed, read_seed
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
-from tasks.views import read_torso_basis, shares_takes
+from tasks.torso_bases import read_torso_basis, shares_takes
 
 __all__ = [
     "STAGE",

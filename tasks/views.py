@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.cameras import DEPTH_RULES, TorsoBasis, ViewOptions, default_torso_basis, estimate_views
-from storage_schema import ArtifactRef, Manifest, Store
+from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
+from storage_schema import ArtifactRef, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
-__all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "read_torso_basis", "run_shard", "shares_takes"]
+__all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
 
-VERSION = 1
+VERSION = 2
 
 _MOST_NAMED = 20
 
@@ -56,7 +57,7 @@ class ViewsParameters(Parameters):
 def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
     """Plan a shard per artifact of annotations, also of single people: their shard says that it skipped them.
 
-    Annotations of a take that the torso basis was learned from are lifted with the default basis instead, so that no
+    Annotations of a take that the torso basis was learned from are lifted with a default basis instead, so that no
     view rests on the 3D of its own take.
     """
     bases = inputs.of("torso_basis")
@@ -74,11 +75,6 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
     ]
 
 
-def shares_takes(one: Manifest, other: Manifest) -> bool:
-    """Tell whether two artifacts rest on a common take."""
-    return not set(one.facts.get("takes", [])).isdisjoint(other.facts.get("takes", []))
-
-
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Estimate the views of one artifact's annotated pairs and commit them, with what was skipped and why."""
     annotations = store.manifest(shard.inputs[0])
@@ -86,7 +82,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     options = ViewsParameters.model_validate(shard.parameters, strict=False).options()
     estimates = estimate_views(
         pairs.px,
-        read_torso_basis(store, shard.inputs[1:]),
+        read_torso_basis(store, shard.inputs),
         confidence=pairs.confidence,
         camera_index=np.unique(pairs.sequence_id.astype(str), return_inverse=True)[1],
         options=options,
@@ -115,7 +111,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "kind": "views",
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
         "learned_takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs[1:])),
-        "torso_basis": "prior takes" if len(shard.inputs) > 1 else "body proportions",
+        "torso_basis": "prior takes" if len(shard.inputs) > 1 else default_origin([annotations]),
         "sequence_ids": annotations.facts.get("sequence_ids", []),
         "purpose": annotations.facts.get("purpose"),
         "is_held_out": bool(annotations.facts.get("is_held_out", False)),
@@ -127,20 +123,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "skipped": skipped,
     }
     return commit(shard, store, tables={"views": columns}, facts=facts)
-
-
-def read_torso_basis(store: Store, refs: tuple[ArtifactRef, ...]) -> TorsoBasis:
-    """Give the torso basis among these artifacts; the default of body proportions where there is none."""
-    for ref in refs:
-        if "torso_basis" in store.manifest(ref).tables:
-            table = store.read(ref, "torso_basis")
-            return TorsoBasis(
-                mean_m=np.asarray(table["torso_m"][0]),
-                components_m=np.asarray(table["torso_m"][1:]),
-                standard_deviation_m=np.asarray(table["standard_deviation_m"][1:]),
-                explained_variance=np.asarray(table["explained_variance"][1:]),
-            )
-    return default_torso_basis()
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from pasdedeux.cameras.torso import (
     learn_torso_basis,
     lift_torsos,
 )
-from pasdedeux.cameras.torso_default import default_torso_basis
+from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD, ViewDensity
 from pasdedeux.cameras.views import (
     DEPTH_RULES,
@@ -66,7 +66,6 @@ __all__ = [
     "angle_between_directions",
     "angles_of_direction",
     "annotate",
-    "default_torso_basis",
     "direction_of_angles",
     "estimate_views",
     "frame_take",
@@ -80,6 +79,7 @@ __all__ = [
     "pixels_from_metres",
     "project_orthographic",
     "project_pair",
+    "proportions_torso_basis",
     "sample_views",
     "swap_people",
     "true_direction",

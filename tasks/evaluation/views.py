@@ -14,7 +14,8 @@ from storage_schema import Store, TableData
 from tasks.evaluation.topic import TopicResult, make_shard
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
 from tasks.stage import Shard, StageInputs, stream
-from tasks.views import ViewsParameters, read_torso_basis, shares_takes
+from tasks.torso_bases import read_torso_basis, shares_takes
+from tasks.views import ViewsParameters
 
 __all__ = ["TOPIC", "run", "shards"]
 
@@ -70,7 +71,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
             scores += view_scores(estimated, weight, true, split=split)
             known += [(str(table["sequence_id"][start]), place) for table, start, _, place in rows]
     if known:
-        scores += _robustness(shard, store, known, cameras, takes, last)
+        scores += _robustness(shard, store, known, cameras, takes)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
     skipped = [note for ref in shard.inputs[:num_views] for note in store.manifest(ref).facts.get("skipped", [])]
@@ -88,7 +89,6 @@ def _robustness(
     known: Sequence[tuple[str, tuple[str, int]]],
     cameras: dict[str, PinholeCamera],
     takes: dict[str, np.ndarray],
-    first_basis: int,
 ) -> list[Score]:
     """Estimate the views of some annotated pairs again, from exact images with noise and occlusion of our own."""
     generator = stream(shard.seed, TOPIC, "robustness")
@@ -99,7 +99,7 @@ def _robustness(
     camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
     settings = store.manifest(shard.inputs[0]).parameters
     options = ViewsParameters.model_validate(settings, strict=False).options()
-    basis = read_torso_basis(store, shard.inputs[first_basis:])
+    basis = read_torso_basis(store, shard.inputs)
     return view_robustness(generator, images, truth, camera_index, basis, options)
 
 

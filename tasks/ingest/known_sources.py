@@ -7,13 +7,16 @@ from dataclasses import dataclass
 
 from storage_schema import SourceCredit
 
-__all__ = ["CMU_CREDIT", "KnownSource", "known_source"]
+__all__ = ["CMU_CREDIT", "DUET_CREDIT", "KnownSource", "known_source"]
 
 CMU_CREDIT = SourceCredit(
     name="CMU Graphics Lab Motion Capture Database",
     licence="Free for all uses; the data itself may not be resold",
     credit="The data used in this project was obtained from mocap.cs.cmu.edu. "
     "The database was created with funding from NSF EIA-0196217.",
+)
+DUET_CREDIT = SourceCredit(
+    name="pasdedeux built-in duets", licence="Apache-2.0", credit="Closed-form choreography of the pasdedeux package"
 )
 
 _CMU_NAME = re.compile(r"^(\d{1,3})_\d{1,3}\.(amc|bvh)$", re.IGNORECASE)

@@ -9,8 +9,9 @@ from typing import Any
 from pasdedeux.choreography import DUETS
 from pasdedeux.errors import InputError
 from tasks.ingest.annotation_sources import file_frames, find_annotations
+from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.ingest.parameters import DuetOptions, IngestParameters, PairOptions, PersonOptions, TakeOptions
-from tasks.ingest.sources import DUET_CREDIT, PersonSource, credit_of, find_person
+from tasks.ingest.sources import PersonSource, credit_of, find_person
 from tasks.stage import Shard, StageInputs
 
 __all__ = ["VERSION", "plan"]

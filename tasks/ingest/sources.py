@@ -37,9 +37,6 @@ __all__ = ["PersonSource", "credit_of", "find_person", "layout_named", "load_fil
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
 
-DUET_CREDIT = SourceCredit(
-    name="pasdedeux built-in duets", licence="Apache-2.0", credit="Closed-form choreography of the pasdedeux package"
-)
 NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
 LEAST_UNIT_SURENESS = 0.3

@@ -8,18 +8,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import PinholeCamera, angle_between_directions, frame_take, sample_views, true_direction
+from pasdedeux.cameras import (
+    PinholeCamera,
+    angle_between_directions,
+    frame_take,
+    proportions_torso_basis,
+    sample_views,
+    true_direction,
+)
+from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import priors, views
+from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.seeds import read_limits
 from tasks.stage import Shard, StageInputs
+from tasks.torso_bases import read_torso_basis
 from tests.unit.test_joint_limits import wild
 from tests.unit.test_views import dancers
 
+DANCERS = SourceCredit("dancers", "CC0", "made up for tests")
 
-def put(store: Store, name: str, tables: dict[str, Any], facts: dict[str, Any]) -> Manifest:
+
+def put(
+    store: Store, name: str, tables: dict[str, Any], facts: dict[str, Any], source: SourceCredit = DANCERS
+) -> Manifest:
     """Commit what `ingest` would have written."""
     ref = store.commit(
         stage="ingest",
@@ -33,12 +47,20 @@ def put(store: Store, name: str, tables: dict[str, Any], facts: dict[str, Any]) 
         files=[],
         tables=tables,
         facts=facts,
-        sources=[SourceCredit("dancers", "CC0", "made up for tests")],
+        sources=[source],
     )
     return store.manifest(ref)
 
 
-def put_take(store: Store, take_id: str, *, is_prior: bool, is_held_out: bool = False, frames: int = 60) -> Manifest:
+def put_take(
+    store: Store,
+    take_id: str,
+    *,
+    is_prior: bool,
+    is_held_out: bool = False,
+    frames: int = 60,
+    source: SourceCredit = DANCERS,
+) -> Manifest:
     count = 2 * frames
     pairs = dancers(sum(map(ord, take_id)), frames)
     columns = {
@@ -54,7 +76,7 @@ def put_take(store: Store, take_id: str, *, is_prior: bool, is_held_out: bool = 
         "body22_world_unitquat": np.zeros((count, 22, 4)),
     }
     facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "is_prior": is_prior, "is_held_out": is_held_out}
-    return put(store, take_id, {"poses": columns}, facts)
+    return put(store, take_id, {"poses": columns}, facts, source)
 
 
 def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
@@ -131,7 +153,7 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert facts["takes"] == ["waltz"]
     assert facts["num_poses"] == 120
     assert facts["valid_share"] > 0.95
-    basis = views.read_torso_basis(store, (ref,))
+    basis = read_torso_basis(store, (ref,))
     assert basis.components_m.shape == (3, 6, 3)
     shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
     limits = read_limits(shard, store)
@@ -150,9 +172,25 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
     facts = store.manifest(ref).facts
     assert facts["takes"] == []
     assert "no prior take" in facts["origin"]
-    assert len(views.read_torso_basis(store, (ref,)).components_m) == 4
+    assert len(read_torso_basis(store, (ref,)).components_m) == 4
     shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
     assert not priors.read_occupancy(shard, store).counts.any()
+
+
+def test_the_default_basis_is_learned_from_the_duets_unless_those_are_what_it_would_lift(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    (elsewhere,) = run(priors, store, {"poses": [put_take(store, "salsa", is_prior=False)]})
+    duet = put_take(store, "waltz", is_prior=False, source=DUET_CREDIT)
+    (on_duets,) = run(priors, store, {"poses": [duet]})
+    assert store.manifest(elsewhere).facts["origin"].startswith("built-in duets")
+    assert store.manifest(on_duets).facts["origin"].startswith("body proportions")
+    learned, proportions = duet_torso_basis(), proportions_torso_basis()
+    np.testing.assert_array_equal(read_torso_basis(store, [elsewhere]).mean_m, learned.mean_m)
+    np.testing.assert_array_equal(read_torso_basis(store, [on_duets]).mean_m, proportions.mean_m)
+    assert np.abs(learned.mean_m - proportions.mean_m).max() > 0.01
+    # Without the stage `priors` the rule is the same.
+    np.testing.assert_array_equal(read_torso_basis(store, [duet.ref]).mean_m, proportions.mean_m)
+    np.testing.assert_array_equal(read_torso_basis(store, []).mean_m, learned.mean_m)
 
 
 def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path: Path) -> None:
@@ -186,7 +224,7 @@ def test_a_take_is_not_lifted_with_a_basis_that_was_learned_from_it(tmp_path: Pa
     (ref,) = run(views, store, {"annotations": [annotations], "torso_basis": own})
     manifest = store.manifest(ref)
     assert manifest.facts["learned_takes"] == []
-    assert manifest.facts["torso_basis"] == "body proportions"
+    assert manifest.facts["torso_basis"] == "built-in duets"
     assert [one.key for one in manifest.inputs] == [annotations.ref.key]
 
 

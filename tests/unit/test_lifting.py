@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import default_torso_basis, project_pair
+from pasdedeux.cameras import project_pair, proportions_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
@@ -17,7 +17,7 @@ from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.skeletons import PAIR17
 from tests.unit.test_views import dancers
 
-LIMITS, BASIS = JointLimits.published(), default_torso_basis()
+LIMITS, BASIS = JointLimits.published(), proportions_torso_basis()
 
 
 def annotated(count: int) -> tuple[np.ndarray, AnnotatedPairs]:

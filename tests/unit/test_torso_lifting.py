@@ -8,9 +8,9 @@ import pytest
 from pasdedeux.cameras import (
     TORSO_JOINTS,
     TorsoBasis,
-    default_torso_basis,
     learn_torso_basis,
     lift_torsos,
+    proportions_torso_basis,
     torso,
 )
 from pasdedeux.cameras.torso import NOISE_SHARE
@@ -19,7 +19,7 @@ from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from tests.unit.test_joint_limits import wild
 
-BASIS = default_torso_basis()
+BASIS = proportions_torso_basis()
 
 
 def turned_torsos(seed: int, count: int, deviation: float = 0.0) -> np.ndarray:

@@ -10,12 +10,12 @@ from pasdedeux.cameras import (
     ViewDensity,
     ViewOptions,
     angle_between_directions,
-    default_torso_basis,
     direction_of_angles,
     estimate_views,
     frame_take,
     metres_from_pixels,
     pair_in_metres,
+    proportions_torso_basis,
     sample_views,
     swap_people,
     true_direction,
@@ -26,7 +26,7 @@ from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unit
 from pasdedeux.skeletons import PAIR17
 from tests.unit.test_joint_limits import standing
 
-BASIS = default_torso_basis()
+BASIS = proportions_torso_basis()
 
 
 def dancers(seed: int, count: int) -> np.ndarray:

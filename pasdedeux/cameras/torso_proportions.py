@@ -1,4 +1,4 @@
-"""A torso basis from body proportions alone, for studies that name no prior takes."""
+"""A torso basis from body proportions alone, for whatever has no motion to learn from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pasdedeux.cameras.torso import TorsoBasis, learn_torso_basis
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["default_torso_basis"]
+__all__ = ["proportions_torso_basis"]
 
 Array = npt.NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _DEVIATION_DEG = {"flexion": 15.0, "lateral": 8.0, "torsion": 14.0, "shrug": 8.0
 """How much trunks bend and shoulders move in everyday and dance motion, standard deviations."""
 
 
-def default_torso_basis(*, num_components: int = 4) -> TorsoBasis:
+def proportions_torso_basis(*, num_components: int = 4) -> TorsoBasis:
     """Give a torso basis of an average body that bends, twists and moves its shoulders; it has seen no take.
 
     The torsos are drawn once from a fixed stream, so the basis is always the same.

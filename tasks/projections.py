@@ -6,15 +6,17 @@ For comparison also the codebook of the published search, when asked: clusters o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.camera import DatabaseCamera, cameras_of
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.published import PublishedSettings, build_codebook
@@ -24,15 +26,32 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
-__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "plan", "read_pairs", "run_shard"]
+__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "Views", "plan", "read_pairs", "read_views", "run_shard"]
 
-VERSION = 2
+VERSION = 3
 
 
 class ProjectionsParameters(Parameters):
-    """Which poses enter the database, and at which rate."""
+    """Which poses enter the database, at which rate, and what cameras see them."""
 
     rate_hz: float = Field(24.0, gt=0, le=240, description="Frames per second of the database")
+    yaw_step_deg: float = Field(
+        12.0, ge=1, le=360, description="Degrees between the directions that every pose is seen from; they divide 360"
+    )
+    camera: Literal["orthographic", "pinhole"] = Field(
+        "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
+    )
+    pitches_deg: tuple[float, ...] = Field(
+        (0.0, 20.0, 30.0, 45.0),
+        description="Pitches of the camera, which looks at the mid-hip; of these and the heights the one that matches "
+        "a sequence best is taken",
+    )
+    heights_m: tuple[float, ...] = Field(
+        (1.5,),
+        description="Heights of the camera over the floor: more pitches, those at which it looks at the mid-hip of who "
+        "stands distance_m away",
+    )
+    distance_m: float = Field(4.0, gt=1.5, le=100, description="Distance of the camera from the mid-hip")
     include_draws: bool = Field(False, description="Poses of the chains' draws enter the database")
     include_variants: bool = Field(False, description="Poses of the variants enter the database")
     densities: tuple[str, ...] = Field(("ic",), description="Densities whose draws enter")
@@ -52,6 +71,57 @@ class ProjectionsParameters(Parameters):
     )
     num_cluster_dimensions: int = Field(5, ge=1, le=100, description="Dimensions of the embedding that is clustered")
 
+    @model_validator(mode="after")
+    def _check_views(self) -> Self:
+        """Refuse steps that do not close the turn, and cameras that cannot be."""
+        if abs(360.0 / self.yaw_step_deg - self.num_yaws) > 1e-6:
+            raise ValueError(f"yaw_step_deg is {self.yaw_step_deg:g}; a full turn must be a whole number of steps")
+        try:
+            Views.of(self.views)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    @property
+    def num_yaws(self) -> int:
+        """Yaw steps over the full turn."""
+        return round(360.0 / self.yaw_step_deg)
+
+    @property
+    def views(self) -> dict[str, Any]:
+        """What the facts of a part say about how its poses are seen."""
+        return {
+            "num_yaws": self.num_yaws,
+            "camera": self.camera,
+            "pitches_deg": list(self.pitches_deg),
+            "heights_m": list(self.heights_m),
+            "distance_m": self.distance_m,
+        }
+
+
+@dataclass(frozen=True)
+class Views:
+    """How the poses of a database are seen: yaw steps over the full turn, and cameras by rising pitch."""
+
+    num_yaws: int
+    cameras: tuple[DatabaseCamera, ...]
+
+    @classmethod
+    def of(cls, facts: dict[str, Any]) -> Views:
+        """Give the views that the facts of a part tell."""
+        cameras = cameras_of(
+            facts["camera"],
+            pitches_deg=facts["pitches_deg"],
+            heights_m=facts["heights_m"],
+            distance_m=facts["distance_m"],
+        )
+        return cls(facts["num_yaws"], cameras)
+
+    @property
+    def level_camera(self) -> DatabaseCamera:
+        """The camera at the height of the mid-hip."""
+        return replace(self.cameras[0], pitch_rad=0.0)
+
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
@@ -66,7 +136,7 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             facts = manifest.facts
             if facts.get("is_held_out", False):
                 continue
-            chosen: dict[str, Any] = {"origin": origin, "rate_hz": parameters.rate_hz}
+            chosen: dict[str, Any] = {"origin": origin, "rate_hz": parameters.rate_hz, "views": parameters.views}
             if origin == "draw":
                 if "density" in facts and facts["density"] not in parameters.densities:
                     continue
@@ -95,6 +165,7 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                 parameters={
                     "origin": "codebook",
                     "rate_hz": parameters.rate_hz,
+                    "num_yaws": parameters.num_yaws,
                     "num_clusters": parameters.num_clusters,
                     "num_dimensions": parameters.num_cluster_dimensions,
                     "least_change": parameters.least_cluster_change,
@@ -130,6 +201,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "takes": merge_takes(store.manifest(ref)),
         "num_poses": len(positions),
         "rate_hz": shard.parameters["rate_hz"],
+        "views": shard.parameters["views"],
     }
     return commit(shard, store, tables={"projections": columns}, facts=facts)
 
@@ -146,6 +218,7 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
     database = Database(
         np.concatenate([np.asarray(table["op14_m"]) for table in tables]),
         np.concatenate([np.asarray(table["is_sequence_start"]) for table in tables]),
+        num_yaws=shard.parameters["num_yaws"],
         rate_hz=shard.parameters["rate_hz"],
     )
     settings = PublishedSettings(
@@ -167,6 +240,20 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
     }
     sources = [source for part in parts for source in part.sources]
     return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources)
+
+
+def read_views(parts: Sequence[Manifest]) -> Views:
+    """Give how the poses of a database's parts are seen.
+
+    Raises:
+        InputError: Parts do not tell, or differ.
+    """
+    told = [part.facts["views"] for part in parts if "views" in part.facts]
+    if not told or len(told) < len(parts):
+        raise InputError("a projection database of an earlier version does not say what camera sees it; build it again")
+    if any(views != told[0] for views in told):
+        raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
+    return Views.of(told[0])
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
@@ -233,8 +320,9 @@ def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any
     take_ids = list(table["take_id"])
     poses = np.asarray(table["body22_m"], dtype=np.float64)
     parts: list[dict[str, Any]] = []
-    for one in sorted(set(variant)):
-        chosen = np.flatnonzero(variant == one)
+    names, number = np.unique(variant.astype(str), return_inverse=True)
+    for one in range(len(names)):
+        chosen = np.flatnonzero(number == one)
         chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
         from_hz = shard.parameters["source_rate_hz"] or _rate_of(np.asarray(table["time_s"])[chosen])
         pair = resample_positions(

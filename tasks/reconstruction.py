@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import chain
 from typing import Any, Literal
@@ -11,19 +10,20 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.people import follow_and_repair, reconstruct_people
+from pasdedeux.projections.pitch import choose_camera
 from pasdedeux.projections.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import PersonTrack, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.projections import read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 7
+VERSION = 8
 
 
 class ReconstructionParameters(Parameters):
@@ -44,12 +44,6 @@ class ReconstructionParameters(Parameters):
     )
     has_repair: bool = Field(
         True, description="Swapped sides, exchanged limbs and wild keypoints are put right or left out"
-    )
-    num_yaws: int = Field(30, ge=1, le=360, description="Yaw steps of the database over a full turn")
-    pitches_deg: tuple[float, ...] = Field(
-        (0.0, 10.0, 20.0, 30.0, 45.0),
-        min_length=1,
-        description="Pitches of the database's camera; the one that matches a sequence best is taken",
     )
     num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
     exact_up_to: int = Field(
@@ -190,18 +184,17 @@ def _reconstruct(
     if len(poses) == 0:
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}
-    rate_hz = float(store.manifest(database_refs[0]).facts["rate_hz"])
-    cameras = [OrthographicCamera(math.radians(pitch)) for pitch in parameters.pitches_deg]
-    searchers = [
-        Searcher.of(
-            Database(poses, starts, num_yaws=parameters.num_yaws, rate_hz=rate_hz, camera=camera),
-            exact_up_to=parameters.exact_up_to,
-        )
-        for camera in cameras
+    parts = [store.manifest(ref) for ref in database_refs]
+    views = read_views(parts)
+    databases = [
+        Database(poses, starts, num_yaws=views.num_yaws, rate_hz=float(parts[0].facts["rate_hz"]), camera=camera)
+        for camera in views.cameras
     ]
-    found = reconstruct_people(searchers, people, parameters.methods, options, has_clean_up=parameters.has_clean_up)
-    chosen = searchers[found.searcher_index]
-    facts["pitch_deg"] = parameters.pitches_deg[found.searcher_index]
+    suited = databases[choose_camera(databases, [person.track for person in people], options)]
+    chosen = Searcher.of(suited, exact_up_to=parameters.exact_up_to)
+    found = reconstruct_people([chosen], people, parameters.methods, options, has_clean_up=parameters.has_clean_up)
+    facts["camera"] = parts[0].facts["views"]["camera"]
+    facts["pitch_deg"] = float(np.rad2deg(suited.camera.pitch_rad))
     facts["num_projections"] = chosen.database.num_projections
     facts["search_slack"] = chosen.index.slack
     rng = stream(seed, "reconstruction", "recall", sequence_id)

@@ -68,8 +68,9 @@ num_spans = 1
 [augmentation]
 scales = [0.75, 0.95, 1.05, 1.25]
 
-[reconstruction]
+[projections]
 pitches_deg = [0.0, 20.0]
+heights_m = []
 
 [evaluation]
 num_truth_pairs = 12

@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
@@ -25,7 +25,6 @@ from pasdedeux.formats import (
     read_openpose_frame,
     write_bvh,
 )
-from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
 from pasdedeux.projections.people import reconstruct_detections
@@ -33,11 +32,11 @@ from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
+from tasks.projections import read_views
 from tasks.reconstruction import read_database
 
 __all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
 
-_PITCHES_DEG = (0.0, 10.0, 20.0, 30.0, 45.0)
 _LIVE_PITCH_DEG = 10.0
 _CHECKED_ROWS = 30
 """Detections after which a live video's keypoints are checked for looking like people."""
@@ -75,7 +74,7 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
     _check_folder(folder)
     image_size = _image_size(live.size)
     source, refs = _projections(database, store)
-    searcher = _searchers(source, refs, (_LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg,))[0]
+    (searcher,) = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
     options = LiveOptions(lag=live.lag)
     people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
     with _lines(live.out) as file:
@@ -96,9 +95,9 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     joined = join_openpose_frames(frames, sequence_id="video", image_size_px=image_size)
     check_anatomy(joined)
     op14 = KEYPOINT_LAYOUTS[joined.layout].derive("op14", joined.keypoints_px, joined.confidence)
-    pitches = _PITCHES_DEG if whole.pitch_deg is None else (whole.pitch_deg,)
+    searchers = _searchers(source, refs, whole.pitch_deg)
     crowd = reconstruct_detections(
-        _searchers(source, refs, pitches),
+        searchers,
         joined.frame,
         op14.positions,
         op14.confidence,
@@ -120,8 +119,10 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
         )
     for person_id, reason in crowd.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
+    camera = searchers[crowd.searcher_index].database.camera
     typer.echo(
-        f"camera pitch {pitches[crowd.searcher_index]:g} degrees; {crowd.num_merged_rows} doubled detections merged, "
+        f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; "
+        f"{crowd.num_merged_rows} doubled detections merged, "
         f"{crowd.num_ghost_rows} dropped, {crowd.num_repaired_joints} joints repaired or left out",
         err=True,
     )
@@ -165,12 +166,18 @@ def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef
     return store, next(iter(found.values()))
 
 
-def _searchers(store: Store, refs: list[ArtifactRef], pitches_deg: tuple[float, ...]) -> list[Searcher]:
-    rows = read_database(store, refs)
-    rate_hz = float(store.manifest(refs[0]).facts["rate_hz"])
+def _searchers(store: Store, refs: list[ArtifactRef], pitch_deg: float | None) -> list[Searcher]:
+    """Give the database as each of its cameras sees it, or as one of this pitch does."""
+    parts = [store.manifest(ref) for ref in refs]
+    views = read_views(parts)
+    cameras = views.cameras
+    if pitch_deg is not None:
+        cameras = (replace(views.level_camera, pitch_rad=math.radians(pitch_deg)),)
+    poses, starts, _, _ = read_database(store, refs)
+    rate_hz = float(parts[0].facts["rate_hz"])
     return [
-        Searcher.of(Database(rows[0], rows[1], rate_hz=rate_hz, camera=OrthographicCamera(math.radians(pitch))))
-        for pitch in pitches_deg
+        Searcher.of(Database(poses, starts, num_yaws=views.num_yaws, rate_hz=rate_hz, camera=camera))
+        for camera in cameras
     ]
 
 

@@ -28,7 +28,6 @@ from pasdedeux.evaluation.reconstruction_metrics import (
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.pitch import floor_offset
 from pasdedeux.projections.proportions import retarget_image
@@ -211,15 +210,13 @@ def reconstruct_seen(
     """Give a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
 
     Args:
-        searcher: Database that has not seen the motion, orthographic camera.
+        searcher: Database that has not seen the motion.
         seen: What is reconstructed.
         methods: Which methods.
         codebook: Clusters of the database: the published search and the window rule make `as_published` then.
         has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
     """
     camera = searcher.database.camera
-    if not isinstance(camera, OrthographicCamera):
-        raise InputError(f"reconstruction needs a database of an orthographic camera, this one has {camera}")
     track, options = seen.track, seen.options
     found = match_track(searcher, track, options)
     made: dict[str, Reconstruction] = {
@@ -262,7 +259,7 @@ def unseen_view_scores(
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
     Args:
-        searcher: Database that has not seen the motion, level orthographic camera.
+        searcher: Database that has not seen the motion, of a level camera.
         world_m: The motion (frame, 14, 3), upright axes.
         setting: How it is seen.
         condition: What is done to the images.

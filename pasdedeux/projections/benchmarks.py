@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pasdedeux.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.projections.bones import place_bone_rotations
-from pasdedeux.projections.camera import PinholeCamera
+from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.live import LivePerson
 from pasdedeux.projections.published import build_codebook, search_published
@@ -202,7 +202,8 @@ def _live() -> BenchmarkResult:
     searcher = Searcher.of(made_up_database())
     truth = made_up_database(_LIVE_FRAMES, seed=1).poses_m.astype(np.float64)
     rng = np.random.default_rng(2)
-    px = PinholeCamera().project(truth) * np.array([350.0, -350.0]) + rng.normal(0.0, 1.0, (_LIVE_FRAMES, 14, 2))
+    camera = PinholeCamera(pitch_of_height(1.5, 4.0), 4.0)
+    px = camera.project(truth) * np.array([350.0, -350.0]) + rng.normal(0.0, 1.0, (_LIVE_FRAMES, 14, 2))
     lens = Lens(1400.0, (0.0, 0.0))
     confidence = np.ones(px.shape[:-1])
 

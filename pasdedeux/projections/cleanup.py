@@ -16,7 +16,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.projections.bones import bone_rotations
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.reconstruct import Reconstruction
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.skeletons import OP14
@@ -252,7 +252,7 @@ def _runs(values: Booleans) -> list[tuple[int, int]]:
 def clean_reconstruction(
     found: Reconstruction,
     origin_m: Array,
-    camera: OrthographicCamera,
+    camera: DatabaseCamera,
     *,
     rate_hz: float,
     options: CleanUpOptions | None = None,

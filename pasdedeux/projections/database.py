@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,6 +94,14 @@ class Database:
         has_next = np.zeros(self.num_rows, dtype=bool)
         has_next[:-1] = ~self.is_sequence_start[1:]
         return np.where(has_next, rows + 1, rows)
+
+    def thinned(self, most_projections: int) -> Database:
+        """Give about as many projections at most, of evenly spaced poses; each starts a motion of its own."""
+        step = -(-self.num_projections // most_projections)
+        if step <= 1:
+            return self
+        starts = np.ones(len(self.poses_m[::step]), dtype=bool)
+        return replace(self, poses_m=self.poses_m[::step], is_sequence_start=starts)
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
         """Give the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.motion import Motion
 from pasdedeux.projections.bones import REST_DIRECTIONS, bone_rotations
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.skeletons import OP14, Skeleton
 
 __all__ = ["MOTION_SKELETON", "motion_from_bones", "motion_from_positions", "upright_motion"]
@@ -73,7 +73,7 @@ def motion_from_positions(positions_m: Array, lengths_m: Array, *, rate_hz: floa
     return motion_from_bones(bone_rotations(positions_m), lengths_m, positions_m[:, OP14.root], rate_hz=rate_hz)
 
 
-def upright_motion(positions_m: Array, camera: OrthographicCamera, *, rate_hz: float) -> Motion:
+def upright_motion(positions_m: Array, camera: DatabaseCamera, *, rate_hz: float) -> Motion:
     """Give the motion of op14 positions (frame, 14, 3) in the axes of a pitched camera, turned upright.
 
     Bone lengths are those of the first frame; positions are expected to keep them.

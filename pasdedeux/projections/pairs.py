@@ -72,7 +72,7 @@ class PairDatabase:
     Args:
         pairs_m: Pairs (row, person, 14, 3) as `centre_pairs` gives them, metres; kept in float32.
         num_yaws: Yaw steps over the full turn.
-        camera: The camera that sees them; a pinhole sees the lower ankle of both on the floor.
+        camera: The camera that sees them; it looks at the middle of both mid-hips.
 
     Raises:
         InputError: Another shape, no row, no yaw, or a value that is not finite.
@@ -110,7 +110,7 @@ class PairDatabase:
         """Give the projections (row, yaw, person, 14, 2) of some rows, about the middle of both mid-hips, metres."""
         rows = np.arange(len(self.pairs_m))[first_row:last_row]
         turned = self.turned(*np.broadcast_arrays(rows[:, None], np.arange(self.num_yaws)))
-        return np.asarray(self.camera.project_pairs(turned), dtype=np.float32)
+        return np.asarray(self.camera.project(turned), dtype=np.float32)
 
 
 @dataclass(frozen=True)

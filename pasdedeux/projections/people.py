@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
-from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
@@ -175,20 +174,15 @@ def reconstruct_people(
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
     Args:
-        searchers: Databases made ready, one per pitch of an orthographic camera; the one that suits best is used.
+        searchers: Databases made ready, one per camera; the one that suits best is used.
         people: Tracks, repaired as far as they can be.
         methods: Methods; the last one is cleaned up and gives the motions.
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
-
-    Raises:
-        InputError: A searcher's camera is not orthographic.
     """
     options = options or ReconstructionOptions()
-    chosen = choose_pitch(searchers, [one.track for one in people], options)
+    chosen = choose_pitch(searchers, [one.track for one in people], options) if len(searchers) > 1 else 0
     searcher, camera = searchers[chosen], searchers[chosen].database.camera
-    if not isinstance(camera, OrthographicCamera):
-        raise InputError(f"reconstruction needs a database of an orthographic camera, this one has {camera}")
     skipped: dict[int, str] = {}
     matched = []
     for person in people:
@@ -232,7 +226,7 @@ def reconstruct_detections(
     """Reconstruct the people of a video.
 
     Args:
-        searchers: Databases made ready, one per pitch of an orthographic camera; the one that fits best is used.
+        searchers: Databases made ready, one per camera; the one that fits best is used.
         frame: Frame of each detection (row,).
         keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; people of a frame in any order.
         confidence: (row, 14).
@@ -243,7 +237,7 @@ def reconstruct_detections(
         has_clean_up: Planted feet are stilled and the floor is kept.
 
     Raises:
-        InputError: Nobody can be reconstructed (says why), or a searcher's camera is not orthographic.
+        InputError: Nobody can be reconstructed (says why).
     """
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"the frame rate is {rate_hz}, it must be positive")

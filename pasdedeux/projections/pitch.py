@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.projections.database import Database
 from pasdedeux.projections.reconstruct import (
     Method,
     Reconstruction,
@@ -22,7 +23,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.tracks import Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["choose_pitch", "floor_offset"]
+__all__ = ["choose_camera", "choose_pitch", "floor_offset"]
 
 Array = npt.NDArray[np.float64]
 
@@ -31,11 +32,26 @@ _FLOOR_WEIGHT = 0.05
 _MOST_FLOOR_M = 0.1
 """More than this says only that the floor is wrong: how far away people are who come very near is badly known."""
 
+_MOST_PROJECTIONS = 1_000_000
+"""Projections that a camera is judged by."""
+
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
 
+def choose_camera(
+    databases: Sequence[Database], tracks: Sequence[Track], options: ReconstructionOptions | None = None
+) -> int:
+    """Give the index of the database (one per camera) that suits the tracks of a sequence best; see `choose_pitch`.
+
+    Every camera sees the same poses, so an even choice of the poses of a large database answers, one camera at a time.
+    """
+    if len(databases) == 1:
+        return 0
+    return choose_pitch((Searcher.of(database.thinned(_MOST_PROJECTIONS)) for database in databases), tracks, options)
+
+
 def choose_pitch(
-    databases: Sequence[Searcher],
+    databases: Iterable[Searcher],
     tracks: Sequence[Track],
     options: ReconstructionOptions | None = None,
     *,
@@ -66,7 +82,7 @@ def choose_pitch(
     return int(np.argmin(costs))
 
 
-def floor_offset(reconstructions: Sequence[Reconstruction], camera: OrthographicCamera | None = None) -> Array:
+def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera | None = None) -> Array:
     """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
     The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured

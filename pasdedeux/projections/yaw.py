@@ -58,15 +58,14 @@ def refine_yaws(
     row = np.ascontiguousarray(neighbours.row.reshape(-1, count))
     yaw = neighbours.yaw_index.reshape(-1, count).astype(np.float64)
     distance = np.full(row.shape, np.inf)
-    rays = database.camera.rays
+    camera = database.camera
     _refine(
         query.reshape(-1, joints, 2).astype(np.float64),
         weight.reshape(-1, joints).astype(np.float64),
         database.poses_m,
         row,
         database.yaw_step_rad,
-        np.array([rays.cos_pitch, rays.sin_pitch, rays.distance_m, rays.floor_to_camera_m]),
-        np.array(rays.ankles),
+        np.array([np.cos(camera.pitch_rad), np.sin(camera.pitch_rad), camera.ray_distance_m]),
         yaw,
         distance,
     )
@@ -74,10 +73,8 @@ def refine_yaws(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cost(
-    yaw: float, pose: npt.NDArray[np.float32], below: float, query: Array, weight: Array, total: float, rays: Array
-) -> float:
-    """Give the metric between a query and a pose at a yaw, seen by a camera; see `camera.Rays`."""
+def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
+    """Give the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch, and the distance."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     summed = 0.0
     for joint in range(query.shape[0]):
@@ -86,9 +83,9 @@ def _cost(
         x = cosine * pose[joint, 0] + sine * pose[joint, 2]
         z = cosine * pose[joint, 2] - sine * pose[joint, 0]
         y = rays[0] * pose[joint, 1] - rays[1] * z
-        shrink = 1.0 / (1.0 - z / rays[2])
+        shrink = 1.0 / (1.0 - (rays[1] * pose[joint, 1] + rays[0] * z) / rays[2])
         dx = query[joint, 0] - x * shrink
-        dy = query[joint, 1] - ((y + below) * shrink - below)
+        dy = query[joint, 1] - y * shrink
         summed += weight[joint] * np.sqrt(dx * dx + dy * dy)
     return summed / total
 
@@ -101,7 +98,6 @@ def _refine(
     row: npt.NDArray[np.int64],
     step: float,
     rays: Array,
-    ankles: npt.NDArray[np.int64],
     yaw: Array,
     distance: Array,
 ) -> None:
@@ -116,30 +112,27 @@ def _refine(
             if row[at, rank] < 0:
                 continue
             pose = poses[row[at, rank]]
-            below = 0.0
-            if np.isfinite(rays[2]):
-                below = -rays[3] - min(pose[ankles[0], 1], pose[ankles[1], 1])
             start = yaw[at, rank] * step
             best = start
-            least = _cost(start, pose, below, query[at], weight[at], total, rays)
+            least = _cost(start, pose, query[at], weight[at], total, rays)
             for place in range(_NUM_PLACES):
                 here = start + (place - _NUM_PLACES // 2) * width
-                cost = _cost(here, pose, below, query[at], weight[at], total, rays)
+                cost = _cost(here, pose, query[at], weight[at], total, rays)
                 if cost < least:
                     best, least = here, cost
             low, high = best - width, best + width
             a, b = high - golden * (high - low), low + golden * (high - low)
-            cost_a = _cost(a, pose, below, query[at], weight[at], total, rays)
-            cost_b = _cost(b, pose, below, query[at], weight[at], total, rays)
+            cost_a = _cost(a, pose, query[at], weight[at], total, rays)
+            cost_b = _cost(b, pose, query[at], weight[at], total, rays)
             for _ in range(_NUM_SECTIONS):
                 if cost_a < cost_b:
                     high, b, cost_b = b, a, cost_a
                     a = high - golden * (high - low)
-                    cost_a = _cost(a, pose, below, query[at], weight[at], total, rays)
+                    cost_a = _cost(a, pose, query[at], weight[at], total, rays)
                 else:
                     low, a, cost_a = a, b, cost_b
                     b = low + golden * (high - low)
-                    cost_b = _cost(b, pose, below, query[at], weight[at], total, rays)
+                    cost_b = _cost(b, pose, query[at], weight[at], total, rays)
             if min(cost_a, cost_b) < least:
                 least = min(cost_a, cost_b)
                 best = a if cost_a < cost_b else b

@@ -23,12 +23,15 @@ from pasdedeux.evaluation.unseen_views import (
     see,
     unseen_view_scores,
 )
+from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import Codebook
 from pasdedeux.projections.reconstruct import Method, Searcher
 from pasdedeux.projections.sources import resample_positions
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import Manifest, Store
 from tasks.evaluation.topic import TopicResult, make_shard, read_people, refuse_overlap
+from tasks.projections import read_views
+from tasks.reconstruction import read_database
 from tasks.stage import Shard, StageInputs, stream
 
 __all__ = ["LEFT_OUT_TOPIC", "TOPICS", "left_out_shards", "run", "run_left_out", "shards"]
@@ -107,7 +110,7 @@ def left_out_shards(inputs: StageInputs, *, yaws_deg: Sequence[float], is_wanted
 def run(shard: Shard, store: Store) -> TopicResult:
     """Score one take in one setting: a condition, or a sweep of growing levels."""
     setting, kind = Setting(shard.partition), shard.parameters["kind"]
-    searcher, codebook, rate_hz = _database(shard, store)
+    searcher, codebook, rate_hz = _database(shard, store, setting)
     scores: list[Score] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
@@ -159,7 +162,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 def run_left_out(shard: Shard, store: Store) -> TopicResult:
     """Score a take of the database against the rest of the database, by parallel rays."""
-    searcher, _, rate_hz = _database(shard, store)
+    searcher, _, rate_hz = _database(shard, store, Setting.PARALLEL)
     scores: list[Score] = []
     for item, world, person in _people(shard, store, rate_hz):
         for number, condition in enumerate(_LEFT_OUT_CONDITIONS):
@@ -189,7 +192,7 @@ def _stream(seed: int, labels: Sequence[str | int], *more: int) -> np.random.Gen
     return stream(seed, *labels, *more)
 
 
-def _database(shard: Shard, store: Store) -> tuple[Searcher, Codebook | None, float]:
+def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, Codebook | None, float]:
     """Give the database of the shard's parts, in the order of the codebook where there is one, and its rate."""
     _, *others = shard.inputs
     parts, books = others[: shard.parameters["num_parts"]], others[shard.parameters["num_parts"] :]
@@ -203,16 +206,13 @@ def _database(shard: Shard, store: Store) -> tuple[Searcher, Codebook | None, fl
         parts = [by_key[key] for key in store.manifest(books[0]).facts["part_keys"]]
         table = store.read(books[0], "codebook")
         codebook = Codebook(np.asarray(table["representative_m"]), tuple(np.asarray(one) for one in table["members"]))
-    return Searcher.of(_read_database(store, parts, float(used[0]["rate_hz"]))), codebook, float(used[0]["rate_hz"])
-
-
-def _read_database(store: Store, parts: Sequence[ArtifactRef], rate_hz: float) -> Database:
-    tables = [store.read(part, "projections", columns=["op14_m", "is_sequence_start"]) for part in parts]
-    return Database(
-        np.concatenate([np.asarray(table["op14_m"]) for table in tables]),
-        np.concatenate([np.asarray(table["is_sequence_start"]) for table in tables]),
-        rate_hz=rate_hz,
-    )
+    views = read_views([store.manifest(part) for part in parts])
+    rate_hz = float(used[0]["rate_hz"])
+    poses, starts, _, _ = read_database(store, parts)
+    # Parallel views compare with the paper, so parallel rays see the database too, whatever the study's camera.
+    camera = OrthographicCamera() if setting is Setting.PARALLEL else views.level_camera
+    database = Database(poses, starts, num_yaws=views.num_yaws, rate_hz=rate_hz, camera=camera)
+    return Searcher.of(database), codebook, rate_hz
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[tuple[str, np.ndarray, int]]:

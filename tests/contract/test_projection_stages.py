@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from pasdedeux.cameras import look_at_camera
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.pairs import PairDatabase, build_pair_index
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.sources import op14_from_working
@@ -116,10 +118,12 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "store")
 
 
-def build(store: Store, takes: list[Manifest], **tables: list[Manifest]) -> list[Manifest]:
+def build(
+    store: Store, takes: list[Manifest], *, settings: dict[str, Any] | None = None, **tables: list[Manifest]
+) -> list[Manifest]:
     inputs = StageInputs({"poses": takes, **tables}, seed=0)
     parameters = projections.ProjectionsParameters(
-        include_draws="draws" in tables, include_variants="variants" in tables
+        include_draws="draws" in tables, include_variants="variants" in tables, **(settings or {})
     )
     return [store.manifest(projections.run_shard(shard, store)) for shard in projections.plan(inputs, parameters)]
 
@@ -253,8 +257,8 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
 def test_a_search_that_may_miss_says_how_much_it_finds(store: Store) -> None:
     built = build(store, [put_take(store, name) for name in "ab"])
     video, _ = put_video(store, "film", ["held"])
-    (exact,) = reconstruct(store, [video], built, methods=("nearest",), pitches_deg=(0.0,))
-    (missing,) = reconstruct(store, [video], built, methods=("nearest",), pitches_deg=(0.0,), exact_up_to=0)
+    (exact,) = reconstruct(store, [video], built, methods=("nearest",))
+    (missing,) = reconstruct(store, [video], built, methods=("nearest",), exact_up_to=0)
     facts = [store.manifest(ref).facts for ref in (exact, missing)]
     assert facts[0]["search_slack"] == 0.0
     assert facts[0]["search_recall"] == 1.0
@@ -324,3 +328,48 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     (ref,) = reconstruct(store, [video], only_own)
     assert open_table(ref, store).num_rows == 0
     assert "no projection database" in store.manifest(ref).facts["skipped"][0]
+
+
+def test_yaw_steps_and_cameras_of_a_study_reach_the_database_and_who_reads_it(store: Store) -> None:
+    settings = {"yaw_step_deg": 24.0, "camera": "pinhole", "pitches_deg": (8.5,), "heights_m": (), "distance_m": 4.0}
+    built = build(store, [put_take(store, name) for name in "ab"], settings=settings)
+    views = projections.read_views(built)
+    assert views.num_yaws == 15
+    assert views.cameras == (PinholeCamera(np.deg2rad(8.5), 4.0),)
+    assert views.level_camera == PinholeCamera(0.0, 4.0)
+    video, truth = put_video(store, "film", ["held"])
+    (ref,) = reconstruct(store, [video], built, methods=("nearest", "fit"))
+    facts, table = store.manifest(ref).facts, open_table(ref, store)
+    assert facts["camera"] == "pinhole"
+    assert facts["pitch_deg"] == pytest.approx(8.5)
+    assert facts["num_projections"] == 15 * 4 * 72
+    chosen = (np.array(table["method"]) == "fit") & (np.asarray(table["person_id"]) == 0)
+    assert root_centred_error_m(np.asarray(table["op14_m"], dtype=float)[chosen], truth[0]).mean() < 0.12
+
+
+def test_the_default_database_has_steps_of_12_degrees_and_a_camera_at_1_5_metres() -> None:
+    views = projections.Views.of(projections.ProjectionsParameters().views)
+    assert views.num_yaws == 30
+    assert pitch_of_height(1.5, 4.0) in [camera.pitch_rad for camera in views.cameras]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"yaw_step_deg": 7.0}, "whole number of steps"),
+        ({"pitches_deg": (), "heights_m": ()}, "needs a camera"),
+        ({"heights_m": (6.0,)}, "no camera stands 6.0 m"),
+    ],
+)
+def test_views_that_cannot_be_are_refused_with_the_study(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        projections.ProjectionsParameters(**settings)
+
+
+def test_parts_of_other_views_or_of_none_make_no_database(store: Store) -> None:
+    built = build(store, [put_take(store, "a")])
+    other = build(store, [put_take(store, "b")], settings={"yaw_step_deg": 10.0})
+    with pytest.raises(InputError, match="differ in yaw steps or camera"):
+        projections.read_views([*built, *other])
+    with pytest.raises(InputError, match="build it again"):
+        projections.read_views([put_take(store, "c")])

@@ -47,8 +47,9 @@ num_views = 2
 [augmentation]
 scales = [0.9, 0.95, 1.05, 1.2]
 
-[reconstruction]
+[projections]
 pitches_deg = [0.0, 10.0]
+heights_m = []
 
 [evaluation]
 num_truth_pairs = 8

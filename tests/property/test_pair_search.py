@@ -84,8 +84,8 @@ def test_pairs_do_not_depend_on_where_they_stood_and_lie_along_x() -> None:
 
 def test_a_distant_pinhole_sees_pairs_as_parallel_rays_do() -> None:
     pairs = make_pairs(5)
-    far = PinholeCamera(distance_m=1e6).project_pairs(pairs)
-    np.testing.assert_allclose(far, OrthographicCamera().project_pairs(pairs), atol=1e-5)
+    far = PinholeCamera(distance_m=1e6).project(pairs)
+    np.testing.assert_allclose(far, OrthographicCamera().project(pairs), atol=1e-5)
 
 
 def test_pairs_of_another_shape_are_refused() -> None:

@@ -23,6 +23,7 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, artifact_key
 from storage_schema.errors import SchemaError
+from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import read_database
 from tests.walkers import walk
 
@@ -98,7 +99,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
                 "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
             }
         },
-        facts={"kind": "projections", "takes": ["walk"], "rate_hz": 24.0},
+        facts={"kind": "projections", "takes": ["walk"], "rate_hz": 24.0, "views": ProjectionsParameters().views},
     )
     return built
 

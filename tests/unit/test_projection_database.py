@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_directions, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
-from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, camera_from_name
+from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, cameras_of, pitch_of_height
 from pasdedeux.projections.database import Database, concatenate
 from pasdedeux.projections.motion_out import MOTION_SKELETON, motion_from_positions
 from pasdedeux.projections.retarget import (
@@ -63,7 +66,7 @@ def test_a_person_facing_the_camera_shows_the_left_hand_on_the_right_of_the_imag
     assert image[OP14.index("head"), 1] > 0 > image[OP14.index("left_ankle"), 1]
 
 
-@pytest.mark.parametrize("camera", [OrthographicCamera(), OrthographicCamera(0.4), PinholeCamera()])
+@pytest.mark.parametrize("camera", [OrthographicCamera(), OrthographicCamera(0.4), PinholeCamera(0.3)])
 def test_projections_are_the_camera_over_turned_poses_numbered_by_row_and_yaw(
     camera: OrthographicCamera | PinholeCamera,
 ) -> None:
@@ -106,8 +109,38 @@ def test_databases_of_different_cameras_do_not_join() -> None:
     start = np.zeros(2, dtype=bool)
     with pytest.raises(InputError, match="differ"):
         concatenate([Database(poses, start), Database(poses, start, camera=PinholeCamera())])
-    with pytest.raises(InputError, match="known cameras"):
-        camera_from_name("fisheye", pitch_rad=0, height_m=1.5, distance_m=4)
+
+
+def test_a_pinhole_sees_the_rays_of_a_camera_that_looks_at_the_mid_hip() -> None:
+    """Against the pinhole of virtual video, whose pixels are scaled to metres at the mid-hip."""
+    pose = centre_and_face(walk(1)).poses_m[0]
+    camera = look_at_camera(np.zeros(3), distance_m=4.0, yaw_rad=0.0, pitch_rad=0.3, focal_px=1000.0)
+    px = (camera.project(pose).px - camera.principal_point_px) * [1.0, -1.0]
+    np.testing.assert_allclose(PinholeCamera(0.3, 4.0).project(pose), px * 4.0 / 1000.0, atol=1e-12)
+
+
+def test_cameras_of_a_study_are_its_pitches_and_heights_without_repeats() -> None:
+    height = 0.93 + 4.0 * np.sin(np.deg2rad(10.0))
+    cameras = cameras_of("pinhole", pitches_deg=(20.0, 10.0, 20.0), heights_m=(0.93,), distance_m=4.0)
+    assert [round(np.rad2deg(camera.pitch_rad), 9) for camera in cameras] == [0.0, 10.0, 20.0]
+    assert [camera.ray_distance_m for camera in cameras] == [4.0] * 3
+    assert pitch_of_height(height, 4.0) == pytest.approx(np.deg2rad(10.0))
+    assert [camera.ray_distance_m for camera in cameras_of("orthographic", pitches_deg=(5,))] == [np.inf]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ({"model": "fisheye", "pitches_deg": (0.0,)}, "known cameras"),
+        ({"model": "pinhole", "pitches_deg": ()}, "needs a camera"),
+        ({"model": "pinhole", "pitches_deg": (), "heights_m": (9.0,)}, "no camera stands 9.0 m"),
+        ({"model": "pinhole", "pitches_deg": (0.0,), "distance_m": 1.0}, "must be more than 1.5 m"),
+        ({"model": "orthographic", "pitches_deg": (90.0,)}, "between -pi/2"),
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(words: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        cameras_of(**words)
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ from pasdedeux.augmentation.contacts import ContactSettings, UserContact
 from pasdedeux.augmentation.descent import descend
 from pasdedeux.augmentation.energy import energy_terms, total_energy
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
+from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.quality import FrameLimits, FrameQuality, Limit, Quality, QualityLimits
 from pasdedeux.augmentation.rotations import variant_rotations
 from pasdedeux.augmentation.settings import POLISH, AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion
-from pasdedeux.augmentation.terms import Problem, Targets, Weights, build_problem, build_targets
+from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import (
     LIMB_GROUPS,
     PAPER_SCALES,
@@ -22,6 +23,7 @@ from pasdedeux.augmentation.variations import (
     scale_grid,
     uniform_variations,
 )
+from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.windows import WindowSettings
 
 __all__ = [

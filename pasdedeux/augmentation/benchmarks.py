@@ -12,9 +12,10 @@ from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
 from pasdedeux.augmentation.descent import descend
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.mesh import build_mesh
+from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import NUM_POINTS, Source
-from pasdedeux.augmentation.terms import Problem, build_problem, build_targets
+from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
 from pasdedeux.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.fitting import FitSettings

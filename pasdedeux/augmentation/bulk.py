@@ -21,9 +21,10 @@ from pasdedeux.augmentation.bulk_kernels import (
     project_near,
 )
 from pasdedeux.augmentation.factor import Factor, factorise, solve
+from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS
 from pasdedeux.augmentation.spans import aim_spans, assemble_spans, span_vectors
-from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets, right_hand_side
+from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import place_bones
 from pasdedeux.skeletons import BODY22

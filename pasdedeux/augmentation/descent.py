@@ -9,15 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.energy import energy_terms
+from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.spans import SpanTerm
-from pasdedeux.augmentation.terms import (
-    AXIS_GROUP,
-    GIRDLE_PAIRS,
-    Problem,
-    Targets,
-    contact_matrix,
-    right_hand_side,
-)
+from pasdedeux.augmentation.terms import contact_matrix, right_hand_side
 from pasdedeux.fitting import BoneForest, DistanceTerm, FitSettings, HalfSpaceTerm, QuadraticTerm, Term, fit_bones
 from pasdedeux.skeletons import BODY22
 

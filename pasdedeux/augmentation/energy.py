@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.clearance import separations
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.spans import span_vectors
-from pasdedeux.augmentation.terms import GIRDLE_PAIRS, Problem, Targets, bending_rows
+from pasdedeux.augmentation.terms import bending_rows
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["energy_terms", "laplacian_residual", "total_energy"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pasdedeux.augmentation.bulk import BulkSettings
 from pasdedeux.augmentation.contacts import ContactSettings, UserContact
 from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
-from pasdedeux.augmentation.terms import Weights
+from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.windows import WindowSettings
 from pasdedeux.fitting import FitSettings
 from pasdedeux.plausibility import JointLimits

@@ -21,26 +21,22 @@ in d.  Weights are per frame at 30 Hz; temporal terms are rescaled so that they 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.clearance import Clearance, ClearanceSettings, clearance_limits, find_clearance
+from pasdedeux.augmentation.clearance import ClearanceSettings, clearance_limits, find_clearance
 from pasdedeux.augmentation.contacts import (
     FEET,
-    BodyPart,
     ContactSettings,
     UserContact,
-    body_parts,
     contact_weights,
     floor_weights,
-    joint_radii_m,
     stance_weights,
 )
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, added_by_girth
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
     Source,
@@ -49,16 +45,12 @@ from pasdedeux.augmentation.source import (
     reference_motion,
     scaled_lengths,
 )
-from pasdedeux.augmentation.spans import Spans, find_spans
+from pasdedeux.augmentation.spans import find_spans
+from pasdedeux.augmentation.weights import Weights
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
-    "AXIS_GROUP",
-    "GIRDLE_PAIRS",
-    "Problem",
-    "Targets",
-    "Weights",
     "bending_rows",
     "build_problem",
     "build_targets",
@@ -68,193 +60,10 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-AXIS_GROUP = (0, 1, 0)
-"""Which of the two matrices an axis x, y, z uses: horizontal 0, vertical 1."""
-
 _WEIGHTS_RATE_HZ = 30.0
 
-_GIRDLE_NAMES = (
-    ("left_hip", "right_hip"),
-    ("left_hip", "spine1"),
-    ("right_hip", "spine1"),
-    ("left_collar", "right_collar"),
-    ("left_collar", "neck"),
-    ("right_collar", "neck"),
-    ("left_shoulder", "neck"),
-    ("right_shoulder", "neck"),
-)
 _SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 _SHORTEST_SPINE_BONE_M = 0.03
-GIRDLE_PAIRS: npt.NDArray[np.int64] = np.array(
-    [[joint + offset for joint in BODY22.indices(pair)] for offset in (0, BODY22.num_joints) for pair in _GIRDLE_NAMES]
-)
-"""Pairs of points (pair, 2) whose distance stays that of the new skeleton, both people."""
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the terms, one set for every take; per square metre.
-
-    Args:
-        laplacian: Interaction mesh, w_L.
-        smoothness: Second difference of x at 30 Hz, w_S.
-        reference: Pull towards plain forward kinematics, w_R; settles what nothing else does, alike at every scale.
-        contact_extremity: Contact pairs of two hands or feet.
-        contact_mixed: Contact pairs of a hand or foot with another body part.
-        contact_limb: Contact pairs in which an elbow or knee is the finest part.
-        contact_torso: Contact pairs of two torso joints.
-        contact_direction: Share k of a contact's weight that keeps its direction too, from 0 to 1; contacts of two
-            hands or feet keep all of it.
-        stance: Horizontal velocity of stance feet at 30 Hz, w_F.
-        floor: Height of joints near the floor, w_H.
-        bending: Bending of the spine against r's, per square radian, w_B; without it short spine bones fold like a
-            carpenter's rule to make a torso shorter, which costs the other terms next to nothing.
-        girdle: Rigidity of girdle and hips, w_G.
-        clearance: Penetration of the partner beyond the source's, w_K.
-        clearance_self: Penetration of one's own body beyond the source's and plain forward kinematics'.
-        fixed: Pull of a person held fixed towards the source.
-
-    Raises:
-        InputError: A negative or non-finite weight, or no reference weight.
-    """
-
-    laplacian: float = 1.0
-    smoothness: float = 40.0
-    reference: float = 0.03
-    contact_extremity: float = 60.0
-    contact_mixed: float = 12.0
-    contact_limb: float = 30.0
-    contact_torso: float = 30.0
-    contact_direction: float = 0.02
-    stance: float = 70.0
-    floor: float = 100.0
-    bending: float = 0.05
-    girdle: float = 10.0
-    clearance: float = 110.0
-    clearance_self: float = 20.0
-    fixed: float = 1e3
-
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0) or (field.name == "reference" and value == 0):
-                raise InputError(
-                    f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'"
-                )
-        if self.contact_direction > 1:
-            raise InputError(f"weight 'contact_direction' is {self.contact_direction:g}: it is a share, up to 1")
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What all variants of a take share: the source and the quadratic form of its energy.
-
-    Args:
-        source: The template, T frames.
-        weights: Weights used.
-        mesh: Interaction mesh of the source.
-        matrix: Quadratic form within a frame (group=2, T, 44, 44), temporal terms included.
-        lag1: Coupling of each point at frames t and t+1 (group=2, T-1, 44).
-        lag2: Coupling at frames t and t+2 (group=2, T-2, 44).
-        contact: Graded contact weights (T, 22 of A, 22 of B); the matrix holds all of them.
-        directed: The part of them that keeps the vector (T, 22, 22).
-        spans: The rest, which keeps the distance.
-        stance: Weights of the horizontal velocity of each foot joint between frames (T-1, 44); 0 for other joints.
-        floor: Weights of the height of each point (T, 44).
-        smoothness: Weight of the second difference at this rate.
-        anchor: Weight of each point's pull towards r or, held fixed, the source (44,).
-        clearance: Bones that may not come deeper into each other.
-        girth: New over old radius of each person's capsules.
-        coupling: Matrix C (T, 44, 44) of the right-hand side's part C d within a frame.
-        fixed_person: Index of the person held at the source, or None.
-    """
-
-    source: Source
-    weights: Weights
-    mesh: InteractionMesh
-    matrix: Array
-    lag1: Array
-    lag2: Array
-    contact: Array
-    directed: Array
-    spans: Spans
-    stance: Array
-    floor: Array
-    smoothness: float
-    anchor: Array
-    clearance: Clearance
-    coupling: Array
-    fixed_person: int | None
-    girth: tuple[float, float]
-
-    @property
-    def num_frames(self) -> int:
-        """Number of frames."""
-        return self.source.num_frames
-
-    @cached_property
-    def touching(self) -> tuple[npt.NDArray[np.intp], ...]:
-        """Frame, joint of A and joint of B of every contact whose vector weighs anything."""
-        return np.nonzero(self.directed)
-
-    @cached_property
-    def contact_shift(self) -> Array | None:
-        """What the new girth adds to the vector of each of `touching` (m, 3), metres, along it; None as in the source.
-
-        So surfaces, not joints, stay as far apart as they were.
-        """
-        if self.girth == (1.0, 1.0):
-            return None
-        frame, first, second = self.touching
-        added = _added_by_girth(self.source, self.girth)
-        vectors = self.source.positions_m[frame, 0, first] - self.source.positions_m[frame, 1, second]
-        units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-        return np.asarray(units * added[first, second][:, None])
-
-    @cached_property
-    def push(self) -> Array | None:
-        """The right-hand side's part that the new girth brings (3, T, 44), the same for all variants."""
-        if self.contact_shift is None:
-            return None
-        frame, first, second = self.touching
-        pull = self.directed[frame, first, second][:, None] * self.contact_shift
-        push = np.zeros((self.num_frames, NUM_POINTS, 3))
-        np.add.at(push, (frame, first), pull)
-        np.add.at(push, (frame, second + BODY22.num_joints), -pull)
-        return np.ascontiguousarray(np.moveaxis(push, -1, 0))
-
-
-@dataclass(frozen=True)
-class Targets:
-    """What belongs to a batch of variants: their reference motion and the targets of their terms.
-
-    Args:
-        bone_scale: Scales (variant, 2, 22).
-        reference: r (variant, T, 44, 3), metres.
-        difference: d = q - r (variant, T, 44, 3), metres.
-        height: Target of the vertical part of x for the floor term (variant, T, 44), metres.
-        lengths_m: New bone lengths (variant, 44), metres; 0 for the roots.
-        girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
-        clearance_m: Least n . B x of near bones (variant, T, M), metres.
-    """
-
-    bone_scale: Array
-    reference: Array
-    difference: Array
-    height: Array
-    lengths_m: Array
-    girdle_m: Array
-    clearance_m: Array
-
-    @property
-    def num_variants(self) -> int:
-        """Number of variants."""
-        return len(self.bone_scale)
-
-    def select(self, variants: Sequence[int]) -> Targets:
-        """Give the targets of some of the variants."""
-        return Targets(**{name.name: getattr(self, name.name)[list(variants)] for name in fields(self)})
 
 
 def build_problem(
@@ -293,8 +102,8 @@ def build_problem(
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
-    contact = contact_weights(source, contacts, user_contacts) * _grades(weights)
-    directed = contact * _direction_shares(weights)
+    contact = contact_weights(source, contacts, user_contacts) * weights.contact_grades
+    directed = contact * weights.direction_shares
     standing = stance_weights(source, contacts)
     stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
     stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
@@ -342,7 +151,7 @@ def build_problem(
         lag2=lag2,
         contact=contact,
         directed=directed,
-        spans=find_spans(source, contact - directed, _added_by_girth(source, girth)),
+        spans=find_spans(source, contact - directed, added_by_girth(source, girth)),
         stance=stance,
         floor=floor,
         smoothness=smoothness,
@@ -418,26 +227,6 @@ def bending_rows(source: Source) -> Array:
                 row[start + BODY22.parents[joint]] -= sign / length
             rows.append(row)
     return np.array(rows)
-
-
-def _grades(weights: Weights) -> Array:
-    """Weight of each joint pair (22, 22) by the finer of its two body parts."""
-    parts = body_parts()
-    finer, coarser = np.maximum.outer(parts, parts), np.minimum.outer(parts, parts)
-    by_finer = np.array([weights.contact_torso, weights.contact_limb, weights.contact_mixed])
-    return np.where(coarser == BodyPart.EXTREMITY, weights.contact_extremity, by_finer[finer])
-
-
-def _direction_shares(weights: Weights) -> Array:
-    """Share of each joint pair's weight (22, 22) that keeps its direction."""
-    parts = body_parts()
-    return np.where(np.minimum.outer(parts, parts) == BodyPart.EXTREMITY, 1.0, weights.contact_direction)
-
-
-def _added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
-    """What the new girth adds to the distance of each joint pair (22, 22), metres."""
-    radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
-    return np.asarray(radii[0, :, None] + radii[1, None, :])
 
 
 def contact_matrix(contact: Array) -> Array:

@@ -12,9 +12,10 @@ from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.contacts import UserContact
 from pasdedeux.augmentation.descent import descend
 from pasdedeux.augmentation.energy import laplacian_residual, total_energy
+from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
-from pasdedeux.augmentation.terms import Targets, build_problem, build_targets
+from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.fitting import PointTerm, Term
 
 __all__ = ["SOLVERS", "SolvedWindow", "WindowSolver"]

@@ -17,7 +17,8 @@ from pasdedeux.learning import VariantRequest, load_model
 from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation, training
-from tasks.augmentation import AugmentationParameters, read_pair
+from tasks.augmentation import read_pair
+from tasks.augmentation_parameters import AugmentationParameters
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training import TrainingParameters

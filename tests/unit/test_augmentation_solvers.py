@@ -21,8 +21,9 @@ from pasdedeux.augmentation import (
 )
 from pasdedeux.augmentation.contacts import contact_class, contact_distances
 from pasdedeux.augmentation.factor import factorise, solve
+from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS
 from pasdedeux.augmentation.settings import POLISH
-from pasdedeux.augmentation.terms import AXIS_GROUP, GIRDLE_PAIRS, bending_rows, right_hand_side
+from pasdedeux.augmentation.terms import bending_rows, right_hand_side
 from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
+    AnnotatedPairs,
     GaussianBlocks,
     InteractionLikelihood,
     MoveKind,
@@ -25,6 +28,7 @@ from pasdedeux.sampling import (
 )
 from pasdedeux.sampling.agreement import SHARPNESS
 from pasdedeux.sampling.density import Likelihood
+from pasdedeux.sampling.guided import Guided, Guides
 from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
 from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
 from storage_schema import ArtifactRef, Store
@@ -44,7 +48,13 @@ LIKELIHOOD_PARAMETERS = (
     "sigma_v_rad",
     "beta_m",
     "kernel",
+    "guided_share",
+    "guided_stretch",
+    "guided_width_m",
 )
+
+NUM_GUIDES = 1000
+"""Annotations that may guide a chain's steps, at most: spread evenly over those that any view of the bank meets."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +63,7 @@ class ChainProblem:
 
     chart: PairChart
     target: PairDensity
-    propose: GaussianBlocks
+    propose: GaussianBlocks | Guided
     seen: Seen | None
 
 
@@ -94,7 +104,7 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         ),
         bias=None if seen is None else seen.bias(chart),
     )
-    return ChainProblem(chart, target, propose, seen)
+    return ChainProblem(chart, target, propose if seen is None else seen.guided(propose, chart, options), seen)
 
 
 @dataclass(frozen=True)
@@ -132,6 +142,7 @@ class Seen:
 
     likelihood: InteractionLikelihood | MeasuredLikelihood
     speeds: Speeds | None
+    guides: AnnotatedPairs
     num_annotations: int
     num_skipped: int
     num_swapped: int
@@ -141,6 +152,13 @@ class Seen:
         if self.speeds is None:
             return None
         return VelocityBias(self.speeds, lambda parameters: self.likelihood.nearest(chart.positions_fast(parameters)))
+
+    def guided(self, propose: GaussianBlocks, chart: PairChart, options: Mapping[str, Any]) -> GaussianBlocks | Guided:
+        """Give a proposal with the share of steps guided by annotations that is asked for."""
+        if not options["guided_share"]:
+            return propose
+        guides = Guides(self.guides, chart, width_m=options["guided_width_m"])
+        return Guided(propose, guides, share=options["guided_share"], stretch=options["guided_stretch"])
 
     def note(self) -> str:
         """Say what is unusual about the annotations; nothing when all is well."""
@@ -194,7 +212,15 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
             speeds = annotation_speeds(tracks)
             num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
         num_annotations = len(np.unique(pairs.annotation_index))
-        _KEPT[identity] = Seen(likelihood, speeds, num_annotations, placed.gathered.num_skipped, num_swapped)
+        guides = _some(pairs, np.unique(bank.candidates[bank.candidates >= 0]))
+        _KEPT[identity] = Seen(likelihood, speeds, guides, num_annotations, placed.gathered.num_skipped, num_swapped)
         while len(_KEPT) > _MOST_KEPT:
             _KEPT.popitem(last=False)
     return _KEPT[identity]
+
+
+def _some(pairs: AnnotatedPairs, entries: np.ndarray) -> AnnotatedPairs:
+    """Give some of these entries, evenly spread, that may guide steps."""
+    count = min(NUM_GUIDES, len(entries))
+    chosen = entries[np.linspace(0, len(entries) - 1, count).round().astype(int)]
+    return AnnotatedPairs(pairs.points_m[chosen], pairs.directions[chosen], pairs.annotation_index[chosen])

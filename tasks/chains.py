@@ -87,6 +87,18 @@ class ChainsParameters(Parameters):
         min_length=1,
         description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
     )
+    guided_share: float = Field(
+        0.0, ge=0, le=1, description="Share of steps towards or away from what a near annotation shows; 0: none"
+    )
+    guided_stretch: float = Field(
+        0.3,
+        gt=0,
+        le=3,
+        description="Guided steps change the distance to an annotation by a factor of at most its exp",
+    )
+    guided_width_m: float = Field(
+        0.03, gt=0, description="Width of the preference for near annotations as guides, metres in the image"
+    )
     num_warm_up: int = Field(
         50, ge=0, description="Draws before the first kept one, in which step sizes are learned; they are dropped"
     )
@@ -97,9 +109,10 @@ class ChainsParameters(Parameters):
         if not sum(self.moves.values()) > 0.0:
             raise ValueError("chains.moves gives every kind of move the weight 0; one must be drawn")
         scales = (self.root_rotation_rad, self.root_position_m, self.joint_rotation_rad)
-        if self.kernel == "velocity" and not min(scales) > 0.0:
+        if (self.kernel == "velocity" or self.guided_share > 0.0) and not min(scales) > 0.0:
+            wanted = "kernel = 'velocity'" if self.kernel == "velocity" else "guided_share"
             raise ValueError(
-                "chains.kernel = 'velocity' needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
+                f"chains.{wanted} needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
             )
         return self
 

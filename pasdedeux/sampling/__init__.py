@@ -14,6 +14,7 @@ from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
 from pasdedeux.sampling.growth import Growth, GrowthOptions, grow
+from pasdedeux.sampling.guided import Guided, Guides
 from pasdedeux.sampling.lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
@@ -43,6 +44,8 @@ __all__ = [
     "GaussianBlocks",
     "Growth",
     "GrowthOptions",
+    "Guided",
+    "Guides",
     "InteractionLikelihood",
     "LiftedSeeds",
     "Match",

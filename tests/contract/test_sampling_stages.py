@@ -357,7 +357,10 @@ ALL_MOVES = {"few": 2.0, "limb": 1.0, "person": 1.0, "roots": 1.0}
 
 @pytest.mark.parametrize(
     "options",
-    [{"num_warm_up": 0}, {"kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 6}],
+    [
+        {"num_warm_up": 0},
+        {"kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 6, "guided_share": 0.5},
+    ],
     ids=["plain", "everything"],
 )
 def test_segments_continue_exactly_and_order_of_chains_does_not_matter(inputs: Any, options: dict[str, Any]) -> None:

@@ -44,14 +44,15 @@ def reconstruct(
         typer.Option(min=-80.0, max=80.0, metavar="DEG", help="How far the camera looks down; live 10, else found."),
     ] = None,
     lag: Annotated[int, typer.Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
-    clean_up: Annotated[bool, typer.Option(help="Still planted feet and keep the floor (not live).")] = True,
+    clean_up: Annotated[bool, typer.Option(help="Still planted feet and keep the floor.")] = True,
 ) -> None:
     """Run the command."""
     # Here, because numba and the search take a second that the other commands need not wait for.
     from flows.console.reconstructing import Live, Whole, follow_video, reconstruct_video
 
     if follow:
-        follow_video(folder, database, store, Live(out, rate_hz=rate, size=size, pitch_deg=pitch, idle_s=idle, lag=lag))
+        live = Live(out, rate_hz=rate, size=size, pitch_deg=pitch, idle_s=idle, lag=lag, has_clean_up=clean_up)
+        follow_video(folder, database, store, live)
     else:
         reconstruct_video(
             folder, database, store, Whole(out, rate_hz=rate, size=size, pitch_deg=pitch, has_clean_up=clean_up)

@@ -52,6 +52,7 @@ class Live:
     pitch_deg: float | None = None
     idle_s: float = 5.0
     lag: int = 6
+    has_clean_up: bool = True
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
     image_size = _image_size(live.size)
     source, refs = _projections(database, store)
     (searcher,) = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
-    options = LiveOptions(lag=live.lag)
+    options = LiveOptions(lag=live.lag, has_clean_up=live.has_clean_up)
     people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
     with _lines(live.out) as file:
         _follow(people, follow_folder(folder, idle_s=live.idle_s), file, rate_hz=live.rate_hz, lag=live.lag)

@@ -10,6 +10,7 @@ import pytest
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
+from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.fixed_lag import FixedLagViterbi
@@ -17,6 +18,7 @@ from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
 from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.projections.temporal import choose_viterbi
+from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 
 RATE_HZ = 30.0
@@ -95,6 +97,22 @@ def test_fitted_poses_are_steadier_than_retrieved_ones_and_as_near_to_the_truth(
         shake[is_fitted] = jitter_m(found - mid_hip(found)[:, None])
     assert error[True] < 1.05 * error[False]
     assert shake[True] < 0.9 * shake[False]
+
+
+def test_clean_up_can_be_switched_off_and_keeps_bones_and_rotations_together(searcher: Searcher) -> None:
+    px, _ = video(40)
+    found = {}
+    for has_clean_up in (True, False):
+        options = LiveOptions(has_clean_up=has_clean_up)
+        people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+        found[has_clean_up] = [pose for pose in run(people, px[:, :1]) if pose.person_id == 0]
+    for clean, plain in zip(found[True], found[False], strict=True):
+        np.testing.assert_allclose(
+            bone_lengths(OP14, clean.positions_m[None]), bone_lengths(OP14, plain.positions_m[None]), atol=1e-9
+        )
+        np.testing.assert_allclose(np.abs(np.sum(clean.bone_unitquat * bone_rotations(clean.positions_m), -1)), 1.0)
+        np.testing.assert_allclose(mid_hip(clean.positions_m), clean.root_m, atol=1e-9)
+    assert max(np.abs(a.positions_m - b.positions_m).max() for a, b in zip(found[True], found[False], strict=True)) > 0
 
 
 def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(

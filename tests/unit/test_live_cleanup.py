@@ -1,0 +1,103 @@
+"""Live clean-up stills planted feet as poses leave, keeps floor and bones, and changes no pose that has left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction_metrics import foot_slide_m, jitter_m, root_centred_error_m
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.projections.cleanup import bend_leg
+from pasdedeux.projections.live_cleanup import LiveCleanUp, LiveCleanUpOptions
+from pasdedeux.skeletons import OP14
+from tests.crowds import duet_couple
+
+RATE_HZ = 30.0
+ANKLES = OP14.indices(["left_ankle", "right_ankle"])
+
+
+@pytest.fixture(scope="module")
+def dancer() -> np.ndarray:
+    return duet_couple("waltz", duration_s=8.0)[:, 0]
+
+
+@pytest.fixture(scope="module")
+def gliding(dancer: np.ndarray) -> np.ndarray:
+    """The same poses on a way as one camera sees it: smooth errors of some centimetres in depth and height."""
+    rng = np.random.default_rng(0)
+    window = np.hanning(25)
+    noise = rng.normal(0, 1, (3, len(dancer) + 24))
+    error = np.stack([np.convolve(one, window / window.sum(), "valid") for one in noise], axis=-1)
+    return np.asarray(dancer + (error * np.array([0.03, 0.03, 0.2]))[:, None])
+
+
+def cleaned(motion: np.ndarray, options: LiveCleanUpOptions | None = None) -> np.ndarray:
+    clean_up = LiveCleanUp(RATE_HZ, options)
+    return np.stack([clean_up.step(frame, pose) for frame, pose in enumerate(motion)])
+
+
+def test_standing_feet_slide_less_and_the_error_and_the_jitter_hardly_rise(
+    dancer: np.ndarray, gliding: np.ndarray
+) -> None:
+    found = cleaned(gliding)
+    before, after = (foot_slide_m(one, dancer, rate_hz=RATE_HZ) for one in (gliding, found))
+    assert after < 0.4 * before
+    assert root_centred_error_m(found, dancer).mean() < root_centred_error_m(gliding, dancer).mean() + 0.01
+    assert jitter_m(found) < jitter_m(gliding) + 0.002
+
+
+def test_bones_keep_their_length_and_ankles_do_not_sink(gliding: np.ndarray) -> None:
+    sunk = gliding.copy()
+    sunk[100:103, :, 1] -= 0.03
+    found = cleaned(sunk, LiveCleanUpOptions(contact_speed_m_s=1e-6))
+    np.testing.assert_allclose(bone_lengths(OP14, found), bone_lengths(OP14, sunk), atol=1e-9)
+    lowest = sunk[50:100, ANKLES, 1].min()
+    assert sunk[100:103, ANKLES, 1].min() < lowest - 0.01
+    assert found[100:103, ANKLES, 1].min() >= lowest - 1e-9
+
+
+def test_a_pose_that_left_does_not_depend_on_what_comes_later(gliding: np.ndarray) -> None:
+    other = gliding.copy()
+    other[120:] += 1.0
+    np.testing.assert_array_equal(cleaned(gliding)[:120], cleaned(other)[:120])
+
+
+def test_a_foot_let_go_of_returns_to_where_it_is_seen(dancer: np.ndarray) -> None:
+    clean_up = LiveCleanUp(RATE_HZ)
+    still = np.repeat(dancer[:1], 20, axis=0)
+    moved = still + np.array([0.0, 0.0, 0.1]) * np.linspace(0, 1, 20)[:, None, None]
+    for frame, pose in enumerate(moved):
+        clean_up.step(frame, pose)
+    assert clean_up.is_planted.any()
+    flying = dancer[0] + np.array([0.0, 0.5, 0.1])
+    for frame in range(20, 420):
+        found = clean_up.step(frame, flying + np.array([0.05 * (frame - 20), 0.5, 0.0]))
+    assert not clean_up.is_planted.any()
+    np.testing.assert_allclose(found, flying + np.array([0.05 * 399, 0.5, 0.0]), atol=1e-2)
+
+
+def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:
+    # A floor above the ankles lifts both of them to it, and nothing else is done.
+    clean_up = LiveCleanUp(RATE_HZ, LiveCleanUpOptions(contact_speed_m_s=1e-6))
+    raised = dancer[0] + np.array([0.0, 0.05, 0.0])
+    for frame in range(40):
+        clean_up.step(frame, raised)
+    found = clean_up.step(40, dancer[0])
+    floor = raised[ANKLES, 1].min()
+    for hip, knee, ankle in (
+        OP14.indices([f"{side}_{j}" for j in ("hip", "knee", "ankle")]) for side in ("left", "right")
+    ):
+        target = dancer[0, ankle].copy()
+        target[1] = max(target[1], floor)
+        expected = bend_leg(
+            dancer[:1, hip], dancer[:1, knee], dancer[:1, ankle], target[None], fallback=np.array([[0.0, 0.0, 1.0]])
+        )
+        np.testing.assert_allclose(found[[knee, ankle]], np.concatenate(expected), atol=1e-9)
+
+
+def test_options_without_meaning_are_named() -> None:
+    with pytest.raises(InputError, match="positive"):
+        LiveCleanUpOptions(way_s=0.0)
+    with pytest.raises(InputError, match="negative"):
+        LiveCleanUpOptions(most_bend_m=-0.1)

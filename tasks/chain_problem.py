@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.plausibility import JointLimits, LearnedLimits
 from pasdedeux.sampling import (
     AnnotatedPairs,
     GaussianBlocks,
@@ -34,6 +35,7 @@ from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.densities import IMAGE_DENSITIES, agreement_of, image_likelihood
+from tasks.priors import read_occupancy
 from tasks.seeds import read_limits
 from tasks.stage import Shard, stream
 
@@ -80,7 +82,7 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         chart = PairChart(seed.pair_m)
         prior = PhysicalPrior(
             chart,
-            read_limits(shard, store),
+            _limits(shard, store),
             sigma_p=options["sigma_p_m"] / (SHARPNESS**0.5 if is_agreement else 1.0),
             # Agreement has the bodies' mutual penetration in its likelihood, and leaves that within a body out.
             alpha=0.0 if is_agreement else options["alpha"],
@@ -105,6 +107,12 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         bias=None if seen is None else seen.bias(chart),
     )
     return ChainProblem(chart, target, propose if seen is None else seen.guided(propose, chart, options), seen)
+
+
+def _limits(shard: Shard, store: Store) -> JointLimits | LearnedLimits:
+    """Give the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
+    table = read_limits(shard, store)
+    return table if shard.parameters["joint_limits"] == "table" else LearnedLimits(table, read_occupancy(shard, store))
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ VERSION = 3
 
 KernelName = Literal["unbiased", "velocity"]
 
-_PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "length_tolerance", "truncation")
+_PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "joint_limits", "length_tolerance", "truncation")
 _STEP_PARAMETERS = (
     "segment_draws",
     "thin",
@@ -72,6 +72,9 @@ class ChainsParameters(Parameters):
     sigma_p_m: float = Field(0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
     alpha: float = Field(10.0, ge=0, description="Weight of the squared penetration (eq. 2)")
     most_invalid_angles: int = Field(8, ge=0, description="Invalid joint angles beyond which a pair is impossible")
+    joint_limits: Literal["table", "learned"] = Field(
+        "table", description="Joint limits: the table's ranges, or also what the prior takes show (see priors)"
+    )
     length_tolerance: float = Field(0.05, ge=0, lt=0.5, description="Greatest relative change of a bone's length")
     truncation: float = Field(100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0")
     root_rotation_rad: float = Field(0.02, ge=0, description="Step of a root's rotation, radians")

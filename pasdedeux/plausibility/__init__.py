@@ -13,6 +13,7 @@ from pasdedeux.plausibility.capsules_kernel import clip_penetration, pair_penetr
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits, NearestValid, joint_angles
 from pasdedeux.plausibility.joint_limits_kernel import measure_angles, move_to_nearest_valid
 from pasdedeux.plausibility.learned_limits import LearnedLimits
+from pasdedeux.plausibility.learned_limits_kernel import move_to_nearest_learned
 from pasdedeux.plausibility.occupancy import BONES, NUM_ABOVE, NUM_CELLS, Occupancy
 from pasdedeux.plausibility.occupancy_kernel import weakest_bone
 from pasdedeux.plausibility.ranges import ANGLES, AngleRange
@@ -36,6 +37,7 @@ __all__ = [
     "clip_penetration",
     "joint_angles",
     "measure_angles",
+    "move_to_nearest_learned",
     "move_to_nearest_valid",
     "pair_penetration",
     "penetration",

@@ -25,6 +25,7 @@ __all__ = [
     "measure_angles",
     "move_to_nearest_valid",
     "scale",
+    "turn_to",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -167,7 +168,8 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
 
 
 @_inner
-def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
+def turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
+    """Turn joints `first` to `last` (inclusive) about joint `pivot` by the shortest turn between unit directions."""
     turned = cross(before, after)
     sine = math.sqrt(dot(turned, turned))
     cosine = dot(before, after)
@@ -204,7 +206,7 @@ def _girdle(
         if change != 0.0:
             level = _unit(_mix(1.0, direction, -dot(direction, up), up))
             target = elevation + change
-            _turn_to(points, joint, joint + 2, centre, direction, _mix(math.cos(target), level, math.sin(target), up))
+            turn_to(points, joint, joint + 2, centre, direction, _mix(math.cos(target), level, math.sin(target), up))
     one, two = bone_of(points, centre, left), bone_of(points, centre, right)
     one = _mix(1.0, one, -dot(one, up), up)
     two = _mix(1.0, two, -dot(two, up), up)
@@ -244,7 +246,7 @@ def _swing(
     flexion += change_flexion
     level = _mix(math.cos(flexion), up, math.sin(flexion), front)
     after = _mix(math.cos(sideways), level, math.sin(sideways), left)
-    _turn_to(points, first, last, joint, direction, after)
+    turn_to(points, first, last, joint, direction, after)
     return True
 
 
@@ -281,7 +283,7 @@ def _arm(
         rest = side_of * math.sqrt(max(1.0 - m**2 - b**2, 0.0))
     if is_moved:
         after = _mix(1.0, _mix(b, back, m, across), rest, up)
-        _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
+        turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
 @_inner
@@ -311,7 +313,7 @@ def _hinge(
     if change_flexion != 0.0:
         bent = flexion + change_flexion
         after = _mix(math.cos(bent), above, math.sin(bent), _unit(across))
-        _turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
+        turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
     if change != 0.0:
         handed = -1.0 if dot(cross(carried_bend, carried_out), above) < 0 else 1.0
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))

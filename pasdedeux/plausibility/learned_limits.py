@@ -1,7 +1,7 @@
 """Joint limits learned from capture and united with the published table: valid is what either of them allows.
 
-The plain form, over batches.  Hinge angles count only where positions determine them: the table's ranges of nearly
-straight limbs are wide (`joint_limits`).
+The plain form, over batches; `learned_limits_kernel` has the same for one pose at a time, compiled.  Hinge angles count
+only where positions determine them: the table's ranges of nearly straight limbs are wide (`joint_limits`).
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class LearnedLimits:
         nearest cell that table or capture allows, which is up to half a cell (5 degrees) more than it must move.
         """
         given = np.asarray(pair17_m, dtype=np.float64)
-        poses = self._girdles.nearest_valid(given.reshape(-1, PAIR17.num_joints, 3)).positions
+        poses = self.girdles.nearest_valid(given.reshape(-1, PAIR17.num_joints, 3)).positions
         cells = sphere_cells(NUM_CELLS)
         for bone, (pivot, end, _) in enumerate(LIMIT_BONES):
             directions = bone_directions(poses)
@@ -93,8 +93,7 @@ class LearnedLimits:
             rows = np.flatnonzero(is_bad)
             if not len(rows):
                 continue
-            is_allowed = self.occupancy.occupied[kind, above[rows, bone]] | self._table_cells[kind]
-            nearness = np.where(is_allowed, directions.own[rows, bone] @ cells.T, -2.0)
+            nearness = np.where(self.allowed[kind, above[rows, bone]], directions.own[rows, bone] @ cells.T, -2.0)
             target = cells[nearness.argmax(axis=1)]
             frame = directions.frame[rows, bone]
             start = np.einsum("ni,nij->nj", directions.own[rows, bone], frame)
@@ -105,7 +104,7 @@ class LearnedLimits:
             poses[rows[:, None], moved] = np.einsum("nij,nkj->nki", turn, vectors) + centre
             if end == "chest":
                 # The twist of the trunk is measured along it, so it has changed.
-                poses = self._girdles.nearest_valid(poses).positions
+                poses = self.girdles.nearest_valid(poses).positions
         num_invalid = self.num_invalid(given)
         positions = np.where((num_invalid == 0)[..., None, None], given, poses.reshape(given.shape))
         return NearestValid(
@@ -115,11 +114,16 @@ class LearnedLimits:
         )
 
     @cached_property
-    def _girdles(self) -> JointLimits:
+    def girdles(self) -> JointLimits:
         """The table with every angle of a bone free."""
         lower, upper = self.table.lower_rad.copy(), self.table.upper_rad.copy()
         lower[ANGLES_OF_BONE], upper[ANGLES_OF_BONE] = -2.0 * np.pi, 2.0 * np.pi
         return JointLimits(lower_rad=lower, upper_rad=upper, source=self.table.source)
+
+    @cached_property
+    def allowed(self) -> npt.NDArray[np.bool_]:
+        """Whether table or capture allows a cell, given the cell of the bone above, (7, 60, 500)."""
+        return np.asarray(self.occupancy.occupied | self._table_cells[:, None])
 
     @cached_property
     def _table_cells(self) -> npt.NDArray[np.bool_]:

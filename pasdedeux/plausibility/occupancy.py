@@ -171,8 +171,12 @@ class Occupancy:
 
         It is 0 everywhere when nothing was learned.
         """
+        return np.asarray(self.bone_logs(pair17_m).min(axis=-1))
+
+    def bone_logs(self, pair17_m: Array) -> Array:
+        """Give `log_share` of each bone of poses (*batch, joint=17, 3), metres, (*batch, bone=11)."""
         above, cell = bone_cells(bone_directions(pair17_m))
-        return np.asarray(self.log_share[KIND_OF_BONE, above, cell].min(axis=-1))
+        return np.asarray(self.log_share[KIND_OF_BONE, above, cell])
 
     @cached_property
     def occupied(self) -> npt.NDArray[np.bool_]:

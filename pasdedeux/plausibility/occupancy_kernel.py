@@ -1,4 +1,4 @@
-"""The pose prior of one pose at a time, compiled, for use inside chains; `occupancy` is the plain form."""
+"""Bones' directions and the pose prior of one pose at a time, compiled, for use inside chains; `occupancy` is plain."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import numpy.typing as npt
 from numba import njit
 
 from pasdedeux.plausibility.joint_limits_kernel import bone_of, carry, cross, dot, frame_x, scale
-from pasdedeux.plausibility.occupancy import NUM_ABOVE, NUM_CELLS, sphere_cells
+from pasdedeux.plausibility.occupancy import KIND_OF_BONE, NUM_ABOVE, NUM_CELLS, sphere_cells
 
-__all__ = ["weakest_bone"]
+__all__ = ["cells_of", "point_bones", "weakest_bone"]
 
 Array = npt.NDArray[np.float64]
 
 _CELLS, _ABOVE = sphere_cells(NUM_CELLS), sphere_cells(NUM_ABOVE)
+_KIND = KIND_OF_BONE
 _TRUNK = (0.0, 1.0, 0.0)
 
 
@@ -28,18 +29,16 @@ def _nearest(cells, direction):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _seen(x, y, z, bone):  # type: ignore[no-untyped-def]
-    return (dot(x, bone), dot(y, bone), dot(z, bone))
+def _enter(bone, x, y, z, direction, above, own, over, frame):  # type: ignore[no-untyped-def]
+    for axis in range(3):
+        frame[bone, 0, axis], frame[bone, 1, axis], frame[bone, 2, axis] = x[axis], y[axis], z[axis]
+        over[bone, axis] = above[axis]
+    own[bone, 0], own[bone, 1], own[bone, 2] = dot(x, direction), dot(y, direction), dot(z, direction)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _share(log_share, kind, above, own):  # type: ignore[no-untyped-def]
-    return log_share[kind, _nearest(_ABOVE, above), _nearest(_CELLS, own)]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def weakest_bone(pose: Array, log_share: Array) -> float:
-    """Give `Occupancy.log_prior` of one pose (17, 3), float64, metres, from `Occupancy.log_share`."""
+def point_bones(pose: Array, own: Array, above: Array, frame: Array) -> None:
+    """Write `occupancy.bone_directions` of one pose (17, 3), float64: (11, 3), (11, 3) and (11, 3, 3)."""
     pelvis_y, chest_y, neck_y = bone_of(pose, 0, 1), bone_of(pose, 1, 2), bone_of(pose, 2, 3)
     pelvis_x = frame_x(pose, 11, 14, pelvis_y)
     chest_x = frame_x(pose, 5, 8, chest_y)
@@ -48,11 +47,10 @@ def weakest_bone(pose: Array, log_share: Array) -> float:
     length = np.sqrt(dot(neck_x, neck_x))
     neck_x = scale(1.0 / length if length > 1e-12 else 0.0, neck_x)
     pelvis_z, chest_z, neck_z = cross(pelvis_x, pelvis_y), cross(chest_x, chest_y), cross(neck_x, neck_y)
-    chest = _seen(pelvis_x, pelvis_y, pelvis_z, chest_y)
-    neck = _seen(chest_x, chest_y, chest_z, neck_y)
-    least = _share(log_share, 0, _TRUNK, chest)
-    least = min(least, _share(log_share, 1, chest, neck))
-    least = min(least, _share(log_share, 2, neck, _seen(neck_x, neck_y, neck_z, bone_of(pose, 3, 4))))
+    _enter(0, pelvis_x, pelvis_y, pelvis_z, chest_y, _TRUNK, own, above, frame)
+    _enter(1, chest_x, chest_y, chest_z, neck_y, (own[0, 0], own[0, 1], own[0, 2]), own, above, frame)
+    head = bone_of(pose, 3, 4)
+    _enter(2, neck_x, neck_y, neck_z, head, (own[1, 0], own[1, 1], own[1, 2]), own, above, frame)
     for limb in range(4):
         is_arm = limb < 2
         side = 1.0 if limb % 2 == 0 else -1.0
@@ -60,9 +58,28 @@ def weakest_bone(pose: Array, log_share: Array) -> float:
         x, y, z = (scale(side, chest_x), chest_y, chest_z) if is_arm else (scale(side, pelvis_x), pelvis_y, pelvis_z)
         rest = x if is_arm else scale(-1.0, y)
         upper, lower = bone_of(pose, first, first + 1), bone_of(pose, first + 1, first + 2)
-        above = _seen(x, y, z, upper)
-        kind = 3 if is_arm else 5
-        least = min(least, _share(log_share, kind, _TRUNK, above))
-        own = _seen(carry(rest, upper, x), carry(rest, upper, y), carry(rest, upper, z), lower)
-        least = min(least, _share(log_share, kind + 1, above, own))
+        bone = 3 + limb % 2 if is_arm else 7 + limb % 2
+        _enter(bone, x, y, z, upper, _TRUNK, own, above, frame)
+        over = (own[bone, 0], own[bone, 1], own[bone, 2])
+        x, y, z = carry(rest, upper, x), carry(rest, upper, y), carry(rest, upper, z)
+        _enter(bone + 2, x, y, z, lower, over, own, above, frame)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cells_of(own: Array, above: Array) -> tuple[int, int]:
+    """Give the cell of the bone above and that of the bone, of unit directions (3,) each."""
+    return _nearest(_ABOVE, above), _nearest(_CELLS, own)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def weakest_bone(pose: Array, log_share: Array) -> float:
+    """Give `Occupancy.log_prior` of one pose (17, 3), float64, metres, from `Occupancy.log_share`."""
+    own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
+    point_bones(pose, own, above, frame)
+    least = 0.0
+    for bone in range(11):
+        over, cell = cells_of(own[bone], above[bone])
+        share = log_share[_KIND[bone], over, cell]
+        if bone == 0 or share < least:
+            least = share
     return least

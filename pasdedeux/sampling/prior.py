@@ -17,6 +17,8 @@ from pasdedeux.plausibility.capsules import CapsuleModel, capsule_model
 from pasdedeux.plausibility.capsules_kernel import pair_penetration
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
 from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
+from pasdedeux.plausibility.learned_limits import LearnedLimits
+from pasdedeux.plausibility.learned_limits_kernel import move_to_nearest_learned
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
 from pasdedeux.skeletons import PAIR17
 
@@ -56,7 +58,7 @@ class PhysicalPrior:
 
     Args:
         chart: Parameters round the seed; its bone lengths set the capsules' radii.
-        limits: Joint limits.
+        limits: Joint limits, the table's or those learned from capture and united with it.
         sigma_p: Bandwidth, metres.
         alpha: Weight of the squared penetration.
         most_invalid: Invalid angles of the pair beyond which it is impossible.
@@ -66,7 +68,7 @@ class PhysicalPrior:
     def __init__(
         self,
         chart: PairChart,
-        limits: JointLimits,
+        limits: JointLimits | LearnedLimits,
         *,
         sigma_p: float = 0.05,
         alpha: float = 10.0,
@@ -77,7 +79,10 @@ class PhysicalPrior:
         self.alpha = alpha
         self.most_invalid = most_invalid
         self.length_tolerance = length_tolerance
-        self._limits = np.stack([limits.lower_rad, limits.upper_rad])
+        self._learned = limits if isinstance(limits, LearnedLimits) else None
+        table = limits if isinstance(limits, JointLimits) else limits.table
+        self._limits = _ranges(table)
+        self._girdles = _ranges(table if self._learned is None else self._learned.girdles)
         model: CapsuleModel = capsule_model(PAIR17)
         self._model = model
         self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
@@ -94,7 +99,7 @@ class PhysicalPrior:
         is_turned_over = bool((bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2)
         num_invalid, squared = 0, 0.0
         for person in range(2):
-            count, distance = move_to_nearest_valid(pair_m[person], self._limits, self._work, self._valid)
+            count, distance = self._nearest_valid(pair_m[person])
             num_invalid += count
             squared += distance
         depth = pair_penetration(
@@ -115,3 +120,21 @@ class PhysicalPrior:
             is_tied=is_tied,
             is_turned_over=is_turned_over,
         )
+
+    def _nearest_valid(self, pose: Array) -> tuple[int, float]:
+        """Give the number of invalid angles of a pose (17, 3), and its squared distance from the nearest valid one."""
+        if self._learned is None:
+            return move_to_nearest_valid(pose, self._limits, self._work, self._valid)
+        return move_to_nearest_learned(
+            pose,
+            self._limits,
+            self._girdles,
+            self._learned.occupancy.occupied,
+            self._learned.allowed,
+            self._work,
+            self._valid,
+        )
+
+
+def _ranges(limits: JointLimits) -> Array:
+    return np.stack([limits.lower_rad, limits.upper_rad])

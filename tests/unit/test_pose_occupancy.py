@@ -12,7 +12,14 @@ from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec
-from pasdedeux.plausibility import ANGLES, JointLimits, LearnedLimits, Occupancy, weakest_bone
+from pasdedeux.plausibility import (
+    ANGLES,
+    JointLimits,
+    LearnedLimits,
+    Occupancy,
+    move_to_nearest_learned,
+    weakest_bone,
+)
 from pasdedeux.plausibility.joint_limits import measure
 from pasdedeux.plausibility.learned_limits import ANGLES_OF_BONE, LIMIT_BONES
 from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_directions, sphere_cells
@@ -173,3 +180,22 @@ def test_learned_limits_accept_an_unseen_subject_and_refuse_joints_20_degrees_be
     assert len(np.concatenate(refused)) > 1000
     assert np.concatenate(refused).mean() >= 0.97
     assert np.concatenate(refused_any).mean() >= 0.95
+
+
+def test_the_compiled_learned_limits_are_the_plain_ones() -> None:
+    limits = LearnedLimits(TABLE, LEARNED)
+    table, girdles = (np.stack([one.lower_rad, one.upper_rad]) for one in (TABLE, limits.girdles))
+    work, valid = np.empty((2, 29)), np.empty((17, 3))
+    rng = np.random.default_rng(8)
+    poses = np.concatenate(
+        [wild(6, 40), near_standing(7, 20), standing() + rng.normal(scale=0.06, size=(60, 17, 3)), standing()[None]]
+    )
+    moved = 0
+    for pose in poses:
+        plain = limits.nearest_valid(pose[None])
+        count, squared = move_to_nearest_learned(pose, table, girdles, LEARNED.occupied, limits.allowed, work, valid)
+        assert count == plain.num_invalid[0]
+        assert squared == pytest.approx(plain.squared_distance_m2[0], abs=1e-9)
+        np.testing.assert_allclose(valid, plain.positions[0], atol=1e-6)
+        moved += count > 0
+    assert 30 < moved < len(poses)

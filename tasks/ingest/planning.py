@@ -9,7 +9,7 @@ from typing import Any
 from pasdedeux.choreography import DUETS
 from pasdedeux.errors import InputError
 from tasks.ingest.annotation_sources import file_frames, find_annotations
-from tasks.ingest.known_sources import DUET_CREDIT
+from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import DuetOptions, IngestParameters, PairOptions, PersonOptions, TakeOptions
 from tasks.ingest.sources import PersonSource, credit_of, find_person
 from tasks.stage import Shard, StageInputs
@@ -40,25 +40,38 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
 
 
 def _refuse_twins(takes: Sequence[Shard]) -> None:
-    """Refuse frames of a motion file that one take holds out and another learns from.
+    """Refuse a moment of a performance that one take holds out and another learns from.
+
+    The same performance is the same bytes, or a CMU motion that is there as AMC and as BVH.
 
     Raises:
         InputError: With the names of both takes.
     """
-    uses: dict[str, list[tuple[Shard, range]]] = {}
+    uses: dict[str, list[tuple[Shard, Path, float, float]]] = {}
     for take in takes:
         files = iter(take.files)
         for person in take.parameters.get("persons", ()):
             motion, *_ = (next(files) for _ in range(person["num_files"]))
-            frames = range(person["first_frame"], person["first_frame"] + take.parameters["num_frames"])
-            for other, others in uses.setdefault(motion.sha256, []):
+            path = Path(motion.path)
+            start = person["first_frame"] / person["rate_hz"]
+            stop = start + take.parameters["num_frames"] / person["rate_hz"]
+            performance = known_performance(path.name)
+            # Two files of one name and format need not be the same motion, AMC and BVH of one name are.
+            keys = [motion.sha256, *([f"{performance} {path.suffix.lower()}"] if performance else [])]
+            twins = [
+                motion.sha256,
+                *(f"{performance} {other}" for other in (".amc", ".bvh") if other != path.suffix.lower()),
+            ]
+            for other, its_path, its_start, its_stop in (use for key in twins for use in uses.get(key, ())):
                 is_split = other.parameters["is_held_out"] != take.parameters["is_held_out"]
-                if is_split and max(frames.start, others.start) < min(frames.stop, others.stop):
+                if is_split and max(start, its_start) < min(stop, its_stop):
+                    shown = path.name if path.suffix == its_path.suffix else f"{its_path.name}, also {path.name}"
                     raise InputError(
-                        f"takes {other.partition} and {take.partition} share frames of {Path(motion.path).name}, but "
-                        "only one of them is held out: the other would be learned from"
+                        f"takes {other.partition} and {take.partition} share frames of {shown}, but only one of them "
+                        "is held out: the other would be learned from"
                     )
-            uses[motion.sha256].append((take, frames))
+            for key in keys:
+                uses.setdefault(key, []).append((take, path, start, stop))
 
 
 def _all_takes(parameters: IngestParameters) -> Iterator[TakeOptions]:

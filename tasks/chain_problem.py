@@ -32,6 +32,7 @@ from pasdedeux.sampling.density import Likelihood
 from pasdedeux.sampling.guided import Guided, Guides
 from pasdedeux.sampling.likelihood import LEAST_CANDIDATES
 from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
+from pasdedeux.sampling.reference import left_out_dissimilarity, left_out_log_likelihood
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.densities import IMAGE_DENSITIES, agreement_of, image_likelihood
@@ -50,6 +51,8 @@ LIKELIHOOD_PARAMETERS = (
     "sigma_v_rad",
     "beta_m",
     "kernel",
+    "reference",
+    "left_out_quantile",
     "guided_share",
     "guided_stretch",
     "guided_width_m",
@@ -92,7 +95,8 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         likelihood: Likelihood | None = None if seen is None else seen.likelihood
         if is_agreement:
             likelihood = agreement_of(shard, store, seed.pair_m)
-        target = PairDensity(chart, prior, likelihood, truncation=options["truncation"])
+        left_out = np.inf if seen is None else seen.log_left_out
+        target = PairDensity(chart, prior, likelihood, truncation=options["truncation"], log_left_out=left_out)
     except InputError as error:
         raise InputError(f"seed {options['seed_index']} ({seed.origin}): {error}") from None
     propose = GaussianBlocks(
@@ -151,6 +155,7 @@ class Seen:
     likelihood: InteractionLikelihood | MeasuredLikelihood
     speeds: Speeds | None
     guides: AnnotatedPairs
+    log_left_out: float
     num_annotations: int
     num_skipped: int
     num_swapped: int
@@ -219,9 +224,12 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
             tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))
             speeds = annotation_speeds(tracks)
             num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
+        log_left_out = _left_out(pairs, options, stream(shard.seed, "chains", "left_out", seed_index))
         num_annotations = len(np.unique(pairs.annotation_index))
         guides = _some(pairs, np.unique(bank.candidates[bank.candidates >= 0]))
-        _KEPT[identity] = Seen(likelihood, speeds, guides, num_annotations, placed.gathered.num_skipped, num_swapped)
+        _KEPT[identity] = Seen(
+            likelihood, speeds, guides, log_left_out, num_annotations, placed.gathered.num_skipped, num_swapped
+        )
         while len(_KEPT) > _MOST_KEPT:
             _KEPT.popitem(last=False)
     return _KEPT[identity]
@@ -232,3 +240,13 @@ def _some(pairs: AnnotatedPairs, entries: np.ndarray) -> AnnotatedPairs:
     count = min(NUM_GUIDES, len(entries))
     chosen = entries[np.linspace(0, len(entries) - 1, count).round().astype(int)]
     return AnnotatedPairs(pairs.points_m[chosen], pairs.directions[chosen], pairs.annotation_index[chosen])
+
+
+def _left_out(pairs: AnnotatedPairs, options: Mapping[str, Any], rng: np.random.Generator) -> float:
+    """Give the log likelihood of a real pair that is not annotated where the truncation refers to it, else inf."""
+    if options["reference"] == "seed":
+        return np.inf
+    least = left_out_dissimilarity(pairs, view_bandwidth_rad=options["sigma_v_rad"], beta_m=options["beta_m"])
+    return left_out_log_likelihood(
+        least, options["num_views"], rng, sigma_l=options["sigma_l"], quantile=options["left_out_quantile"]
+    )

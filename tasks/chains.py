@@ -77,6 +77,14 @@ class ChainsParameters(Parameters):
     )
     length_tolerance: float = Field(0.05, ge=0, lt=0.5, description="Greatest relative change of a bone's length")
     truncation: float = Field(100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0")
+    reference: Literal["seed", "left_out"] = Field(
+        "seed",
+        description="f0 of eq. 11: the seed's density, or, where that is higher, that of a pair as likely as a real "
+        "one that is not annotated",
+    )
+    left_out_quantile: float = Field(
+        0.5, ge=0, le=1, description="How well that pair is annotated, as a quantile over left-out annotations"
+    )
     root_rotation_rad: float = Field(0.02, ge=0, description="Step of a root's rotation, radians")
     root_position_m: float = Field(0.005, ge=0, description="Step of a root's position, metres")
     joint_rotation_rad: float = Field(0.04, ge=0, description="Step of a bone's rotation, radians")

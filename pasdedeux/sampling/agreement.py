@@ -12,6 +12,7 @@ weights and floors were chosen by the study `density`.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numba
@@ -106,9 +107,25 @@ class Agreement:
             grown = grown[np.sort(order[distance[order] > _SAME_M][:most])]
             if not len(grown):
                 raise InputError("agreement needs a grown pair that is not the seed itself")
-        self._centred, self._offset = _apart(grown)
-        self._limbs = _limbs_of(grown)
-        self._work = np.empty((2 + _NUM_LIMBS, len(grown)))
+        self._log_count = float(np.log(len(grown)))
+        self._hold(*_apart(grown), _limbs_of(grown))
+
+    def _hold(self, centred: Array, offset: Array, limbs: Array) -> None:
+        self._centred, self._offset, self._limbs = centred, offset, limbs
+        self._work = np.empty((2 + _NUM_LIMBS, len(centred)))
+
+    def among(self, pairs_m: Array, *, most: int = 400) -> Agreement:
+        """Give the same over fewer grown pairs: the `most` posed most like each of some pairs (n, 2, 17, 3), metres.
+
+        For pairs close to these its terms are those of all, but for what the grown pairs left out would have added.
+        """
+        kept = np.zeros(len(self._centred), dtype=bool)
+        for pair in pairs_m:
+            self.terms(pair)
+            kept[np.argsort(-self._work[0], kind="stable")[:most]] = True
+        fewer = copy(self)
+        fewer._hold(*(np.ascontiguousarray(part[kept]) for part in (self._centred, self._offset, self._limbs)))
+        return fewer
 
     def terms(self, pair_m: Array) -> AgreementTerms:
         """Give the terms of a pair (2, 17, 3), metres."""
@@ -123,6 +140,7 @@ class Agreement:
             self._limbs,
             self._work,
             np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
+            self._log_count,
         )
         radii = self._model.radii_of(pair[None])
         model = self._model
@@ -180,7 +198,7 @@ def _distances(pair_m: Array, grown_m: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths):  # type: ignore[no-untyped-def]
+def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths, log_count):  # type: ignore[no-untyped-def]
     """Give the logs of the kernel density of poses and of the two given the pose; `work` is (2 + limbs, other)."""
     num_others, num_points, num_limbs = others.shape[0], others.shape[1], limbs.shape[0]
     key, m, q, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
@@ -222,7 +240,7 @@ def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, wid
     least = np.inf
     for limb in range(num_limbs):
         least = min(least, _log_sum(work[2 + limb]) - every)
-    return every - np.log(num_others), _log_sum(work[1]) - every, least
+    return every - log_count, _log_sum(work[1]) - every, least
 
 
 @numba.njit(cache=True, nogil=True)

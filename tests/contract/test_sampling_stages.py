@@ -359,7 +359,14 @@ ALL_MOVES = {"few": 2.0, "limb": 1.0, "person": 1.0, "roots": 1.0}
     "options",
     [
         {"num_warm_up": 0},
-        {"kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 6, "guided_share": 0.5, "joint_limits": "learned"},
+        {
+            "kernel": "velocity",
+            "moves": ALL_MOVES,
+            "num_warm_up": 6,
+            "guided_share": 0.5,
+            "joint_limits": "learned",
+            "reference": "left_out",
+        },
     ],
     ids=["plain", "everything"],
 )

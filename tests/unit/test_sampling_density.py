@@ -408,3 +408,17 @@ def test_swapping_the_two_people_everywhere_changes_nothing() -> None:
         np.testing.assert_allclose(mirror.positions(flipped), chart.positions(parameters)[::-1], atol=1e-12)
         assert there.log_prior == pytest.approx(terms.log_prior, rel=1e-9)
         assert there.penetration_m == pytest.approx(terms.penetration_m, rel=1e-9, abs=1e-12)
+
+
+def test_a_left_out_reference_moves_the_truncation_down_and_never_up(
+    annotated: tuple[AnnotatedPairs, ViewBank],
+) -> None:
+    own = density_of(annotated)
+    seed_likelihood = own.seed_evaluation.log_likelihood
+    higher, lower = (density_of(annotated, log_left_out=seed_likelihood + by) for by in (3.0, -50.0))
+    assert (higher.log_floor, higher.log_ceiling) == (own.log_floor, own.log_ceiling)
+    assert lower.log_floor == pytest.approx(own.log_floor - 50.0)
+    assert lower.log_ceiling == pytest.approx(own.log_ceiling - 50.0)
+    assert lower.seed_evaluation.log_density == lower.log_ceiling
+    parameters = own.chart.seed_parameters()
+    assert lower(parameters).log_density == lower.log_ceiling

@@ -35,28 +35,13 @@ from pasdedeux.sampling.measured_likelihood import MeasuredLikelihood
 from pasdedeux.sampling.reference import left_out_dissimilarity, left_out_log_likelihood
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import gather, gather_tracks
+from tasks.chain_parameters import LIKELIHOOD_PARAMETERS
 from tasks.densities import IMAGE_DENSITIES, agreement_of, image_likelihood
 from tasks.priors import read_occupancy
 from tasks.seeds import read_limits
 from tasks.stage import Shard, stream
 
-__all__ = ["LIKELIHOOD_PARAMETERS", "ChainProblem", "SeedRow", "chain_problem", "look_at_annotations", "read_seed_row"]
-
-LIKELIHOOD_PARAMETERS = (
-    "num_views",
-    "num_candidates",
-    "num_hypotheses",
-    "num_ranked",
-    "sigma_l",
-    "sigma_v_rad",
-    "beta_m",
-    "kernel",
-    "reference",
-    "left_out_quantile",
-    "guided_share",
-    "guided_stretch",
-    "guided_width_m",
-)
+__all__ = ["ChainProblem", "SeedRow", "chain_problem", "look_at_annotations", "read_seed_row"]
 
 NUM_GUIDES = 1000
 """Annotations that may guide a chain's steps, at most: spread evenly over those that any view of the bank meets."""

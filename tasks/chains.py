@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
     ChainState,
     Evaluation,
-    MoveKind,
     Scales,
     diagnose,
     generator_from_json,
@@ -23,115 +22,16 @@ from pasdedeux.sampling import (
 )
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, views_of
-from tasks.chain_problem import LIKELIHOOD_PARAMETERS, chain_problem, read_seed_row
-from tasks.densities import IMAGE_DENSITIES, DensityName, density_inputs
+from tasks.chain_parameters import ChainsParameters, segment_parameters
+from tasks.chain_problem import chain_problem, read_seed_row
+from tasks.densities import density_inputs
+from tasks.draw_sets import GROWN
 from tasks.seeds import start_indices
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
+from tasks.stage import Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
 
 VERSION = 3
-
-KernelName = Literal["unbiased", "velocity"]
-
-_PRIOR_PARAMETERS = ("sigma_p_m", "alpha", "most_invalid_angles", "joint_limits", "length_tolerance", "truncation")
-_STEP_PARAMETERS = (
-    "segment_draws",
-    "thin",
-    "root_rotation_rad",
-    "root_position_m",
-    "joint_rotation_rad",
-    "length_change",
-    "most_blocks",
-    "moves",
-    "num_warm_up",
-    "target_acceptance",
-)
-
-
-class ChainsParameters(Parameters):
-    """What is sampled, how much, and with which steps."""
-
-    densities: tuple[DensityName, ...] = Field(
-        ("ic", "prior_only"),
-        min_length=1,
-        description="Densities: ic (interaction coordinates), cartesian, shape_context, prior_only, "
-        "agreement (with grown seeds)",
-    )
-    num_chains: int = Field(2, ge=1, le=1000, description="Chains of each seed and density")
-    num_draws: int = Field(500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
-    thin: int = Field(10, ge=1, description="Steps per kept draw")
-    segment_draws: int = Field(250, ge=4, description="Draws of a segment, the unit that is stored and resumed")
-    num_views: int = Field(20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
-    num_candidates: int = Field(500, ge=1, description="Annotations compared with each view, nearest by view")
-    num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
-    num_ranked: int = Field(192, ge=1, description="Candidates of a view compared in full, nearest by rigid residual")
-    sigma_l: float = Field(0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)")
-    sigma_v_rad: float = Field(0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
-    beta_m: float = Field(0.05, gt=0, description="Edge length below which weights stop growing (eq. 8), metres")
-    sigma_p_m: float = Field(0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
-    alpha: float = Field(10.0, ge=0, description="Weight of the squared penetration (eq. 2)")
-    most_invalid_angles: int = Field(8, ge=0, description="Invalid joint angles beyond which a pair is impossible")
-    joint_limits: Literal["table", "learned"] = Field(
-        "table", description="Joint limits: the table's ranges, or also what the prior takes show (see priors)"
-    )
-    length_tolerance: float = Field(0.05, ge=0, lt=0.5, description="Greatest relative change of a bone's length")
-    truncation: float = Field(100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0")
-    reference: Literal["seed", "left_out"] = Field(
-        "seed",
-        description="f0 of eq. 11: the seed's density, or, where that is higher, that of a pair as likely as a real "
-        "one that is not annotated",
-    )
-    left_out_quantile: float = Field(
-        0.5, ge=0, le=1, description="How well that pair is annotated, as a quantile over left-out annotations"
-    )
-    root_rotation_rad: float = Field(0.02, ge=0, description="Step of a root's rotation, radians")
-    root_position_m: float = Field(0.005, ge=0, description="Step of a root's position, metres")
-    joint_rotation_rad: float = Field(0.04, ge=0, description="Step of a bone's rotation, radians")
-    length_change: float = Field(0.005, ge=0, description="Step of a bone's relative length")
-    most_blocks: int = Field(4, ge=1, le=34, description="Roots and bones moved by one step of `few`, at most")
-    kernel: KernelName = Field(
-        "unbiased", description="Steps: unbiased, or velocity, wider where nearby annotations move (eq. 12); ic only"
-    )
-    moves: dict[MoveKind, Annotated[float, Field(ge=0)]] = Field(
-        {MoveKind.FEW: 1.0},
-        min_length=1,
-        description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
-    )
-    guided_share: float = Field(
-        0.0, ge=0, le=1, description="Share of steps towards or away from what a near annotation shows; 0: none"
-    )
-    guided_stretch: float = Field(
-        0.3,
-        gt=0,
-        le=3,
-        description="Guided steps change the distance to an annotation by a factor of at most its exp",
-    )
-    guided_width_m: float = Field(
-        0.03, gt=0, description="Width of the preference for near annotations as guides, metres in the image"
-    )
-    num_warm_up: int = Field(
-        50, ge=0, description="Draws before the first kept one, in which step sizes are learned; they are dropped"
-    )
-    target_acceptance: float = Field(0.234, gt=0, lt=1, description="Accepted share that step sizes are learned for")
-
-    @model_validator(mode="after")
-    def _something_moves(self) -> ChainsParameters:
-        if not sum(self.moves.values()) > 0.0:
-            raise ValueError("chains.moves gives every kind of move the weight 0; one must be drawn")
-        scales = (self.root_rotation_rad, self.root_position_m, self.joint_rotation_rad)
-        if (self.kernel == "velocity" or self.guided_share > 0.0) and not min(scales) > 0.0:
-            wanted = "kernel = 'velocity'" if self.kernel == "velocity" else "guided_share"
-            raise ValueError(
-                f"chains.{wanted} needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _densities_are_named_once(self) -> ChainsParameters:
-        if len(set(self.densities)) != len(self.densities):
-            raise ValueError("chains.densities names a density twice")
-        return self
 
 
 def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
@@ -142,10 +42,14 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     limits = [manifest.ref for manifest in inputs.of("joint_limits")]
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
-    asked = parameters.model_dump(mode="json")
-    num_segments = -(-parameters.num_draws // parameters.segment_draws)
     seen = (*annotated, *views) if annotated and views else ()
-    found = {density: density_inputs(density, inputs, seen) for density in parameters.densities}
+    wanted: list[tuple[str, str, ChainsParameters]] = [
+        (density, density, parameters) for density in parameters.densities
+    ]
+    for name in parameters.variants:
+        own = parameters.variant(name)
+        wanted.append((name, own.densities[0], own))
+    found = {density: density_inputs(density, inputs, seen) for _, density, _ in wanted}
     if inputs.of("seeds") and all(needs is None for needs in found.values()):
         raise InputError(
             f"chains.densities asks for {', '.join(found)} alone, but there are no "
@@ -153,47 +57,72 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
             + " to sample from"
         )
     shards: list[Shard] = []
-    for density, needed in found.items():
+    for name, density, own in wanted:
+        needed = found[density]
         if needed is None:
             continue
         needs = [manifest.ref for manifest in needed]
-        names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (LIKELIHOOD_PARAMETERS if density in IMAGE_DENSITIES else ())
-        starts = [(seed.ref, index) for seed in inputs.of("seeds") for index in start_indices(seed)]
-        for seed, index in starts:
-            common = {"density": density, "seed_index": index, **{name: asked[name] for name in names}}
-            refs = (seed, *limits, *needs)
-            segments: list[Shard] = []
-            for chain in range(parameters.num_chains):
-                previous: tuple[str, ...] = ()
-                for segment in range(num_segments):
-                    shard = Shard(
-                        stage="chains",
-                        version=VERSION,
-                        partition=f"{density}-seed{index}",
-                        name=f"chain{chain}-segment{segment}",
-                        parameters={**common, "chain": chain, "segment": segment},
-                        inputs=refs,
-                        after=previous,
-                        seed=inputs.seed,
-                    )
-                    previous = (shard.key,)
-                    segments.append(shard)
-            summary = Shard(
+        for seed, index in _starts(inputs, own.starts):
+            shards += _plan_seed(inputs, name, density, own, index, refs=(seed, *limits, *needs))
+    return shards
+
+
+def _starts(inputs: StageInputs, which: str) -> list[tuple[ArtifactRef, int]]:
+    """Give the seeds that chains start from, each with the artifact it is in."""
+    return [
+        (seed.ref, index)
+        for seed in inputs.of("seeds")
+        if which == "all" or (which == "grown") == (seed.facts["kind"] == GROWN)
+        for index in start_indices(seed)
+    ]
+
+
+def _plan_seed(
+    inputs: StageInputs,
+    name: str,
+    density: str,
+    parameters: ChainsParameters,
+    index: int,
+    *,
+    refs: tuple[ArtifactRef, ...],
+) -> list[Shard]:
+    """Plan the segments of every chain of a seed, which is in the first of `refs`, and their summary."""
+    common = {"seed_index": index, **segment_parameters(parameters, density)}
+    if name != density:
+        common["variant"] = name
+    num_segments = -(-parameters.num_draws // parameters.segment_draws)
+    segments: list[Shard] = []
+    for chain in range(parameters.num_chains):
+        previous: tuple[str, ...] = ()
+        for segment in range(num_segments):
+            shard = Shard(
                 stage="chains",
                 version=VERSION,
-                partition=f"{density}-seed{index}",
-                name="summary",
-                parameters={
-                    **common,
-                    "num_chains": parameters.num_chains,
-                    "num_segments": num_segments,
-                },
-                inputs=(seed,),
-                after=tuple(shard.key for shard in segments),
+                partition=f"{name}-seed{index}",
+                name=f"chain{chain}-segment{segment}",
+                parameters={**common, "chain": chain, "segment": segment},
+                inputs=refs,
+                after=previous,
                 seed=inputs.seed,
             )
-            shards += [*segments, summary]
-    return shards
+            previous = (shard.key,)
+            segments.append(shard)
+    summary = Shard(
+        stage="chains",
+        version=VERSION,
+        partition=f"{name}-seed{index}",
+        name="summary",
+        parameters={**common, "num_chains": parameters.num_chains, "num_segments": num_segments},
+        inputs=refs[:1],
+        after=tuple(shard.key for shard in segments),
+        seed=inputs.seed,
+    )
+    return [*segments, summary]
+
+
+def _name(options: Mapping[str, Any]) -> str:
+    """Give the name under which draws are kept: the variant's, or the density's."""
+    return str(options.get("variant", options["density"]))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -203,7 +132,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
     options = shard.parameters
-    density, seed_index = str(options["density"]), int(options["seed_index"])
+    density, seed_index = _name(options), int(options["seed_index"])
     chain, segment, count = int(options["chain"]), int(options["segment"]), int(options["segment_draws"])
     seed = read_seed_row(store, shard.inputs[0], seed_index)
     problem = chain_problem(shard, store, seed)
@@ -314,7 +243,7 @@ def _summarise(shard: Shard, store: Store) -> ArtifactRef:
         log_ceiling=float(facts["log_ceiling"]),
     )
     info = {
-        "density": [options["density"]] * num_chains,
+        "density": [_name(options)] * num_chains,
         "seed_index": [options["seed_index"]] * num_chains,
         "chain": list(range(num_chains)),
         "num_draws": [report.num_draws for report in reports],
@@ -334,7 +263,7 @@ def _summarise(shard: Shard, store: Store) -> ArtifactRef:
         tables={"chain_info": info},
         facts={
             "kind": "chain_info",
-            "density": options["density"],
+            "density": _name(options),
             "seed_index": options["seed_index"],
             "takes": merge_takes(*done),
         },

@@ -115,7 +115,7 @@ SEEDS = Table(
 )
 
 _CHAIN_COLUMNS = (
-    text("density", "Density sampled: ic, prior_only, ..."),
+    text("density", "Density sampled (ic, prior_only, ...), or the variant of a study's chains"),
     integer("seed_index", "Seed the chain started from"),
     integer("chain", "Chain of that seed"),
 )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.report import Picture, Report, Section, render_report
+from pasdedeux.evaluation.exploration import exploration_table
+from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
 from pasdedeux.evaluation.score_tables import score_table
 from pasdedeux.evaluation.scores import Score
 from storage_schema import Manifest, Store
@@ -109,7 +110,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
     scores = {topic: _scores(store, found, topic) for topic in _SECTIONS}
     skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
     card = _card(shard, inputs, skipped)
-    sections = [_section(store, found, topic, scores[topic]) for topic in _SECTIONS]
+    explored = exploration_table(scores["coverage"], scores["chains"])
+    beside = {"coverage": () if explored is None else (explored,)}
+    sections = [_section(store, found, topic, scores[topic], beside.get(topic, ())) for topic in _SECTIONS]
     closing = Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",))
     sources = Section(heading="Sources and licences", tables=card_tables(card))
     page = render_report(
@@ -136,8 +139,10 @@ def _scores(store: Store, found: Sequence[Manifest], topic: str) -> list[Score]:
     return scores
 
 
-def _section(store: Store, found: Sequence[Manifest], topic: str, scores: Sequence[Score]) -> Section | None:
-    """Give a topic's section, or None when nothing was found."""
+def _section(
+    store: Store, found: Sequence[Manifest], topic: str, scores: Sequence[Score], tables: tuple[TextTable, ...]
+) -> Section | None:
+    """Give a topic's section, with tables before its figures, or None when nothing was found."""
     heading, introduction = _SECTIONS[topic]
     parts = [manifest for manifest in found if manifest.facts["topic"] == topic]
     if not parts:
@@ -148,7 +153,8 @@ def _section(store: Store, found: Sequence[Manifest], topic: str, scores: Sequen
         for name in sorted(manifest.attachments)
     )
     notes = tuple(note for manifest in parts for note in manifest.facts["notes"])
-    tables = (score_table(scores, caption=f"{heading}: figures"),) if scores else ()
+    if scores:
+        tables = (*tables, score_table(scores, caption=f"{heading}: figures"))
     return Section(heading=heading, paragraphs=(introduction, *notes), tables=tables, pictures=pictures)
 
 

@@ -433,6 +433,42 @@ def test_the_kernel_does_not_enter_the_keys_of_densities_without_annotations(inp
     assert keys[0] == keys[1]
 
 
+def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=2)
+    options = {**QUICK, "num_chains": 1, "densities": ("ic",), "starts": "seeds"}
+    variants = {
+        "hotter": {"sigma_l": 0.05},
+        "grown_prior": {"density": "prior_only", "starts": "grown", "num_draws": 4},
+    }
+    base = [shard.key for shard in chains.plan(given, ChainsParameters(**options))]
+    planned = chains.plan(given, ChainsParameters(**options, variants=variants))
+    assert [shard.key for shard in planned[: len(base)]] == base
+    made = run(planned, chains, store)
+    found = draws_of(made, store)
+    starts = given.of("seeds")[-1].facts["starts"]
+    assert {place[:2] for place in found} == {("ic", 0), ("hotter", 0), *(("grown_prior", index) for index in starts)}
+    assert sum(place[0] == "grown_prior" for place in found) == 4 * len(starts)
+    assert any((found["ic", 0, 0, draw] != found["hotter", 0, 0, draw]).any() for draw in range(8))
+    assert {one.facts["density"] for one in made} == {"ic", "hotter", "grown_prior"}
+
+
+@pytest.mark.parametrize(
+    ("variants", "message"),
+    [
+        ({"ic": {}}, "'ic' is no name for a variant"),
+        ({"Hot": {}}, "'Hot' is no name for a variant"),
+        ({"hot": {"sigma": 1.0}}, "there is no setting 'sigma' of a variant"),
+        ({"hot": {"variants": {}}}, "there is no setting 'variants'"),
+        ({"hot": {"sigma_l": -1.0}}, r"chains\.variants\.hot: sigma_l"),
+        ({"hot": {"density": "warm"}}, r"chains\.variants\.hot: densities"),
+    ],
+)
+def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ChainsParameters(variants=variants)
+
+
 def test_kernels_that_cannot_be_are_refused_before_anything_runs() -> None:
     with pytest.raises(ValueError, match="every kind of move the weight 0"):
         ChainsParameters(moves={"few": 0.0})

@@ -256,17 +256,20 @@ def read_views(parts: Sequence[Manifest]) -> Views:
     return Views.of(told[0])
 
 
-def read_pairs(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
+def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, most: int | None = None) -> np.ndarray:
     """Give the pairs (row, person, 14, 3) of all parts, for `pairs.PairDatabase`; people who were alone are left out.
 
-    The rows of a frame give back its people in their place to each other: heading and place are put on again.
+    The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
+    pairs than `most` an even choice is given.
     """
+    count = sum(store.manifest(ref).tables["projections"].rows for ref in refs) // 2
+    step = 1 if most is None else max(1, -(-count // most))
     pairs = [np.zeros((0, 2, OP14.num_joints, 3))]
     for ref in refs:
         columns = ["person", "partner_row", "op14_m", "heading_rad", "root_translation_m"]
         table = store.read(ref, "projections", columns=columns)
         is_alone = np.asarray(table.is_null("partner_row"))
-        rows = np.flatnonzero((np.asarray(table["person"]) == 0) & ~is_alone)
+        rows = np.flatnonzero((np.asarray(table["person"]) == 0) & ~is_alone)[::step]
         both = np.stack([rows, np.asarray(table["partner_row"])[rows].astype(np.int64)], axis=1)
         turn = yaw_rotmat(np.asarray(table["heading_rad"], dtype=np.float64)[both])
         poses = np.einsum("npij,npkj->npki", turn, np.asarray(table["op14_m"], dtype=np.float64)[both])

@@ -18,12 +18,16 @@ from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import PersonTrack, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.projections import read_views
+from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 
-__all__ = ["STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
+__all__ = ["MOST_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 8
+VERSION = 9
+
+
+MOST_PAIRS = 30_000
+"""Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 
 
 class ReconstructionParameters(Parameters):
@@ -57,6 +61,11 @@ class ReconstructionParameters(Parameters):
         0.5, ge=0, description="Cost of a pose change per metre, against the misfit in the image"
     )
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
+    has_pairs: bool = Field(
+        True,
+        description="Two people near each other are placed by the pairs of the database that look like both; `nearest` "
+        "leaves them where their own size puts them",
+    )
     smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
     has_clean_up: bool = Field(
         True,
@@ -192,7 +201,19 @@ def _reconstruct(
     ]
     suited = databases[choose_camera(databases, [person.track for person in people], options)]
     chosen = Searcher.of(suited, exact_up_to=parameters.exact_up_to)
-    found = reconstruct_people([chosen], people, parameters.methods, options, has_clean_up=parameters.has_clean_up)
+    is_paired = parameters.has_pairs and len(people) > 1
+    found = reconstruct_people(
+        [chosen],
+        people,
+        parameters.methods,
+        options,
+        has_clean_up=parameters.has_clean_up,
+        pairs_m=read_pairs(store, database_refs, most=MOST_PAIRS) if is_paired else None,
+    )
+    facts["couples"] = [
+        {"person_ids": list(couple), "size_ratio": float(np.divide(*placing.sizes)), "lens_factor": placing.lens_factor}
+        for couple, placing in found.placings.items()
+    ]
     facts["camera"] = parts[0].facts["views"]["camera"]
     facts["pitch_deg"] = float(np.rad2deg(suited.camera.pitch_rad))
     facts["num_projections"] = chosen.database.num_projections

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.motion_out import upright_motion
 from pasdedeux.projections.pitch import choose_pitch, floor_offset
 from pasdedeux.projections.reconstruct import (
+    Matches,
     Method,
     Reconstruction,
     ReconstructionOptions,
@@ -23,6 +24,7 @@ from pasdedeux.projections.reconstruct import (
     match_track,
     reconstruct_track,
 )
+from pasdedeux.projections.together import PairSearcher, Placing, choose_couples, place_together
 from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows
 
 __all__ = [
@@ -81,12 +83,14 @@ class ReconstructedTracks:
         motions: Upright motions of the last by person id, floor at 0.
         skipped: Why the others could not be reconstructed, by person id.
         searcher_index: Which of the databases' cameras suited best.
+        placings: What was done to two people who were placed by pairs, by their person ids.
     """
 
     methods: tuple[MethodMotions, ...]
     motions: dict[int, Motion]
     skipped: dict[int, str]
     searcher_index: int
+    placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -170,8 +174,12 @@ def reconstruct_people(
     options: ReconstructionOptions | None = None,
     *,
     has_clean_up: bool = True,
+    pairs_m: npt.NDArray[np.floating] | None = None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
+
+    Two people who are near each other are placed by pairs that look like both, see `together`; `nearest`, the baseline,
+    leaves everybody where their own size puts them.
 
     Args:
         searchers: Databases made ready, one per camera; the one that suits best is used.
@@ -179,6 +187,7 @@ def reconstruct_people(
         methods: Methods; the last one is cleaned up and gives the motions.
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
+        pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
     """
     options = options or ReconstructionOptions()
     chosen = choose_pitch(searchers, [one.track for one in people], options) if len(searchers) > 1 else 0
@@ -191,11 +200,16 @@ def reconstruct_people(
         except InputError as error:
             skipped[person.person_id] = str(error)
     made = []
+    placings: dict[tuple[int, int], Placing] | None = None
     for method in methods if matched else ():
         found = tuple(
             (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
             for person, matches in matched
         )
+        if method is not Method.NEAREST:
+            if placings is None:
+                placings = _place(searcher, [matches for _, matches in matched], found, pairs_m)
+            found = _moved(found, placings)
         made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
     if made and has_clean_up:
         last = made[-1]
@@ -208,7 +222,41 @@ def reconstruct_people(
         person.person_id: upright_motion(one.positions_m - made[-1].origin_m, camera, rate_hz=person.track.rate_hz)
         for person, one in (made[-1].people if made else ())
     }
-    return ReconstructedTracks(tuple(made), motions, skipped, chosen)
+    return ReconstructedTracks(tuple(made), motions, skipped, chosen, placings or {})
+
+
+def _place(
+    searcher: Searcher,
+    matches: Sequence[Matches],
+    found: Sequence[tuple[PersonTrack, Reconstruction]],
+    pairs_m: npt.NDArray[np.floating] | None,
+) -> dict[tuple[int, int], Placing]:
+    """Place the couples of a sequence by pairs, by person ids."""
+    couples = choose_couples(found) if pairs_m is not None and len(pairs_m) else []
+    if pairs_m is None or not couples:
+        return {}
+    database = searcher.database
+    pairs = PairSearcher.of(pairs_m, num_yaws=database.num_yaws, pitch_rad=database.camera.pitch_rad)
+    placings = {}
+    for first, second in couples:
+        one, other = ((found[place][0], matches[place], found[place][1]) for place in (first, second))
+        placing = place_together(pairs, (one, other))
+        if placing is not None:
+            placings[one[0].person_id, other[0].person_id] = placing
+    return placings
+
+
+def _moved(
+    found: Sequence[tuple[PersonTrack, Reconstruction]], placings: Mapping[tuple[int, int], Placing]
+) -> tuple[tuple[PersonTrack, Reconstruction], ...]:
+    moves = {
+        person_id: (number, placing) for couple, placing in placings.items() for number, person_id in enumerate(couple)
+    }
+    moved = []
+    for person, one in found:
+        number, placing = moves.get(person.person_id, (0, None))
+        moved.append((person, one if placing is None else placing.moved(number, person, one)))
+    return tuple(moved)
 
 
 def reconstruct_detections(
@@ -222,6 +270,7 @@ def reconstruct_detections(
     method: Method = Method.FIT,
     options: ReconstructionOptions | None = None,
     has_clean_up: bool = True,
+    pairs_m: npt.NDArray[np.floating] | None = None,
 ) -> ReconstructedCrowd:
     """Reconstruct the people of a video.
 
@@ -235,6 +284,7 @@ def reconstruct_detections(
         method: How.
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
+        pairs_m: Pairs that two people are placed by, see `reconstruct_people`.
 
     Raises:
         InputError: Nobody can be reconstructed (says why).
@@ -245,7 +295,7 @@ def reconstruct_detections(
     tracks = followed.tracks
     if not tracks:
         raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
-    found = reconstruct_people(searchers, tracks, [method], options, has_clean_up=has_clean_up)
+    found = reconstruct_people(searchers, tracks, [method], options, has_clean_up=has_clean_up, pairs_m=pairs_m)
     if not found.methods:
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     people = tuple(

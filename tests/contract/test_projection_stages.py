@@ -202,6 +202,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     refs = [take.ref, drawn.ref, varied.ref]
     pairs = projections.read_pairs(store, refs)
     assert pairs.shape == (72 + 2 + 4, 2, 14, 3)
+    assert len(projections.read_pairs(store, refs, most=30)) == 24 + 1 + 2  # every third
     # The people of a draw stand to each other as they were drawn: retargeting keeps the mid-hips.
     across = np.diff(mid_hip(pairs[72:74]), axis=1)[:, 0]
     truth = np.diff(mid_hip(op14_from_working(np.asarray(drawn_pairs), PAIR17)), axis=1)[[0, 2], 0]
@@ -248,6 +249,7 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     manifest = store.manifest(ref)
     assert sorted(manifest.attachments) == ["film_0.bvh", "film_1.bvh"]
     assert manifest.facts["skipped"] == []
+    assert [couple["person_ids"] for couple in manifest.facts["couples"]] == [[0, 1]]
     # The two people stand in one frame, person 1 on the truth's side of person 0.
     apart = [positions[(method == "viterbi") & (person == one)].mean(axis=(0, 1)) for one in (0, 1)]
     true_apart = truth[1].mean(axis=(0, 1)) - truth[0].mean(axis=(0, 1))
@@ -257,9 +259,10 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
 def test_a_search_that_may_miss_says_how_much_it_finds(store: Store) -> None:
     built = build(store, [put_take(store, name) for name in "ab"])
     video, _ = put_video(store, "film", ["held"])
-    (exact,) = reconstruct(store, [video], built, methods=("nearest",))
+    (exact,) = reconstruct(store, [video], built, methods=("viterbi",), has_pairs=False)
     (missing,) = reconstruct(store, [video], built, methods=("nearest",), exact_up_to=0)
     facts = [store.manifest(ref).facts for ref in (exact, missing)]
+    assert facts[0]["couples"] == []  # when not asked for
     assert facts[0]["search_slack"] == 0.0
     assert facts[0]["search_recall"] == 1.0
     assert facts[1]["search_slack"] > 0.0

@@ -1,0 +1,139 @@
+"""Two people are placed to each other by pairs that look like both, and left alone where nothing looks like them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pasdedeux.cameras import look_at_camera
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.pairs import centre_pairs
+from pasdedeux.projections.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.projections.reconstruct import Method, Reconstruction, Searcher
+from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.projections.together import PlacingOptions, choose_couples
+from pasdedeux.projections.tracks import Lens, PersonTrack, Track
+from tests.walkers import walk
+
+FRAMES = 96
+FOCAL_PX, ASSUMED_FOCAL_PX = 1400.0, 1000.0
+SIZES = (1.05, 0.92)
+
+
+def couple(num_frames: int, *, start_s: float = 0.0) -> np.ndarray:
+    """Give two walkers (frame, person, 14, 3) who circle each other 0.8 m apart, face to face."""
+    frames = round(start_s * 24.0) + num_frames
+    worlds = [walk(frames, seed=3 + person, turn_rad=0.0) for person in (0, 1)]
+    angle = 2.2 * np.arange(frames) / 24.0
+    people = []
+    for world, turn in zip(worlds, (0.0, np.pi), strict=True):
+        away = world - (mid_hip(world) * [1.0, 0.0, 1.0])[:, None] - [0.0, 0.0, 0.4]  # they face +Z
+        people.append(np.einsum("fij,fnj->fni", yaw_rotmat(angle + turn), away))
+    return np.stack(people, axis=1)[-num_frames:]
+
+
+@cache
+def database() -> tuple[Searcher, np.ndarray]:
+    pairs = couple(240)
+    poses = centre_and_face(retarget_proportions(np.concatenate([pairs[:, 0], pairs[:, 1]]))).poses_m
+    searcher = Searcher.of(Database(poses, np.arange(480) % 240 == 0))
+    return searcher, centre_pairs(pairs)
+
+
+@cache
+def filmed() -> tuple[list[PersonTrack], np.ndarray]:
+    """Give tracks of two people of other sizes, by a lens that is not the one assumed, and the truth in camera axes."""
+    world = couple(FRAMES, start_s=1.03) * np.array(SIZES)[:, None, None]
+    hips = mid_hip(world)
+    world += (mid_hip(couple(FRAMES, start_s=1.03)) - hips)[:, :, None] * [1.0, 0.0, 1.0]
+    camera = look_at_camera(hips.mean(axis=(0, 1)), distance_m=4.0, yaw_rad=0.4, pitch_rad=0.0, focal_px=FOCAL_PX)
+    px = camera.project(world).px
+    lens = Lens(ASSUMED_FOCAL_PX, (960.0, 540.0))
+    tracks = [PersonTrack(number, 0, 0.0, Track(px[:, number], np.ones((FRAMES, 14)), 24.0, lens)) for number in (0, 1)]
+    return tracks, (world - camera.position_m) @ camera.camera_from_world_rotmat.T
+
+
+def depth_error(found: ReconstructedTracks, truth: np.ndarray) -> float:
+    first, second = (one.root_m[:, 2] for _, one in found.methods[-1].people)
+    true = mid_hip(truth[:, 1])[:, 2] - mid_hip(truth[:, 0])[:, 2]
+    return float(np.abs(second - first - true).mean())
+
+
+def reconstructed(tracks: list[PersonTrack], pairs: np.ndarray | None, method: Method) -> ReconstructedTracks:
+    return reconstruct_people([database()[0]], tracks, [method], has_clean_up=False, pairs_m=pairs)
+
+
+def test_pairs_find_sizes_lens_and_the_depth_between_two_people() -> None:
+    tracks, truth = filmed()
+    alone = reconstructed(tracks, None, Method.VITERBI)
+    placed = reconstructed(tracks, database()[1], Method.VITERBI)
+    assert depth_error(placed, truth) < 0.5 * depth_error(alone, truth)
+    assert depth_error(placed, truth) < 0.2
+    (placing,) = placed.placings.values()
+    assert placing.sizes[0] / placing.sizes[1] == pytest.approx(SIZES[0] / SIZES[1], rel=0.08)
+    assert placing.lens_factor == pytest.approx(FOCAL_PX / ASSUMED_FOCAL_PX, rel=0.1)
+    assert placing.sizes.prod() == pytest.approx(1.0)
+
+
+def test_people_stay_on_their_rays_with_their_poses() -> None:
+    tracks, _ = filmed()
+    alone = reconstructed(tracks, None, Method.VITERBI).methods[-1].people
+    placed = reconstructed(tracks, database()[1], Method.VITERBI)
+    (placing,) = placed.placings.values()
+    for number, ((_, before), (_, after)) in enumerate(zip(alone, placed.methods[-1].people, strict=True)):
+        rays = [one.root_m / np.linalg.norm(one.root_m, axis=-1, keepdims=True) for one in (before, after)]
+        np.testing.assert_allclose(*rays, atol=1e-12)
+        centred = [one.positions_m - one.root_m[:, None] for one in (before, after)]
+        np.testing.assert_allclose(centred[1], placing.sizes[number] * centred[0], atol=1e-12)
+        np.testing.assert_allclose(mid_hip(after.positions_m), after.root_m, atol=1e-9)
+
+
+def test_the_baseline_and_single_people_are_left_where_their_own_size_puts_them() -> None:
+    tracks, _ = filmed()
+    for people, method in ((tracks, Method.NEAREST), (tracks[:1], Method.VITERBI)):
+        alone, placed = (reconstructed(people, pairs, method) for pairs in (None, database()[1]))
+        assert not placed.placings
+        for (_, before), (_, after) in zip(alone.methods[-1].people, placed.methods[-1].people, strict=True):
+            np.testing.assert_array_equal(before.positions_m, after.positions_m)
+
+
+def test_pairs_that_look_like_nobody_move_people_little() -> None:
+    tracks, truth = filmed()
+    rng = np.random.default_rng(0)
+    other = np.stack([walk(60, seed=50 + person, turn_rad=6.0) for person in (0, 1)], axis=1)
+    other[:, 1] += rng.normal(0.0, 1.0, (60, 1, 3)) * [0.3, 0.6, 1.0]
+    alone = reconstructed(tracks, None, Method.VITERBI)
+    placed = reconstructed(tracks, centre_pairs(other), Method.VITERBI)
+    assert depth_error(placed, truth) < depth_error(alone, truth) + 0.1
+
+
+def test_gaps_and_tracks_that_only_overlap_are_placed_where_both_are_seen() -> None:
+    tracks, _ = filmed()
+    first, second = tracks
+    seen = second.track.confidence.copy()
+    seen[20:30] = 0.0
+    late = Track(second.track.keypoints_px[8:], seen[8:], 24.0, second.track.lens)
+    placed = reconstructed([first, PersonTrack(1, 8, 8 / 24.0, late)], database()[1], Method.VITERBI)
+    (placing,) = placed.placings.values()
+    assert placing.frames.tolist() == list(range(8, FRAMES))
+    for _, one in placed.methods[-1].people:
+        assert np.isfinite(one.positions_m).all()
+
+
+def test_couples_are_those_who_are_near_longest_and_nobody_is_in_two() -> None:
+    tracks, _ = filmed()
+    found = reconstructed(tracks, None, Method.VITERBI).methods[-1].people
+
+    def beside(one: Reconstruction, metres: float) -> Reconstruction:
+        return replace(one, root_m=one.root_m + np.array([metres, 0.0, 0.0]))
+
+    third = PersonTrack(2, 0, 0.0, tracks[0].track)
+    people = [(third, beside(found[0][1], 1.9)), *found]
+    assert choose_couples(people) == [(1, 2)]
+    far = [found[0], (tracks[1], beside(found[1][1], 9.0))]
+    assert choose_couples(far) == []
+    assert choose_couples(far, PlacingOptions(most_apart_m=12.0)) == [(0, 1)]

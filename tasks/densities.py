@@ -42,9 +42,7 @@ def image_likelihood(
 ) -> InteractionLikelihood | MeasuredLikelihood:
     """Give the likelihood of a density that compares images."""
     if density == "ic":
-        return InteractionLikelihood(
-            pairs, bank, sigma_l=options["sigma_l"], beta_m=options["beta_m"], num_ranked=options["num_ranked"]
-        )
+        return InteractionLikelihood(pairs, bank, sigma_l=options["sigma_l"], beta_m=options["beta_m"])
     return MeasuredLikelihood(
         pairs, bank, ImageMeasure(density), sigma_l=options["sigma_l"], num_ranked=options["num_ranked"]
     )

@@ -15,6 +15,9 @@ __all__ = ["best_per_view", "pair_axes"]
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 _NUM_JOINTS = PAIR17.num_joints
 
+ESTIMATE_TOLERANCE_M = 1e-3
+"""What rounding may do to an estimate of d_I, metres: it is the root of a small difference of large numbers."""
+
 ROUGH_TOLERANCE_M = 2e-5
 """What the rough comparison in float32 may be wrong by, metres; for people within a few metres its error is 1e-6."""
 
@@ -118,73 +121,164 @@ def _project(points, axes, direction, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
-def _rank(x, y, rank_x, rank_y, squares, count, a, b, score):  # type: ignore[no-untyped-def]
-    """Write for each candidate what the best rotation leaves, up to the pair's own constant; float32, a lane each."""
+def _estimate(  # type: ignore[no-untyped-def]
+    image, pulls, constants, rank_x, rank_y, rank_squares, factors, count, work, turn, estimate
+):
+    """Write each candidate's best rotation and the estimate of its d_I; float32, a candidate per lane.
+
+    Args:
+        image: The centred image s, (2, n), float32, metres times the unit of `rank_x`.
+        pulls: The springs L of each kind times it, (kind=3, 2, n), float32.
+        constants: s' L s of each kind, (kind=3,), float32, square metres.
+        rank_x: x of the candidates, (n, most), int16, in some unit.
+        rank_y: y of them.
+        rank_squares: c' L c of them, (kind=3, most), float32, square metres.
+        factors: What the root of each kind counts, (kind=3, most), float32.
+        count: Number of candidates.
+        work: Scratch (8, most), float32.
+        turn: Result (2, most), float32: cosine and sine.
+        estimate: Result (most,), float32, metres.
+    """
+    zero, two = np.float32(0.0), np.float32(2.0)
+    dot, cross, along_a, across_a = work[0], work[1], work[2], work[3]
+    along_b, across_b, along_ab, across_ab = work[4], work[5], work[6], work[7]
     for c in range(count):
-        a[c] = np.float32(0.0)
-        b[c] = np.float32(0.0)
-    for k in range(0, x.shape[0] - 1, 2):
-        sx, sy = np.float32(x[k]), np.float32(y[k])
-        tx, ty = np.float32(x[k + 1]), np.float32(y[k + 1])
-        px, py, qx, qy = rank_x[k], rank_y[k], rank_x[k + 1], rank_y[k + 1]
+        dot[c] = cross[c] = along_a[c] = across_a[c] = zero
+        along_b[c] = across_b[c] = along_ab[c] = across_ab[c] = zero
+    for k in range(_NUM_JOINTS):
+        other = k + _NUM_JOINTS
+        sx, sy, tx, ty = image[0, k], image[1, k], image[0, other], image[1, other]
+        ax, ay, bx, by = pulls[0, 0, k], pulls[0, 1, k], pulls[1, 0, other], pulls[1, 1, other]
+        ux, uy, vx, vy = pulls[2, 0, k], pulls[2, 1, k], pulls[2, 0, other], pulls[2, 1, other]
+        px, py, qx, qy = rank_x[k], rank_y[k], rank_x[other], rank_y[other]
         for c in range(count):
-            a[c] += (sx * px[c] + sy * py[c]) + (tx * qx[c] + ty * qy[c])
-            b[c] += (sx * py[c] - sy * px[c]) + (tx * qy[c] - ty * qx[c])
+            ox, oy, rx, ry = np.float32(px[c]), np.float32(py[c]), np.float32(qx[c]), np.float32(qy[c])
+            dot[c] += (sx * ox + sy * oy) + (tx * rx + ty * ry)
+            cross[c] += (sx * oy - sy * ox) + (tx * ry - ty * rx)
+            along_a[c] += ax * ox + ay * oy
+            across_a[c] += ax * oy - ay * ox
+            along_b[c] += bx * rx + by * ry
+            across_b[c] += bx * ry - by * rx
+            along_ab[c] += (ux * ox + uy * oy) + (vx * rx + vy * ry)
+            across_ab[c] += (ux * oy - uy * ox) + (vx * ry - vy * rx)
     for c in range(count):
-        score[c] = squares[c] - np.float32(2.0) * np.sqrt(a[c] * a[c] + b[c] * b[c])
+        # Points that all coincide are not turned: the least number keeps 0 / 0 away.
+        scale = np.float32(1.0) / np.sqrt(max(dot[c] * dot[c] + cross[c] * cross[c], np.float32(1e-30)))
+        cosine, sine = dot[c] * scale, cross[c] * scale
+        turn[0, c], turn[1, c] = cosine, sine
+        a = constants[0] + rank_squares[0, c] - two * (cosine * along_a[c] + sine * across_a[c])
+        b = constants[1] + rank_squares[1, c] - two * (cosine * along_b[c] + sine * across_b[c])
+        ab = constants[2] + rank_squares[2, c] - two * (cosine * along_ab[c] + sine * across_ab[c])
+        estimate[c] = (
+            factors[0, c] * np.sqrt(max(a, zero))
+            + factors[1, c] * np.sqrt(max(b, zero))
+            + factors[2, c] * np.sqrt(max(ab, zero))
+        )
 
 
 @numba.njit(cache=True, nogil=True)
-def _least(score, count, num_best, order):  # type: ignore[no-untyped-def]
-    """Write the indices of the `num_best` least scores into the front of `order`, in no order; give their number."""
-    for c in range(count):
-        order[c] = c
-    kept = min(num_best, count)
-    low, high = 0, count - 1
-    while low < high and kept < count:
-        pivot = score[order[(low + high) // 2]]
-        i, j = low, high
-        while i <= j:
-            while score[order[i]] < pivot:
-                i += 1
-            while score[order[j]] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if kept - 1 <= j:
-            high = j
-        elif kept - 1 >= i:
-            low = i
-        else:
-            break
-    return kept
+def _estimate_views(  # type: ignore[no-untyped-def]
+    points,
+    directions,
+    candidate_counts,
+    springs,
+    unit,
+    rank_x,
+    rank_y,
+    rank_squares,
+    factors,
+    x,
+    y,
+    turn,
+    estimate,
+    least,
+    first,
+):
+    """Project under every view and estimate d_I of all of its candidates.
 
-
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _rough_own_side(dx, dy, edges, num_edges, weights, kept, sums):  # type: ignore[no-untyped-def]
-    """Write the pair's own side of eq. 8 for `kept` candidates at once, float32, a candidate per lane.
-
-    `dx`, `dy` (n, kept) are the differences of the turned pair from each candidate.
+    Args:
+        points: Joints of both people, (n, 3), metres.
+        directions: Views (m, 3) in the pair's local frame.
+        candidate_counts: Candidates of each view, (m,).
+        springs: As for `best_per_view`.
+        unit: The same.
+        rank_x: The same.
+        rank_y: The same.
+        rank_squares: The same.
+        factors: The same.
+        x: Result (m, n), the centred image, metres.
+        y: The same upwards.
+        turn: Result (m, 2, most), float32: cosine and sine of the best rotation.
+        estimate: Result (m, most), float32: estimates of d_I, metres.
+        least: Result (m,): least of the estimates, metres; inf without candidates.
+        first: Result (m,): which candidate has it.
     """
-    for c in range(kept):
-        sums[c] = np.float32(0.0)
-    for e in range(num_edges):
-        start_x, end_x = dx[edges[e, 0]], dx[edges[e, 1]]
-        start_y, end_y = dy[edges[e, 0]], dy[edges[e, 1]]
-        weight = np.float32(weights[e])
-        for c in range(kept):
-            u, v = end_x[c] - start_x[c], end_y[c] - start_y[c]
-            sums[c] += weight * np.sqrt(u * u + v * v)
+    num_points = points.shape[0]
+    axes = np.empty((3, 3))
+    image = np.empty((2, num_points), dtype=np.float32)
+    pulls = np.empty((3, 2, num_points), dtype=np.float32)
+    constants = np.empty(3, dtype=np.float32)
+    work = np.empty((8, rank_x.shape[2]), dtype=np.float32)
+    pair_axes(points, axes)
+    for view in range(directions.shape[0]):
+        count = candidate_counts[view]
+        least[view], first[view] = np.inf, -1
+        if count == 0:
+            continue
+        _project(points, axes, directions[view], x[view], y[view])
+        for k in range(num_points):
+            image[0, k], image[1, k] = x[view, k], y[view, k]
+        _pull(springs[view], image, pulls, constants)
+        for k in range(num_points):
+            for axis in range(2):
+                image[axis, k] *= unit
+                for kind in range(3):
+                    pulls[kind, axis, k] *= unit
+        own = estimate[view]
+        _estimate(
+            image,
+            pulls,
+            constants,
+            rank_x[view],
+            rank_y[view],
+            rank_squares[view],
+            factors[view],
+            count,
+            work,
+            turn[view],
+            own,
+        )
+        at = np.argmin(own[:count])
+        least[view], first[view] = own[at], at
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
+    """Write the springs (kind=3, n, n) times the image (2, n), and its own value under each; all float32."""
+    num_points = image.shape[1]
+    for kind in range(3):
+        # Within a person only that person's joints are tied.
+        low = _NUM_JOINTS if kind == 1 else 0
+        high = _NUM_JOINTS if kind == 0 else num_points
+        constants[kind] = np.float32(0.0)
+        for axis in range(2):
+            row = pulls[kind, axis]
+            row[:] = np.float32(0.0)
+            for j in range(low, high):
+                value = image[axis, j]
+                spring = springs[kind, j]
+                for k in range(num_points):
+                    row[k] += spring[k] * value
+            for k in range(low, high):
+                constants[kind] += row[k] * image[axis, k]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _rough_other_side(dx, dy, c, starts, ends, count, weights, squares):  # type: ignore[no-untyped-def]
-    """Give the side of eq. 8 over the edges of candidate c, float32."""
+def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[no-untyped-def]
+    """Give one side of eq. 8, float32: `dx`, `dy` are the differences of the turned pair from an annotation."""
     for e in range(count):
         i, j = starts[e], ends[e]
-        u, v = dx[j, c] - dx[i, c], dy[j, c] - dy[i, c]
+        u, v = dx[j] - dx[i], dy[j] - dy[i]
         squares[e] = u * u + v * v
     total = np.float32(0.0)
     for e in range(count):
@@ -193,54 +287,46 @@ def _rough_other_side(dx, dy, c, starts, ends, count, weights, squares):  # type
 
 
 @numba.njit(cache=True, nogil=True)
-def _rank_views(  # type: ignore[no-untyped-def]
-    points, directions, candidate_counts, rank_x, rank_y, rank_squares, num_ranked, x, y, kept, of, turn, spread
-):
-    """Project under every view and keep its best candidates by what the best rotation in the plane leaves.
+def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-def]
+    """Write the candidates, but for one, whose estimate is at most the ceiling; give their number."""
+    number = 0
+    for c in range(count):
+        # Written always and kept if wanted: no branch that would be guessed wrong.
+        chosen[number] = c
+        number += estimate[c] <= ceiling and c != but
+    return number
 
-    Args:
-        points: Joints of both people, (n, 3), metres.
-        directions: Views (m, 3) in the pair's local frame.
-        candidate_counts: Candidates of each view, (m,).
-        rank_x: As for `best_per_view`.
-        rank_y: The same.
-        rank_squares: The same.
-        num_ranked: Candidates kept, R.
-        x: Result (m, n), the centred image, metres.
-        y: The same upwards.
-        kept: Result (m,): number of kept candidates.
-        of: Result (m, R): which they are.
-        turn: Result (m, 2, R), float32: cosine and sine of the best rotation.
-        spread: Result (m,): root mean square over the joints of what it leaves of the best one, metres; inf for none.
-    """
-    num_points, most = points.shape[0], rank_x.shape[2]
-    axes = np.empty((3, 3))
-    a, b = np.empty(most, dtype=np.float32), np.empty(most, dtype=np.float32)
-    score = np.empty(most, dtype=np.float32)
-    order = np.empty(most, dtype=np.int32)
-    pair_axes(points, axes)
-    for view in range(directions.shape[0]):
-        count = candidate_counts[view]
-        kept[view] = 0
-        spread[view] = np.inf
-        if count == 0:
-            continue
-        _project(points, axes, directions[view], x[view], y[view])
-        _rank(x[view], y[view], rank_x[view], rank_y[view], rank_squares[view], count, a, b, score)
-        kept[view] = _least(score, count, num_ranked, order)
-        least = np.float32(np.inf)
-        for at in range(kept[view]):
-            c = order[at]
-            of[view, at] = c
-            length = np.sqrt(a[c] * a[c] + b[c] * b[c])
-            turn[view, 0, at], turn[view, 1, at] = np.float32(1.0), np.float32(0.0)
-            if length > np.float32(0.0):
-                turn[view, 0, at], turn[view, 1, at] = a[c] / length, b[c] / length
-            least = min(least, score[c])
-        square = 0.0
-        for k in range(num_points):
-            square += x[view, k] * x[view, k] + y[view, k] * y[view, k]
-        spread[view] = np.sqrt(max(square + least, 0.0) / num_points)
+
+@numba.njit(cache=True, nogil=True)
+def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: ignore[no-untyped-def]
+    """Read from every cache line that comparing these candidates will need, so that they come from memory together."""
+    total = np.float32(0.0)
+    for c in chosen[:num_chosen]:
+        slot = slots[c]
+        for k in range(0, points.shape[2], 16):
+            total += points[slot, 0, k] + points[slot, 1, k]
+        for e in range(0, starts.shape[1], 64):
+            total += np.float32(starts[slot, e] + ends[slot, e])
+        for e in range(0, weights.shape[1], 16):
+            total += weights[slot, e]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_weights, dx, dy):  # type: ignore[no-untyped-def]
+    """Give d_I (eq. 8) of a centred image and a centred annotation; `dx`, `dy` (n,) are scratch."""
+    dot = cross = 0.0
+    for k in range(x.shape[0]):
+        dot += x[k] * fixed[k, 0] + y[k] * fixed[k, 1]
+        cross += x[k] * fixed[k, 1] - y[k] * fixed[k, 0]
+    length = np.sqrt(dot * dot + cross * cross)
+    cosine, sine = 1.0, 0.0
+    if length > 1e-300:
+        cosine, sine = dot / length, cross / length
+    for k in range(x.shape[0]):
+        dx[k] = cosine * x[k] - sine * y[k] - fixed[k, 0]
+        dy[k] = sine * x[k] + cosine * y[k] - fixed[k, 1]
+    return side_sum(dx, dy, own_edges, own_count, own_weights) + side_sum(dx, dy, edges, num_edges, weights)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -249,153 +335,182 @@ def best_per_view(  # type: ignore[no-untyped-def]
     directions,
     candidate_counts,
     slots,
+    springs,
+    unit,
     rank_x,
     rank_y,
     rank_squares,
+    factors,
     annotations,
     annotation_edges,
     annotation_weights,
     annotation_counts,
+    rough_points,
     rough_starts,
     rough_ends,
     rough_weights,
     offsets,
     beta_m,
-    num_ranked,
     least_ratio,
-    own_share,
+    own_ratio,
     limit,
     margin,
+    scale,
     best,
     best_slot,
 ):
-    """Write the least d_I of each view, as far as it can matter.
+    """Write the least d_I of each view, as far as it can matter, and give the log of eq. 6.
 
-    Views are taken in the order of what the best rotation leaves of their best candidate, so the best view mostly
-    comes first.  Candidates are compared roughly, in float32, first; only those that may be the best by that are
-    compared in float64.
+    Every candidate's d_I is estimated from springs between the joints; views are taken in the order of their least
+    estimate, so the best view mostly comes first and says what the others must reach.  A candidate whose estimate
+    leaves a chance is compared over the annotation's edges, then over the pair's own, both in float32; only one that
+    may be the best by that is compared in float64.  A view is triangulated when the first of its candidates needs it.
 
     Args:
         points: Joints of both people, (n, 3), metres.
         directions: Views (m, 3) in the pair's local frame.
         candidate_counts: Candidates of each view, (m,).
         slots: Annotation of each candidate, (m, most).
-        rank_x: x of the candidates' centred points, (m, n, most), float32, metres.
+        springs: Quadratic forms of each view, one for the edges within each person and one for those between them,
+            (m, kind=3, n, n), float32; the roots of their values at a difference of images make up the estimate.
+        unit: Unit of the candidates' points, float32, metres.
+        rank_x: x of the candidates' centred points, (m, n, most), int16.
         rank_y: y of them.
-        rank_squares: Sum of squares of them, (m, most), float32.
+        rank_squares: The quadratic forms' values at them, (m, kind=3, most), float32, square metres.
+        factors: What each root counts in the estimate, (m, kind=3, most), float32.
         annotations: Centred annotations (annotation, n, 2), metres.
         annotation_edges: Their Delaunay edges.
         annotation_weights: Their weights, summing to 1.
         annotation_counts: Their numbers of edges.
+        rough_points: The centred annotations (annotation, 2, n), float32, metres.
         rough_starts: First joints of the edges, (annotation, edge), uint8.
         rough_ends: Second joints of them.
         rough_weights: The weights, float32.
         offsets: Jitter of the triangulation, (n, 2), metres.
         beta_m: Edge length below which weights stop growing, metres.
-        num_ranked: Candidates compared in full per view.
-        least_ratio: A view is left when so many times what the best rotation leaves is more than matters; 0: never.
-        own_share: A candidate is left when the side of eq. 8 over the pair's own edges alone is more than this share of
-            what matters; 1 never loses any.
+        least_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
+        own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the estimate
+            when that over the annotation's is known; 0 never loses any.
         limit: d_I above which nothing matters unless a better one is found, metres.
         margin: How far behind the best view another still matters, metres.
+        scale: 2 sigma_l^2, metres.
         best: Result (m,), metres: least d_I, inf where it is beyond what matters.
         best_slot: Annotation that reached it, (m,); -1 where none did.
+
+    Returns:
+        Log of the mean over the views of exp(-d_I / scale), -inf when nothing mattered; and a number without meaning,
+        which keeps reads ahead from being optimised away.
     """
-    num_points, num_views = points.shape[0], directions.shape[0]
-    lanes = min(num_ranked, slots.shape[1])
+    num_points, num_views, most = points.shape[0], directions.shape[0], slots.shape[1]
     xs, ys = np.empty((num_views, num_points)), np.empty((num_views, num_points))
     jx, jy = np.empty(num_points), np.empty(num_points)
     dx, dy = np.empty(num_points), np.empty(num_points)
-    kept_of = np.empty(num_views, dtype=np.int64)
-    of = np.empty((num_views, lanes), dtype=np.int32)
-    turn = np.empty((num_views, 2, lanes), dtype=np.float32)
-    spread = np.empty(num_views)
-    dx32 = np.empty((num_points, lanes), dtype=np.float32)
-    dy32 = np.empty((num_points, lanes), dtype=np.float32)
+    turn = np.empty((num_views, 2, most), dtype=np.float32)
+    estimate = np.empty((num_views, most), dtype=np.float32)
+    least, first = np.empty(num_views), np.empty(num_views, dtype=np.int64)
+    dx32, dy32 = np.empty(num_points, dtype=np.float32), np.empty(num_points, dtype=np.float32)
     squares32 = np.empty(3 * num_points, dtype=np.float32)
-    rough = np.empty(lanes, dtype=np.float32)
     triangles = np.empty((2 * num_points + 8, 3), dtype=np.int32)
     neighbours = np.empty((2 * num_points + 8, 3), dtype=np.int32)
     scratch = np.empty((5, 2 * num_points + 8), dtype=np.int32)
     edges = np.empty((3 * num_points, 2), dtype=np.int32)
     weights = np.empty(3 * num_points)
+    starts32, ends32 = np.empty(3 * num_points, dtype=np.uint8), np.empty(3 * num_points, dtype=np.uint8)
+    weights32 = np.empty(3 * num_points, dtype=np.float32)
+    chosen = np.empty(most, dtype=np.int32)
+    touched = np.float32(0.0)
     for view in range(num_views):
         best[view] = np.inf
         best_slot[view] = -1
-    _rank_views(
+    _estimate_views(
         points,
         directions,
         candidate_counts,
+        springs,
+        unit,
         rank_x,
         rank_y,
         rank_squares,
-        lanes,
+        factors,
         xs,
         ys,
-        kept_of,
-        of,
         turn,
-        spread,
+        estimate,
+        least,
+        first,
     )
     overall = limit
-    for view in np.argsort(spread):
-        kept = kept_of[view]
-        if kept == 0 or least_ratio * spread[view] > overall + margin:
-            # Views after this one leave more.
+    for view in np.argsort(least):
+        matters = overall + margin
+        if first[view] < 0 or least_ratio * least[view] > matters + ESTIMATE_TOLERANCE_M:
+            # Views after this one are estimated to be farther.
             break
         x, y = xs[view], ys[view]
-        for k in range(num_points):
-            jx[k] = x[k] + offsets[k, 0]
-            jy[k] = y[k] + offsets[k, 1]
-        num_edges = triangulate(jx, jy, triangles, neighbours, scratch, edges)
-        fill_edge_weights(x, y, edges, num_edges, beta_m, weights)
-        for k in range(num_points):
-            px, py = np.float32(x[k]), np.float32(y[k])
-            fixed_x, fixed_y, along_x, along_y = rank_x[view, k], rank_y[view, k], dx32[k], dy32[k]
-            for at in range(kept):
-                c = of[view, at]
-                along_x[at] = turn[view, 0, at] * px - turn[view, 1, at] * py - fixed_x[c]
-                along_y[at] = turn[view, 1, at] * px + turn[view, 0, at] * py - fixed_y[c]
-        _rough_own_side(dx32, dy32, edges, num_edges, weights, kept, rough)
-        bound = np.float32(overall + margin + ROUGH_TOLERANCE_M)
-        # The candidate with the least own side goes first: it is mostly the best, and bounds the rest.
-        first = int(np.argmin(rough[:kept]))
-        for turn_of in range(kept):
-            at = first if turn_of == 0 else (0 if turn_of == first else turn_of)
-            if rough[at] > np.float32(own_share) * bound:
-                rough[at] = np.float32(np.inf)
-                continue
-            slot = slots[view, of[view, at]]
-            rough[at] += _rough_other_side(
-                dx32,
-                dy32,
-                at,
-                rough_starts[slot],
-                rough_ends[slot],
-                annotation_counts[slot],
-                rough_weights[slot],
-                squares32,
-            )
-            bound = min(bound, rough[at] + np.float32(ROUGH_TOLERANCE_M))
-        for at in range(kept):
-            if rough[at] > bound:
-                continue
-            slot = slots[view, of[view, at]]
-            fixed = annotations[slot]
-            dot = cross = 0.0
-            for k in range(num_points):
-                dot += x[k] * fixed[k, 0] + y[k] * fixed[k, 1]
-                cross += x[k] * fixed[k, 1] - y[k] * fixed[k, 0]
-            length = np.sqrt(dot * dot + cross * cross)
-            cosine, sine = 1.0, 0.0
-            if length > 1e-300:
-                cosine, sine = dot / length, cross / length
-            for k in range(num_points):
-                dx[k] = cosine * x[k] - sine * y[k] - fixed[k, 0]
-                dy[k] = sine * x[k] + cosine * y[k] - fixed[k, 1]
-            total = side_sum(dx, dy, annotation_edges[slot], annotation_counts[slot], annotation_weights[slot])
-            total += side_sum(dx, dy, edges, num_edges, weights)
-            if total < best[view] and total <= overall + margin:
-                best[view] = total
-                best_slot[view] = slot
+        num_edges = -1
+        bound = matters
+        for is_rest in range(2):
+            # The candidate with the least estimate goes first: it is mostly the best, and bounds the rest.
+            if is_rest:
+                ceiling = (bound + ESTIMATE_TOLERANCE_M) / max(least_ratio, 1e-9)
+                num_chosen = _choose(estimate[view], candidate_counts[view], first[view], np.float32(ceiling), chosen)
+                touched += _touch(
+                    slots[view], chosen, num_chosen, rough_points, rough_starts, rough_ends, rough_weights
+                )
+            else:
+                chosen[0] = first[view]
+                num_chosen = 1
+            for c in chosen[:num_chosen]:
+                if least_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
+                    continue
+                slot = slots[view, c]
+                cosine, sine = turn[view, 0, c], turn[view, 1, c]
+                for k in range(num_points):
+                    px, py = np.float32(x[k]), np.float32(y[k])
+                    dx32[k] = cosine * px - sine * py - rough_points[slot, 0, k]
+                    dy32[k] = sine * px + cosine * py - rough_points[slot, 1, k]
+                rough = _rough_side(
+                    dx32,
+                    dy32,
+                    rough_starts[slot],
+                    rough_ends[slot],
+                    annotation_counts[slot],
+                    rough_weights[slot],
+                    squares32,
+                )
+                if rough + 0.5 * own_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
+                    continue
+                if num_edges < 0:
+                    for k in range(num_points):
+                        jx[k] = x[k] + offsets[k, 0]
+                        jy[k] = y[k] + offsets[k, 1]
+                    num_edges = triangulate(jx, jy, triangles, neighbours, scratch, edges)
+                    fill_edge_weights(x, y, edges, num_edges, beta_m, weights)
+                    for e in range(num_edges):
+                        starts32[e], ends32[e], weights32[e] = edges[e, 0], edges[e, 1], weights[e]
+                rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
+                if rough > bound + ROUGH_TOLERANCE_M:
+                    continue
+                total = _exact(
+                    x,
+                    y,
+                    annotations[slot],
+                    edges,
+                    num_edges,
+                    weights,
+                    annotation_edges[slot],
+                    annotation_counts[slot],
+                    annotation_weights[slot],
+                    dx,
+                    dy,
+                )
+                if total < best[view] and total <= matters:
+                    best[view], best_slot[view] = total, slot
+                    bound = total
         overall = min(overall, best[view])
+    total, nearest = 0.0, best.min()
+    for view in range(num_views):
+        if best[view] > nearest + margin:
+            best[view], best_slot[view] = np.inf, -1
+        elif best[view] < np.inf:
+            total += np.exp((nearest - best[view]) / scale)
+    return (np.log(total / num_views) - nearest / scale if total > 0.0 else -np.inf), touched

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pasdedeux.cameras import angle_between_directions, project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights
+from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights, plane_residual
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import jitter
@@ -34,17 +34,12 @@ Array = npt.NDArray[np.float64]
 LEAST_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""
 
-LEAST_RATIO = 0.55
-"""d_I is taken to be at least so many times what the best rotation in the plane leaves: a view that cannot matter by
-that is left.  Over 4,000 views of random pairs and of salsa frames the ratio was 0.6 to 2.6, 1.7 in the median."""
+LEAST_RATIO, OWN_RATIO = 0.6, 0.52
+"""d_I is taken to be at least so many times its estimate, and the side of eq. 8 over the pair's own edges so many times
+half of it: candidates for which that is too much are left."""
 
-OWN_SHARE = 0.75
-"""Share of the best d_I that the pair's own edges are taken to account for at most: candidates beyond that are left.
-Over the same views it was 0.51 in the median and 0.71 at most."""
-
-NUM_RANKED = 192
-"""Candidates of a view that are compared in full.  With 32 the best was missed in 6 % of random pairs among 8,000
-annotations and in 1 % of salsa frames among 600; with 192 in none of 1,200 evaluations."""
+_NUM_SPRUNG = 160
+"""Annotations, evenly spread, whose nearest neighbours say how far the ends of each edge mostly move apart."""
 
 
 @dataclass(frozen=True)
@@ -189,20 +184,21 @@ def _log_mean(best: Array, sigma_l: float) -> float:
 class InteractionLikelihood:
     """The likelihood of eqs. 6 and 9 over a fixed bank, as a compiled kernel.
 
-    For each view the candidates are ranked by what the best rotation in the plane leaves; the best `num_ranked` are
-    compared over the pair's own edges, and over an annotation's only while that can still matter.  Views far behind the
-    best one contribute less than rounding and are left out, mostly before anything is triangulated.
+    For each view every candidate's d_I is estimated from springs (`_springs`); only those that the estimate leaves a
+    chance are compared over the annotation's edges, then over the pair's own, while that can still matter.  Views far
+    behind the best one contribute less than rounding and are left out, mostly before anything is triangulated.
 
     Args:
         pairs: Annotated pairs.
         bank: Views and their candidates.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres (the paper divides d_I, not its square).
         beta_m: Edge length below which weights stop growing, metres.
-        num_ranked: Candidates compared in full per view.
-        is_exact: Compare all candidates, ranked or not: the oracle.
+        least_ratio: Least ratio of d_I to its estimate that is reckoned with.
+        own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
+        is_exact: Compare all candidates, whatever the estimate: the oracle.
 
     Raises:
-        InputError: `sigma_l` or `num_ranked` is not positive.
+        InputError: `sigma_l` is not positive.
     """
 
     def __init__(
@@ -212,15 +208,14 @@ class InteractionLikelihood:
         *,
         sigma_l: float = 0.01,
         beta_m: float = BETA_M,
-        num_ranked: int = NUM_RANKED,
+        least_ratio: float = LEAST_RATIO,
+        own_ratio: float = OWN_RATIO,
         is_exact: bool = False,
     ) -> None:
-        if not sigma_l > 0.0 or num_ranked < 1:
-            raise InputError(f"sigma_l and num_ranked must be positive, found {sigma_l} and {num_ranked}")
-        self.sigma_l = sigma_l
+        if not sigma_l > 0.0:
+            raise InputError(f"sigma_l must be positive, found {sigma_l}")
         self._beta_m = beta_m
-        self._num_ranked = int(bank.candidates.shape[1]) if is_exact else num_ranked
-        self._least_ratio, self._own_share = (0.0, 1.0) if is_exact else (LEAST_RATIO, OWN_SHARE)
+        self._least_ratio, self._own_ratio = (0.0, 0.0) if is_exact else (least_ratio, own_ratio)
         self._directions = np.ascontiguousarray(bank.directions)
         self._counts = bank.counts
         # Only the entries that some view may meet are kept.
@@ -231,51 +226,69 @@ class InteractionLikelihood:
         self._table: EdgeTable = edge_table(points, beta_m=beta_m)
         slots = np.searchsorted(used, np.maximum(bank.candidates, used[0])).astype(np.int32)
         self._slots = slots
-        # Ranking tables, float32, a candidate per lane: (view, joint, candidate).
-        table = self._points[slots].astype(np.float32)
-        self._rank_x = np.ascontiguousarray(np.moveaxis(table[..., 0], 2, 1))
-        self._rank_y = np.ascontiguousarray(np.moveaxis(table[..., 1], 2, 1))
-        self._rank_squares = np.sum(table**2, axis=(-1, -2))
+        springs, self._factors = _springs(self._points, self._table, slots, bank.counts)
+        self._springs = springs.astype(np.float32)
+        # Tables of the estimate, a candidate per lane: (view, joint, candidate).
+        table = self._points[slots]
+        self._rank_squares = np.array(
+            [
+                [((form @ own) * own).sum(axis=(1, 2)) for form in forms]
+                for forms, own in zip(springs, table, strict=True)
+            ],
+            dtype=np.float32,
+        )
+        self._unit = np.float32(max(float(np.abs(self._points).max()), 1e-6) / np.iinfo(np.int16).max)
+        lanes = np.rint(np.moveaxis(table, (1, 2), (2, 1)) / self._unit).astype(np.int16)
+        self._rank_x, self._rank_y = (np.ascontiguousarray(lanes[..., axis]) for axis in range(2))
         self._rough = (
+            np.ascontiguousarray(np.moveaxis(self._points, 2, 1), dtype=np.float32),
             np.ascontiguousarray(self._table.edges[..., 0], dtype=np.uint8),
             np.ascontiguousarray(self._table.edges[..., 1], dtype=np.uint8),
             self._table.weights.astype(np.float32),
         )
         self._jitter = jitter(points.shape[1])
-        # A view this far behind the best adds less than 1e-17 of the sum even if all views were like it.
-        self._margin = 2.0 * sigma_l**2 * float(np.log(len(self._directions) * 1e17))
+        self._scale = 2.0 * sigma_l**2
+        # Views this far behind the best add less than 1e-14 of the sum together.
+        self._margin = self._scale * float(np.log(len(self._directions) * 1e14))
         self._best = np.empty(len(self._directions))
         self._slot = np.empty(len(self._directions), dtype=np.int64)
 
     def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
         """Give the log likelihood of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
-        scale = 2.0 * self.sigma_l**2
+        log_likelihood = self.log_likelihood(pair_m, at_least=at_least)
+        return Match(log_likelihood=log_likelihood, dissimilarity_m=self._best.copy(), entry=self._entries())
+
+    def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
+        """Give the log likelihood alone."""
         # The mean over views is at most the best view: it alone must reach the floor.
-        limit = np.inf if at_least == -np.inf else -at_least * scale
-        entry = self._search(pair_m, limit, self._margin)
-        best = self._best.copy()
-        log_likelihood = _log_mean(best, self.sigma_l)
-        if log_likelihood < at_least:
-            log_likelihood = -np.inf
-        return Match(log_likelihood=log_likelihood, dissimilarity_m=best, entry=entry)
+        limit = np.inf if at_least == -np.inf else -at_least * self._scale
+        value = self._search(pair_m, limit, self._margin)
+        return value if value >= at_least else -np.inf
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Give the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
 
-        This is D* of eq. 12 among the ranked candidates; -1 for a view without any.
+        This is D* of eq. 12; -1 for a view without candidates.
         """
-        return self._search(pair_m, np.inf, np.inf)
+        self._search(pair_m, np.inf, np.inf)
+        return self._entries()
 
-    def _search(self, pair_m: Array, limit: float, margin: float) -> npt.NDArray[np.int64]:
-        """Fill the least d_I of each view as far as it matters, and give its entry."""
-        best_per_view(
+    def _entries(self) -> npt.NDArray[np.int64]:
+        return np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
+
+    def _search(self, pair_m: Array, limit: float, margin: float) -> float:
+        """Fill the least d_I of each view as far as it matters, and who has it; give the log likelihood."""
+        value, _ = best_per_view(
             np.ascontiguousarray(pair_m).reshape(-1, 3),
             self._directions,
             self._counts,
             self._slots,
+            self._springs,
+            self._unit,
             self._rank_x,
             self._rank_y,
             self._rank_squares,
+            self._factors,
             self._points,
             self._table.edges,
             self._table.weights,
@@ -283,16 +296,64 @@ class InteractionLikelihood:
             *self._rough,
             self._jitter,
             self._beta_m,
-            self._num_ranked,
             self._least_ratio,
-            self._own_share,
+            self._own_ratio,
             limit,
             margin,
+            self._scale,
             self._best,
             self._slot,
         )
-        return np.where(self._slot >= 0, self._used[np.maximum(self._slot, 0)], -1)
+        return float(value)
 
-    def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Give the log likelihood alone."""
-        return self.match(pair_m, at_least=at_least).log_likelihood
+
+def _springs(
+    points: Array, table: EdgeTable, slots: npt.NDArray[np.int32], counts: npt.NDArray[np.int64]
+) -> tuple[Array, npt.NDArray[np.float32]]:
+    """Give the springs of each view, whose roots at a difference of images estimate d_I, and what each root counts.
+
+    Each side of eq. 8 is a weighted mean of lengths l_e over edges that are not known beforehand.  With w_e the mean
+    weight of an edge over the candidates of a view (0 where none has it) and s_e a typical length of its difference,
+    (sum w l)^2 <= (sum w s) (sum w l^2 / s) by Cauchy and Schwarz, close where lengths are as typical.  The right side
+    is a quadratic form of the difference.  Edges within each person and between them have forms of their own: two
+    people too far apart stretch only the latter.  A candidate's root of each kind is scaled to the weight that its own
+    edges of that kind have.  The estimate is no bound, as the pair's own edges are others.
+
+    Args:
+        points: Centred annotations (annotation, n, 2), metres.
+        table: Their edges.
+        slots: Annotation of each candidate, (m, most).
+        counts: Valid candidates of each view, (m,).
+
+    Returns:
+        Forms (m, kind=3, n, n): within person A, within B, between; and factors (m, kind=3, most), float32.
+    """
+    num_points = points.shape[1]
+    person = np.arange(num_points) >= num_points // 2
+    kind_of = np.where(person[:, None] != person[None], 2, person[:, None].astype(int))
+    typical = np.full((num_points, num_points), 1e-9)
+    for view, count in enumerate(counts):
+        own = points[slots[view, :count]]
+        spread = np.unique(np.linspace(0, max(count - 1, 0), max(_NUM_SPRUNG // len(counts), 1)).astype(int))
+        for row in spread[: count if count > 1 else 0]:
+            residual = plane_residual(own[row], own)
+            residual[row] = np.inf
+            nearest = own[int(residual.argmin())]
+            difference = align_plane(own[row], nearest) - nearest
+            typical += np.linalg.norm(difference[:, None] - difference[None], axis=-1)
+    forms = np.zeros((len(counts), 3, num_points, num_points))
+    factors = np.zeros((len(counts), 3, slots.shape[1]), dtype=np.float32)
+    for view, count in enumerate(counts):
+        chosen = slots[view, :count]
+        edges, own_weights = table.edges[chosen], table.weights[chosen]
+        every = np.zeros((num_points, num_points))
+        np.add.at(every, (edges[..., 0], edges[..., 1]), own_weights)
+        for kind in range(3):
+            weight = np.where(kind_of == kind, (every + every.T) / max(count, 1), 0.0)
+            total = 0.5 * weight.sum()
+            if total > 0.0:
+                stiffness = weight / typical * (0.5 * (weight * typical).sum()) / total**2
+                forms[view, kind] = np.diag(stiffness.sum(axis=1)) - stiffness
+            of_kind = kind_of[edges[..., 0], edges[..., 1]] == kind
+            factors[view, kind, :count] = 2.0 * (own_weights * of_kind).sum(axis=1)
+    return forms, factors

@@ -223,18 +223,35 @@ def test_compiled_likelihood_agrees_with_the_definition(annotated: tuple[Annotat
         np.testing.assert_array_equal(match.entry[mattered], plain.entry[mattered])
 
 
-def test_ranked_likelihood_finds_the_same_best_as_the_exact_one() -> None:
+def test_estimates_leave_the_same_best_as_comparing_all() -> None:
     rng = np.random.default_rng(8)
     pairs = random_annotations(rng, random_pairs(rng, 500, spread_rad=0.2), 1500)
     views = ViewDensity(pairs.directions, np.ones(1500), 0.5).sample(rng, 6)
     bank = build_bank(views, pairs, num_candidates=400, view_bandwidth_rad=1.2)
     assert bank.counts.max() > 300
-    ranked, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
-    few = InteractionLikelihood(pairs, bank, num_ranked=8)
+    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
+    # An estimate trusted too far loses the best: the comparison can fail.
+    careless = InteractionLikelihood(pairs, bank, least_ratio=1.0, own_ratio=1.0)
     samples = random_pairs(rng, 150, spread_rad=0.2)
     expected = np.array([exact.log_likelihood(pair) for pair in samples])
-    assert np.array([ranked.log_likelihood(pair) for pair in samples]) == pytest.approx(expected, rel=1e-9)
-    assert np.array([few.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-9)
+    assert np.array([fast.log_likelihood(pair) for pair in samples]) == pytest.approx(expected, rel=1e-12)
+    assert np.array([careless.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-12)
+
+
+def test_views_left_out_add_less_than_rounding_to_the_likelihood() -> None:
+    rng = np.random.default_rng(14)
+    pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 150)
+    bank = build_bank(pairs.directions[:12], pairs, num_candidates=50, view_bandwidth_rad=1.0)
+    left_out = 0
+    for sigma_l in (0.01, 0.05):
+        likelihood = InteractionLikelihood(pairs, bank, sigma_l=sigma_l)
+        for pair in random_pairs(rng, 12, spread_rad=0.1):
+            plain = plain_log_likelihood(pair, pairs, bank, sigma_l=sigma_l)
+            match = likelihood.match(pair)
+            left_out += np.isinf(match.dissimilarity_m).sum()
+            # exp of the logs agrees to 1e-9 relative; d_I itself is only known to that once divided by 2 sigma_l^2.
+            assert match.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-11, abs=1e-10)
+    assert left_out > 100
 
 
 def test_every_view_finds_its_nearest_annotation_also_where_it_cannot_matter(

@@ -1,0 +1,93 @@
+"""The stage `seeds` keeps its promises over a real store."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from tasks import seeds
+from tasks.seeds import SeedFrame, SeedsParameters
+from tasks.stage import StageInputs
+from tests.sampling_store import (
+    inputs,
+    pairs_of,
+    with_seeds,
+)
+
+__all__ = ["inputs"]
+
+
+def test_seeds_come_from_pair_takes_that_are_not_held_out(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, num_seeds=3).of("seeds")
+    assert [manifest.facts["seed_index"] for manifest in made] == [0, 1, 2]
+    assert {manifest.facts["take_id"] for manifest in made} == {"one", "two"}
+    assert all(manifest.facts["takes"] == ["one", "two"] for manifest in made)
+
+
+def test_named_frames_become_seeds_and_unknown_ones_are_refused(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, frames=[SeedFrame(take="two", frame=7)]).of("seeds")
+    table = store.read(made[0].ref, "seeds")
+    assert (table["take_id"][0], table["take_frame"][0]) == ("two", 7)
+    expected = pairs_of("two")[7].astype(np.float32)
+    got = np.asarray(table["pair17_m"][0])
+    np.testing.assert_allclose(
+        np.linalg.norm(got[0] - got[1], axis=-1), np.linalg.norm(expected[0] - expected[1], axis=-1), atol=1e-5
+    )
+    for frame, message in (
+        (SeedFrame(take="kept_back", frame=1), "known ones: one, two"),
+        (SeedFrame(take="one", frame=40), "frames 0 to 39"),
+    ):
+        with pytest.raises(InputError, match=message):
+            seeds.plan(StageInputs(tables, seed=1), SeedsParameters(frames=[frame]))
+
+
+def test_asking_for_more_seeds_keeps_the_first(inputs: Any) -> None:
+    _, tables = inputs
+    few = seeds.plan(StageInputs(tables, seed=1), SeedsParameters(num_seeds=2))
+    more = seeds.plan(StageInputs(tables, seed=1), SeedsParameters(num_seeds=4))
+    assert [shard.key for shard in few] == [shard.key for shard in more[:2]]
+
+
+def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, num_seeds=2, num_grown=30, num_starts=3).of("seeds")
+    assert [manifest.facts["kind"] for manifest in made] == ["seed", "seed", "grown_seeds"]
+    facts = made[-1].facts
+    table = store.read(made[-1].ref, "seeds")
+    assert table.num_rows == facts["num_grown"]
+    assert 20 < table.num_rows <= 30
+    assert facts["takes"] == ["one", "two"]
+    assert facts["num_annotations_skipped"] == 1
+    assert not any(sequence.startswith("kept_back") for sequence in table["sequence_id"])
+    index, parent = np.asarray(table["seed_index"]), np.asarray(table["parent_seed_index"])
+    np.testing.assert_array_equal(index, 2 + np.arange(table.num_rows))
+    assert (parent < index).all()
+    generation = dict(zip(index.tolist(), np.asarray(table["generation"]).tolist(), strict=True))
+    assert all(generation[row] == generation.get(above, 0) + 1 for row, above in zip(index, parent, strict=True))
+    assert set(facts["starts"]) <= set(index.tolist())
+    assert np.isfinite(np.asarray(table["log_prior"])).all()
+
+
+def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
+    store, tables = inputs
+    without_poses = {name: part for name, part in tables.items() if name != "poses"}
+    asked = {"num_seeds": 0, "num_lifted": 2, "num_grown": 10, "num_starts": 1}
+    made = with_seeds(store, without_poses, **asked).of("seeds")
+    assert [manifest.facts["kind"] for manifest in made] == ["lifted_seeds", "grown_seeds"]
+    lifted, grown = (store.read(manifest.ref, "seeds") for manifest in made)
+    assert list(lifted["seed_index"]) == made[0].facts["starts"] == [0, 1]
+    assert set(lifted["origin"]) == {"lifted"}
+    assert grown["seed_index"][0] == 2
+    assert made[0].facts["takes"] == ["one"]
+    with pytest.raises(ValueError, match="at least one seed"):
+        SeedsParameters(num_seeds=0)
+
+
+def test_more_starts_than_grown_seeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="only 3 are grown"):
+        SeedsParameters(num_grown=3, num_starts=4)

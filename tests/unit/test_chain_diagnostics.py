@@ -1,0 +1,67 @@
+"""What is said of chains: verdicts, and figures that cannot be had."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.sampling import PairDensity, PhysicalPrior, diagnose, invariants
+from pasdedeux.sampling.diagnostics import MOST_AT_CEILING
+from pasdedeux.sampling.parameters import PairChart
+from pasdedeux.sampling.synthetic import random_pairs, standing_pair
+
+SEED = standing_pair()
+
+
+def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
+    pairs = random_pairs(np.random.default_rng(1), len(log_density))
+    (found,) = diagnose(
+        pairs[None],
+        log_density[None],
+        np.full((1, len(log_density)), num_accepted),
+        thin=4,
+        seed_m=SEED,
+        log_ceiling=5.0,
+    )
+    return found
+
+
+def test_a_chain_that_lives_in_the_flat_top_left_the_range_of_its_seed() -> None:
+    many = report(np.where(np.arange(20) < 20 * MOST_AT_CEILING + 1, 5.0, 0.0))
+    assert (many.verdict, many.reason[:3]) == ("left_range", "55%")
+    few = report(np.where(np.arange(20) < 20 * MOST_AT_CEILING, 5.0, 0.0))
+    assert (few.verdict, few.reason) == ("ok", "")
+
+
+def test_a_chain_that_accepts_nothing_is_stuck_wherever_it_is() -> None:
+    found = report(np.full(20, 5.0), num_accepted=0)
+    assert found.verdict == "stuck"
+    assert found.acceptance_rate == 0.0
+
+
+def test_a_chain_that_never_moved_has_no_effective_sample_size() -> None:
+    (found,) = diagnose(
+        np.repeat(SEED[None], 8, axis=0)[None], np.zeros((1, 8)), np.zeros((1, 8)), thin=1, seed_m=SEED, log_ceiling=1.0
+    )
+    assert np.isnan([found.ess_min, found.rhat_max]).all()
+    assert found.travelled_m == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(InputError, match="at least one chain with one draw"):
+        diagnose(np.empty((0, 8, 2, 17, 3)), np.empty((0, 8)), np.empty((0, 8)), thin=1, seed_m=SEED, log_ceiling=1.0)
+
+
+def test_what_is_watched_does_not_change_when_the_pair_moves_rigidly() -> None:
+    pairs = random_pairs(np.random.default_rng(2), 5)
+    np.testing.assert_allclose(invariants(pairs @ yaw_rotmat(0.7).T + 2.0), invariants(pairs), atol=1e-9)
+
+
+def test_a_seed_that_no_annotation_resembles_is_named_with_its_likelihood() -> None:
+    class Nothing:
+        def log_likelihood(self, pair_m: np.ndarray, *, at_least: float = -np.inf) -> float:
+            return -np.inf
+
+    chart = PairChart(SEED)
+    with pytest.raises(InputError, match="density 0: the likelihood is 0, no view of the bank has an annotation"):
+        PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), Nothing())

@@ -31,6 +31,8 @@ def overlay_clip(
     rate_hz: float,
     floor_px: npt.NDArray[np.float64] | None = None,
     labels: Sequence[str] = (),
+    colours: Sequence[str] = PERSON_COLOURS,
+    titles: Sequence[str] = (),
 ) -> bytes:
     """Draw 2D skeletons over time and give an animated WebP.
 
@@ -41,6 +43,8 @@ def overlay_clip(
         rate_hz: Frames per second.
         floor_px: Line segments (n, 2, 2) of a floor grid, drawn behind.
         labels: A caption for each frame; none when empty.
+        colours: Colours of the people, in turn.
+        titles: Headings of equal columns of the image.
 
     Returns:
         The bytes of the clip; a clip of no frames has one empty image.
@@ -49,7 +53,15 @@ def overlay_clip(
     scale = min(1.0, _MAX_WIDTH_PX / width)
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     frames = [
-        _draw_frame(skeleton, people * scale, size, floor_px, scale, labels[index] if index < len(labels) else "")
+        _draw_frame(
+            skeleton,
+            people * scale,
+            size,
+            floor_px,
+            scale,
+            (labels[index],) if index < len(labels) else titles,
+            colours,
+        )
         for index, people in enumerate(keypoints_px)
     ] or [np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)]
     animation = cv2.Animation()
@@ -89,22 +101,24 @@ def _draw_frame(
     size: tuple[int, int],
     floor_px: npt.NDArray[np.float64] | None,
     scale: float,
-    label: str,
+    titles: Sequence[str],
+    colours: Sequence[str],
 ) -> npt.NDArray[np.uint8]:
     image = np.full((size[1], size[0], 3), _BACKGROUND, np.uint8)
     if floor_px is not None:
         for segment in floor_px * scale:
             _line(image, segment[0], segment[1], _FLOOR, 1)
     for person, points in enumerate(people_px):
-        colour = _bgr(PERSON_COLOURS[person % len(PERSON_COLOURS)])
+        colour = _bgr(colours[person % len(colours)])
         dark = tuple(0.62 * c for c in colour)
         for parent, child in skeleton.bones:
             is_left = skeleton.joint_names[child].startswith("left_")
             _line(image, points[parent], points[child], dark if is_left else colour, 2)
         for point in points[np.isfinite(points).all(axis=-1)]:
             cv2.circle(image, _fixed(point), 2 << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
-    if label:
-        cv2.putText(image, label, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (90, 90, 90), 1, cv2.LINE_AA)
+    for column, title in enumerate(titles):
+        at = (8 + column * size[0] // len(titles), 18)
+        cv2.putText(image, title, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (90, 90, 90), 1, cv2.LINE_AA)
     return image
 
 

@@ -56,7 +56,7 @@ def identity_scores(
             for name, value in named.items()
         ]
     per_minute = sum(switches.values()) / minutes if minutes else float("nan")
-    return [*scores, Score(TOPIC, "identity_switches_per_minute", "followed", per_minute, "1/min", False, split, "all")]
+    return [*scores, Score(TOPIC, "identity_switches_per_minute", "followed", per_minute, "", False, split, "all")]
 
 
 def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: float, stream: Stream) -> list[Score]:

@@ -34,12 +34,14 @@ class Reconstructed:
         truth_m: True op14 positions (frame, 14, 3), metres.
         found_m: By method, positions (frame, 14, 3) of the same frames.
         frames: Frames of the sequence (frame,), rising.
+        person_id: Who it is in the sequence.
     """
 
     item: str
     truth_m: Array
     found_m: Mapping[str, Array]
     frames: npt.NDArray[np.int64]
+    person_id: int = 0
 
 
 def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:

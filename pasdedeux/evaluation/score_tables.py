@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pasdedeux.evaluation.report import TextTable
 from pasdedeux.evaluation.scores import Score
 
-__all__ = ["format_value", "score_table"]
+__all__ = ["format_value", "mean_table", "score_table"]
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
+_LEAST_LENGTH_M = 1e-9
+"""Lengths below are rounding, and shown as 0."""
 
 
 def format_value(value: float, unit: str) -> str:
     """Give a figure with its unit, three significant digits, lengths in cm."""
     shown_unit, factor = _HUNDREDTHS.get(unit, (unit, 1.0))
-    scaled = value * factor
+    scaled = 0.0 if unit == "m" and abs(value) < _LEAST_LENGTH_M else value * factor
     text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
     return f"{text} {shown_unit}".strip() if np.isfinite(value) else "-"
 
@@ -47,10 +50,36 @@ def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
     )
 
 
+def mean_table(scores: Sequence[Score], *, caption: str) -> TextTable | None:
+    """Lay out means over the items of each figure, methods in columns; None where no figure has several items.
+
+    Where views of an item have their mean as an item of its own (named with "mean of"), those means are taken, so that
+    every item counts once.
+    """
+    groups: dict[tuple[str, str], dict[str, list[Score]]] = {}
+    for score in scores:
+        if np.isnan(score.at) and np.isfinite(score.value):
+            groups.setdefault((score.metric, score.split), {}).setdefault(score.method, []).append(score)
+    rows, counts = [], set()
+    for (metric, split), by_method in groups.items():
+        own = {
+            method: [score for score in found if "mean of" in score.item] or found
+            for method, found in by_method.items()
+        }
+        count = max(len(found) for found in own.values())
+        counts.add(count)
+        for found in own.values():
+            # A method that is there for some items only is no mean over all of them.
+            if len(found) == count:
+                value = float(np.mean([score.value for score in found]))
+                rows.append(replace(found[0], metric=metric, split=split, item=f"mean of {count}", value=value))
+    return score_table(rows, caption=caption) if counts and max(counts) > 1 else None
+
+
 def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
     """Lay out the figures of one method: a row per item, a column per figure."""
     metrics = sorted({score.metric for score in scores})
-    rows = sorted({(score.split, score.item) for score in scores})
+    rows = sorted({(score.split, score.item) for score in scores}, key=lambda row: (row[0], _natural(row[1])))
     cells = {(score.split, score.item, score.metric): format_value(score.value, score.unit) for score in scores}
     return TextTable(
         caption=caption,
@@ -64,6 +93,11 @@ def _words(metric: str) -> str:
     return re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", metric)
 
 
-def _all_first(key: tuple[str, str, str]) -> tuple[str, str, bool, str]:
+def _all_first(key: tuple[str, str, str]) -> tuple[str, bool, str, bool, list[tuple[int, str]]]:
     metric, split, item = key
-    return metric, split, item != "all", item
+    return metric, split != "clean", split, item != "all", _natural(item)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Give a key that sorts clip_2 before clip_10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]

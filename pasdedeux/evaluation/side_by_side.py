@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.evaluation.drawing import PERSON_COLOURS, TRUTH_COLOUR
 from pasdedeux.evaluation.overlay import overlay_clip
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
@@ -14,62 +15,82 @@ __all__ = ["side_by_side_clip"]
 Array = npt.NDArray[np.float64]
 
 _PANEL_PX = 240
-_PERSON_SHARE = 0.8
-"""Part of a panel's height that the person takes."""
+_PEOPLE_SHARE = 0.78
+"""Part of a panel's height or width that people take."""
+_TITLES = ("image", "3D, camera's view", "3D, from its side")
 
 
 def side_by_side_clip(
     keypoints_px: Array, found_m: Array, *, rate_hz: float, truth_m: Array | None = None, most_frames: int = 60
 ) -> bytes:
-    """Draw a track as given (left), what was found as the camera sees it (middle) and from its side (right).
+    """Draw people as given (left), what was found as the camera sees it (middle) and from its side (right).
 
-    The middle of the person stays in the middle of each panel.  Given and true figures have the first person's colour,
-    found ones the second's.
+    Each person has a colour; the truth is grey, behind.  The middle of all people stays in the middle of each panel,
+    so their places to each other show.
 
     Args:
-        keypoints_px: The track (frame, 14, 2), pixels, y down; NaN where not seen.
-        found_m: The reconstruction (frame, 14, 3), camera axes, metres.
+        keypoints_px: The tracks (frame, person, 14, 2), pixels, y down; NaN where not seen.
+        found_m: The reconstruction (frame, person, 14, 3), camera axes, metres; NaN where a person is not there.
         rate_hz: Frames per second.
-        truth_m: The true motion (frame, 14, 3), camera axes, drawn behind where it is known.
+        truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
         most_frames: Longer tracks are cut.
 
     Returns:
         An animated WebP.
     """
     keypoints, found = keypoints_px[:most_frames], found_m[:most_frames]
-    size_m = float(np.median(np.ptp(found[..., 1], axis=1)))
-    per_metre = _PERSON_SHARE * _PANEL_PX / size_m
-    is_whole = np.isfinite(keypoints).all(axis=(1, 2))
-    tall = keypoints[is_whole, :, 1] if is_whole.any() else keypoints[..., 1].reshape(1, -1)
-    heights = np.nanmax(tall, axis=1) - np.nanmin(tall, axis=1)
-    given = (keypoints - _middle_of(keypoints)) * (_PERSON_SHARE * _PANEL_PX / max(float(np.median(heights)), 1.0))
+    views = [((0, 1), [1.0, -1.0]), ((2, 1), [-1.0, -1.0])]
+    solid = [found] if truth_m is None else [truth_m[:most_frames], found]
+    images = [[_about_hips(motion)[..., axes] * signs for motion in solid] for axes, signs in views]
+    most = _PEOPLE_SHARE * _PANEL_PX
+    per_metre = most / max(_extent(image[-1]) for image in images)
     # Hips are not half way up: what stands about them would run out of the panel.
-    centred = _image(found, (0, 1))[..., 1]
-    down = [0.0, -0.5 * per_metre * float(np.median(centred.max(axis=1) + centred.min(axis=1)))]
-    figures = [_panel(given, 0), _panel(_image(found, (0, 1)) * per_metre + down, 1)]
-    side = _panel(_image(found, (2, 1)) * [-1.0, 1.0] * per_metre + down, 2)
-    if truth_m is None:
-        figures += [np.full(side.shape, np.nan), side]
-    else:
-        truth = truth_m[:most_frames]
-        figures += [_panel(_image(truth, (2, 1)) * [-1.0, 1.0] * per_metre + down, 2), side]
-        figures += [_panel(_image(truth, (0, 1)) * per_metre + down, 1)]
-    return overlay_clip(OP14, np.stack(figures, axis=1), image_size_px=(3 * _PANEL_PX, _PANEL_PX), rate_hz=rate_hz)
+    height = images[0][-1][..., 1].reshape(len(found), -1)
+    down = -0.5 * float(np.nanmedian(np.nanmax(height, axis=1) + np.nanmin(height, axis=1)))
+    figures = [_panel((keypoints - _middle_of(keypoints)) * (most / max(_extent(keypoints), 1.0)), 0)]
+    colours = list(_colours(keypoints.shape[1]))
+    for number, image in enumerate(images, start=1):
+        figures += [_panel((points + np.array([0.0, down])) * per_metre, number) for points in image]
+        colours += [TRUTH_COLOUR] * found.shape[1] * (len(solid) - 1) + _colours(found.shape[1])
+    return overlay_clip(
+        OP14,
+        np.concatenate(figures, axis=1),
+        image_size_px=(3 * _PANEL_PX, _PANEL_PX),
+        rate_hz=rate_hz,
+        colours=colours,
+        titles=_TITLES,
+    )
+
+
+def _colours(num_people: int) -> list[str]:
+    return [PERSON_COLOURS[person % len(PERSON_COLOURS)] for person in range(num_people)]
+
+
+def _extent(points: Array) -> float:
+    """Give the greater of height and width that all people of a frame take, its median over the frames."""
+    flat = points.reshape(len(points), -1, points.shape[-1])
+    flat = flat[np.asarray(np.isfinite(flat).all(axis=-1)).any(axis=1)]
+    if not len(flat):
+        return 1.0
+    return float(np.median((np.nanmax(flat, axis=1) - np.nanmin(flat, axis=1)).max(axis=-1)))
 
 
 def _middle_of(seen: Array) -> Array:
-    """Give the middle of the seen joints (frame, 1, 2); frames that show nobody have the frame's before."""
-    middle = np.zeros((len(seen), 1, 2))
+    """Give the middle of all seen joints (frame, 1, 1, 2); frames that show nobody have the frame's before."""
+    middle = np.zeros((len(seen), 1, 1, 2))
     for frame, points in enumerate(seen):
         known = points[np.isfinite(points).all(axis=-1)]
-        middle[frame, 0] = 0.5 * (known.min(axis=0) + known.max(axis=0)) if len(known) else middle[max(frame - 1, 0), 0]
+        box = 0.5 * (known.min(axis=0) + known.max(axis=0)) if len(known) else middle[max(frame - 1, 0), 0, 0]
+        middle[frame, 0, 0] = box
     return middle
 
 
-def _image(positions_m: Array, axes: tuple[int, int]) -> Array:
-    """Give positions about the mid-hip on two axes, y down."""
-    centred = positions_m - mid_hip(positions_m)[:, None]
-    return np.asarray(centred[..., list(axes)] * [1.0, -1.0])
+def _about_hips(positions_m: Array) -> Array:
+    """Give positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    hips = mid_hip(positions_m)
+    is_there = np.isfinite(hips).all(axis=-1, keepdims=True)
+    total = np.where(is_there, hips, 0.0).sum(axis=1, keepdims=True)
+    return np.asarray(positions_m - (total / np.maximum(is_there.sum(axis=1, keepdims=True), 1))[:, :, None])
 
 
 def _panel(points: Array, number: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -23,6 +23,9 @@ from tasks.stage import Shard, StageInputs
 __all__ = ["TOPIC", "run", "shards"]
 
 TOPIC = "reconstruction"
+
+_CLIP_HZ = 12.0
+_CLIP_S = 4.0
 
 
 def shards(inputs: StageInputs) -> list[Shard]:
@@ -79,13 +82,22 @@ def run(shard: Shard, store: Store) -> TopicResult:
         seen = [frames[sequence_id, int(frame)] for frame in at]
         world = np.stack([takes[take][frame, person] for take, frame in seen])
         truth = world @ cameras[sequence_id].camera_from_world_rotmat.T
-        result = Reconstructed(item=f"{sequence_id} person {person}", truth_m=truth, found_m=found, frames=at)
+        result = Reconstructed(
+            item=f"{sequence_id} person {person}", truth_m=truth, found_m=found, frames=at, person_id=int(person)
+        )
         people.append(result)
         scores += reconstruction_scores(result, split=split)
         best = list(found)[-1]
         name = f"reconstruction-{sequence_id.replace('/', '-')}-{person}.png"
         pictures[name] = reconstruction_sheet(result, best)
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
+    clip_name = f"reconstruction-{shard.name.replace('/', '-')}.webp"
+    keypoints = _read_keypoints(store, annotations, shard.name)
+    pictures[clip_name] = _clip(people, keypoints, rate_hz=_rate_of(table))
+    captions[clip_name] = (
+        f"{shard.name}: the image (left), what {list(people[0].found_m)[-1]} made of it as the camera sees it (middle) "
+        "and from its side (right), everybody in their place to each other; truth in grey."
+    )
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=_search_notes(shard.name, facts))
@@ -102,7 +114,40 @@ def _search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
 
 
 def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
-    return store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "method", "op14_m"])
+    return store.read(motions, "motions", columns=["sequence_id", "person_id", "frame", "time_s", "method", "op14_m"])
+
+
+def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_id: str) -> dict[tuple[int, int], Any]:
+    """Give the keypoints (14, 2) of a sequence by person and frame."""
+    keypoints = {}
+    for ref in annotations:
+        table = store.read(ref, "annotations", columns=["sequence_id", "person_id", "frame", "op14_px"])
+        for row in np.flatnonzero(table["sequence_id"] == sequence_id):
+            keypoints[int(table["person_id"][row]), int(table["frame"][row])] = table["op14_px"][row]
+    return keypoints
+
+
+def _rate_of(table: TableData) -> float:
+    times = np.unique(table["time_s"])
+    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
+
+
+def _clip(people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], Any], *, rate_hz: float) -> bytes:
+    """Draw some seconds of what the last method made of everybody beside the image."""
+    from pasdedeux.evaluation.side_by_side import side_by_side_clip  # here: planning does not need OpenCV
+
+    step = max(1, round(rate_hz / _CLIP_HZ))
+    frames = np.unique(np.concatenate([person.frames for person in people]))[::step][: round(_CLIP_S * rate_hz / step)]
+    px = np.full((len(frames), len(people), 14, 2), np.nan)
+    found, truth = np.full((2, len(frames), len(people), 14, 3), np.nan)
+    for number, person in enumerate(people):
+        at = np.flatnonzero(np.isin(frames, person.frames))
+        rows = np.searchsorted(person.frames, frames[at])
+        found[at, number] = list(person.found_m.values())[-1][rows]
+        truth[at, number] = person.truth_m[rows]
+        for index in at:
+            px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
+    return side_by_side_clip(px, found, rate_hz=rate_hz / step, truth_m=truth)
 
 
 def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:

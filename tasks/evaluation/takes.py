@@ -27,8 +27,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
     people = read_people(store, ref, "body22_m")
     name = f"take-{facts['take_id']}.png"
     held_out = ", held out" if facts["is_held_out"] else ""
+    who = "person A orange, person B blue, " if people.shape[1] > 1 else ""
     return TopicResult(
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
         pictures={name: take_sheet(facts["take_id"], people, facts["rate_hz"])},
-        captions={name: f"Take {facts['take_id']}{held_out}: person A orange, person B blue, left limbs darker."},
+        captions={name: f"Take {facts['take_id']}{held_out}: {who}left limbs darker."},
     )

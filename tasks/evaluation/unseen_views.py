@@ -152,10 +152,11 @@ def run(shard: Shard, store: Store) -> TopicResult:
             pictures[name] = _clip(searcher, world, setting, condition, shard.parameters["yaws_deg"][0], rate_hz, draw)
             captions[name] = (
                 f"{item}, {condition.name}: the image (left), the fit as the camera sees it (middle) and from its side "
-                "(right), the truth in the colour of the image."
+                "(right); truth in grey."
             )
     note = (
-        f"{shard.name}: {searcher.database.num_projections:,} projections; best_of_50 is a mark that knows the truth."
+        f"{shard.parameters['take_id']} against {searcher.database.num_projections:,} projections; best_of_50 is "
+        "a mark that knows the truth."
     )
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=[note] if kind == "condition" else [])
 
@@ -261,8 +262,8 @@ def _clip(
     made, _ = reconstruct_seen(searcher, seen, methods=(Method.FIT,), has_clean_up=False)
     step = 2
     return side_by_side_clip(
-        seen.track.keypoints_px[::step],
-        made[Method.FIT.value][::step],
+        seen.track.keypoints_px[::step, None],
+        made[Method.FIT.value][::step, None],
         rate_hz=rate_hz / step,
-        truth_m=seen.truth_m[::step],
+        truth_m=seen.truth_m[::step, None],
     )

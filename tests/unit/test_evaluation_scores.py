@@ -17,7 +17,7 @@ from pasdedeux.evaluation.model_metrics import ModelErrors
 from pasdedeux.evaluation.models import model_figure, model_scores
 from pasdedeux.evaluation.overlay import floor_grid
 from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_scores
-from pasdedeux.evaluation.score_tables import format_value, score_table
+from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
@@ -160,8 +160,33 @@ def test_a_table_of_one_method_has_a_row_for_each_item() -> None:
     assert table.rows == (("all", "hug", "10 cm", "20 cm"), ("all", "waltz", "10 cm", "20 cm"))
 
 
+def test_items_come_in_natural_order_and_clean_before_other_conditions() -> None:
+    scores = [
+        Score("t", "e", method, 0.1, "m", split=split, item=item)
+        for method in ("fit", "nearest")
+        for split in ("30 % missing", "clean")
+        for item in ("clip_10", "clip_2", "all")
+    ]
+    rows = [row[1:3] for row in score_table(scores, caption="c").rows]
+    assert rows[:3] == [("clean", "all"), ("clean", "clip_2"), ("clean", "clip_10")]
+    assert [split for split, _ in rows[3:]] == ["30 % missing"] * 3
+
+
+def test_means_count_every_item_once_and_leave_out_methods_that_not_all_have() -> None:
+    scores = [
+        Score("t", "e", "fit", value, "m", item=item)
+        for item, value in (("a at 0", 0.1), ("a, mean of views", 0.2), ("b at 0", 0.5), ("b, mean of views", 0.4))
+    ]
+    scores += [Score("t", "e", "window", 0.1, "m", item="a, mean of views"), Score("t", "x", "fit", 1.0, "m", at=2.0)]
+    table = mean_table(scores, caption="c")
+    assert table is not None
+    assert table.rows == (("all", "mean of 2", "30 cm"),)
+    assert mean_table(scores[:1], caption="c") is None
+
+
 def test_lengths_are_shown_in_centimetres_and_what_is_not_a_number_as_a_dash() -> None:
     assert format_value(0.0123, "m") == "1.23 cm"
+    assert format_value(-7e-13, "m") == "0 cm"
     assert format_value(float("nan"), "m") == "-"
     assert format_value(12345.6, "frames") == "12,346 frames"
 

@@ -13,6 +13,7 @@ from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
+from tasks.priors import read_occupancy
 from tasks.seed_files import SeedFile, credits_of, load_seed, read_seed
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis, shares_takes
@@ -41,6 +42,7 @@ _GROWTH_PARAMETERS = (
     "farthest_m",
     "num_neighbours",
     "num_sweeps",
+    "is_refined",
 )
 
 
@@ -77,6 +79,11 @@ class SeedsParameters(Parameters):
     )
     num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
     num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
+
+    is_refined: bool = Field(
+        False,
+        description="Whether every grown pair at last becomes the likeliest lift of its image; takes as long as growth",
+    )
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
@@ -330,6 +337,7 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
             num_neighbours=int(options["num_neighbours"]),
             num_sweeps=int(options["num_sweeps"]),
         ),
+        occupancy=read_occupancy(shard, store) if options["is_refined"] else None,
     )
     first, count = int(options["first_index"]), len(growth.pairs_m)
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
@@ -417,7 +425,7 @@ def read_limits(shard: Shard, store: Store) -> JointLimits:
 STAGE = Stage(
     name="seeds",
     version=VERSION,
-    reads=("poses", "annotations", "views", "torso_basis", "joint_limits"),
+    reads=("poses", "annotations", "views", "torso_basis", "joint_limits", "pose_prior"),
     writes=("seeds",),
     parameters=SeedsParameters,
     plan=plan,

@@ -114,15 +114,23 @@ class Agreement:
         self._centred, self._offset, self._limbs = centred, offset, limbs
         self._work = np.empty((2 + _NUM_LIMBS, len(centred)))
 
-    def among(self, pairs_m: Array, *, most: int = 400) -> Agreement:
+    def among(self, pairs_m: Array, *, most: int = 400, without: int | None = None) -> Agreement:
         """Give the same over fewer grown pairs: the `most` posed most like each of some pairs (n, 2, 17, 3), metres.
 
         For pairs close to these its terms are those of all, but for what the grown pairs left out would have added.
+        The grown pair `without` never counts.
+
+        Raises:
+            InputError: No other grown pair is there.
         """
         kept = np.zeros(len(self._centred), dtype=bool)
         for pair in pairs_m:
             self.terms(pair)
             kept[np.argsort(-self._work[0], kind="stable")[:most]] = True
+        if without is not None:
+            kept[without] = False
+        if not kept.any():
+            raise InputError("agreement needs a grown pair beside the one left out")
         fewer = copy(self)
         fewer._hold(*(np.ascontiguousarray(part[kept]) for part in (self._centred, self._offset, self._limbs)))
         return fewer
@@ -146,6 +154,17 @@ class Agreement:
         model = self._model
         inside = clip_penetration(pair[None], radii, model.parents, model.within, model.between)[0, 2]
         return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
+
+    def nearest_m(self, pair_m: Array, *, count: int = 10) -> float:
+        """Give the mean distance of a pair (2, 17, 3) from the `count` nearest grown ones, metres.
+
+        The root mean square over the joints, after the turn that fits each grown pair's poses best.
+        """
+        self.terms(pair_m)
+        pose = -2.0 * POSE_WIDTH_M**2 * self._work[0]
+        place = -2.0 * PLACEMENT_WIDTH_M**2 * (self._work[1] - self._work[0])
+        # Half of the joints are off by half of the offset to one side, half to the other.
+        return float(np.sqrt(np.sort(pose + 0.25 * place)[:count]).mean())
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Give the log of the likelihood of a pair (2, 17, 3), at most 0: the sharpened sum of the terms.

@@ -20,9 +20,12 @@ import numpy.typing as npt
 from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.plausibility import Occupancy
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
 from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
+from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
+from pasdedeux.sampling.image_odds import LiftDensity
 from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import seed_quality
@@ -110,11 +113,15 @@ def grow(
     *,
     num_grown: int,
     options: GrowthOptions | None = None,
+    occupancy: Occupancy | None = None,
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
     the pair lifted from.  No randomness; ties go to the entry that comes first.
+
+    With a pose prior `occupancy` every grown pair at last becomes the likeliest lift of its image (`image_odds`): limbs
+    on the wrong side of the image plane and people in the wrong place are put right.
 
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
@@ -140,6 +147,8 @@ def grow(
         )
     for _ in range(options.num_sweeps):
         frontier.agree(len(seeds_m))
+    if occupancy is not None:
+        frontier.refine(len(seeds_m), limits, occupancy)
     return frontier.growth(len(seeds_m), limits, num_refused)
 
 
@@ -278,6 +287,14 @@ class _Frontier:
             self._placed(int(entry), distance_m[row], which[row], self.lengths[num_seeds + row])
             for row, entry in enumerate(entries)
         ]
+
+    def refine(self, num_seeds: int, limits: JointLimits, occupancy: Occupancy) -> None:
+        """Make every grown pair the likeliest lift of its image, given all the others as they were before."""
+        if len(self.pairs) < num_seeds + 2:
+            return
+        grown = np.stack(self.pairs[num_seeds:])
+        density = LiftDensity(Agreement(grown), limits, occupancy)
+        self.pairs[num_seeds:] = [density.likeliest(pair, without=index) for index, pair in enumerate(grown)]
 
     def growth(self, num_seeds: int, limits: JointLimits, num_refused: int) -> Growth:
         """Turn every pair upright as its parent and give them all."""

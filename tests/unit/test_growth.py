@@ -12,6 +12,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
+from pasdedeux.plausibility import Occupancy
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
 from pasdedeux.sampling.growth import _Views, view_residuals
@@ -124,6 +125,18 @@ def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth() -> None:
     agreed = grow(pairs[:1], entries, WIDE, num_grown=300)
     np.testing.assert_array_equal(lifted.entry, agreed.entry)
     assert errors(agreed, pairs).mean() < errors(lifted, pairs).mean()
+
+
+def test_refining_changes_some_pairs_keeps_their_bones_and_lifts_the_same_annotations() -> None:
+    pairs, entries = annotated(60)
+    plain = grow(pairs[:1], entries, WIDE, num_grown=40)
+    refined = grow(pairs[:1], entries, WIDE, num_grown=40, occupancy=Occupancy.empty().extended(pairs))
+    np.testing.assert_array_equal(refined.entry, plain.entry)
+    np.testing.assert_allclose(bone_lengths(PAIR17, refined.pairs_m), bone_lengths(PAIR17, plain.pairs_m), atol=1e-9)
+    changed = np.abs(errors(refined, pairs) - errors(plain, pairs)) > 1e-6
+    # So few pairs cannot agree on much: that refining helps is for real data to show.
+    assert 0 < changed.sum() < 40
+    assert len(grow(pairs[:1], entries, WIDE, num_grown=1, occupancy=Occupancy.empty()).pairs_m) == 1
 
 
 def test_growth_does_not_depend_on_where_the_seed_stands_and_repeats_exactly() -> None:

@@ -73,7 +73,7 @@ class ChainsParameters(Parameters):
     num_views: int = Field(20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(500, ge=1, description="Annotations compared with each view, nearest by view")
     num_hypotheses: int = Field(4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
-    num_ranked: int = Field(192, ge=1, description="Shape contexts of a view compared, nearest by rigid residual")
+    num_ranked: int = Field(64, ge=1, description="Shape contexts of a view compared, nearest by rigid residual")
     sigma_l: float = Field(0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)")
     sigma_v_rad: float = Field(0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
     beta_m: float = Field(0.05, gt=0, description="Edge length below which weights stop growing (eq. 8), metres")

@@ -31,7 +31,7 @@ from tasks.stage import Shard, Stage, StageInputs, commit, merge_takes, stream
 
 __all__ = ["STAGE", "VERSION", "ChainsParameters", "plan", "run_shard"]
 
-VERSION = 4
+VERSION = 5
 
 
 def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:

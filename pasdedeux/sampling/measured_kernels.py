@@ -173,20 +173,23 @@ def _turn(x, y, fixed):  # type: ignore[no-untyped-def]
     return 1.0, 0.0
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@numba.njit(cache=True, nogil=True)
 def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-untyped-def]
-    """Give the sum of a b / (a + b) over the bins, of one joint's turned histogram and a candidate's, in counts."""
+    """Give the sum of a b / (a + b) over the bins, of one joint's turned histogram and a candidate's, in counts.
+
+    Summed in integers, 2^-24 each: on every machine the same, and in any order.
+    """
     for j in range(shells.shape[0]):
         bins[j] = _bin_of(shells[j], np.uint32(angles[j] + angle))
     for b in range(own.shape[0]):
         own[b] = np.float32(0.0)
     for j in range(shells.shape[0]):
         own[bins[j]] += np.float32(1.0)
-    total = np.float32(0.0)
+    total = np.int32(0)
     for b in range(own.shape[0]):
         one, two = own[b], np.float32(histogram[b])
-        total += one * two / max(one + two, np.float32(1.0))
-    return total
+        total += np.int32(one * two / max(one + two, np.float32(1.0)) * np.float32(16777216.0))
+    return total / 16777216.0
 
 
 @numba.njit(cache=True, nogil=True)

@@ -9,30 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.drawing import figure_png
-from pasdedeux.interaction.kernels import edge_table_3d, nearest_update
+from pasdedeux.interaction.nearest import interaction_distances
 
-__all__ = ["PairMap", "interaction_distances", "map_figure"]
+__all__ = ["PairMap", "map_figure"]
 
 Array = npt.NDArray[np.float64]
-
-
-def interaction_distances(first_m: Array, second_m: Array) -> Array:
-    """Give D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
-
-    Raises:
-        InputError: A coordinate is not finite.
-    """
-    first, second = (_centred(pairs) for pairs in (first_m, second_m))
-    one, other = edge_table_3d(first), edge_table_3d(second)
-    distances = np.empty((len(first), len(second)))
-    _fill(*(first, one.edges, one.weights, one.counts), *(second, other.edges, other.weights, other.counts), distances)
-    return distances
 
 
 @dataclass(frozen=True)
@@ -116,35 +102,3 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     figure.suptitle(title, fontsize=9)
     figure.tight_layout()
     return figure_png(figure)
-
-
-def _centred(pairs_m: Array) -> Array:
-    points = np.asarray(pairs_m, dtype=np.float64)
-    points = points.reshape(len(points), -1, 3)
-    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill(  # type: ignore[no-untyped-def]
-    first, first_edges, first_weights, first_counts, second, edges, weights, counts, distances
-):
-    best, which = np.empty((2, 1)), np.empty((2, 1), np.int64)
-    for row in range(first.shape[0]):
-        one = slice(row, row + 1)
-        for column in range(second.shape[0]):
-            other = slice(column, column + 1)
-            best[:] = np.inf
-            nearest_update(
-                first[one],
-                first_edges[one],
-                first_weights[one],
-                first_counts[one],
-                second[other],
-                edges[other],
-                weights[other],
-                counts[other],
-                0,
-                best,
-                which,
-            )
-            distances[row, column] = best[0, 0]

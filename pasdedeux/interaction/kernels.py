@@ -19,7 +19,6 @@ __all__ = [
     "edge_table",
     "edge_table_3d",
     "fill_edge_weights",
-    "nearest_update",
     "side_sum",
 ]
 
@@ -224,67 +223,3 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     rotmat[2, 0] = 2.0 * (x * z - w * y)
     rotmat[2, 1] = 2.0 * (y * z + w * x)
     rotmat[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-
-
-@numba.njit(cache=True, nogil=True)
-def nearest_update(  # type: ignore[no-untyped-def]
-    truth, truth_edges, truth_weights, truth_counts, others, edges, weights, counts, first_index, best, best_index
-):
-    """Lower the running minima of D_I and D_C of each truth to what `others` reach.
-
-    Args:
-        truth: Centred point sets (truth, n, 3), metres.
-        truth_edges: Their edges (truth, edge, 2).
-        truth_weights: Their weights (truth, edge).
-        truth_counts: Their numbers of edges (truth,).
-        others: Centred point sets (other, n, 3), metres.
-        edges: Their edges.
-        weights: Their weights.
-        counts: Their numbers of edges.
-        first_index: Index of the first of `others` in the whole set.
-        best: Running minima (2, truth), D_I then D_C, metres; changed in place.
-        best_index: Which other reached them (2, truth); changed in place.
-    """
-    num_points = truth.shape[1]
-    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
-    difference = np.empty((num_points, 3))
-    for row in range(truth.shape[0]):
-        fixed = truth[row]
-        for column in range(others.shape[0]):
-            moving = others[column]
-            best_turn(moving, fixed, key, m, q, rotmat)
-            total = 0.0
-            for k in range(num_points):
-                squared = 0.0
-                for axis in range(3):
-                    value = (
-                        rotmat[axis, 0] * moving[k, 0]
-                        + rotmat[axis, 1] * moving[k, 1]
-                        + rotmat[axis, 2] * moving[k, 2]
-                        - fixed[k, axis]
-                    )
-                    difference[k, axis] = value
-                    squared += value * value
-                total += np.sqrt(squared)
-            total /= num_points
-            if total < best[1, row]:
-                best[1, row] = total
-                best_index[1, row] = first_index + column
-            total = _side_sum_3d(difference, truth_edges[row], truth_counts[row], truth_weights[row])
-            if total < best[0, row]:
-                total += _side_sum_3d(difference, edges[column], counts[column], weights[column])
-                if total < best[0, row]:
-                    best[0, row] = total
-                    best_index[0, row] = first_index + column
-
-
-@numba.njit(cache=True, nogil=True)
-def _side_sum_3d(difference, edges, count, weights):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for e in range(count):
-        i, j = edges[e, 0], edges[e, 1]
-        u = difference[j, 0] - difference[i, 0]
-        v = difference[j, 1] - difference[i, 1]
-        w = difference[j, 2] - difference[i, 2]
-        total += weights[e] * np.sqrt(u * u + v * v + w * w)
-    return total

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
-from pasdedeux.interaction.kernels import EdgeTable, edge_table_3d, nearest_update
+from pasdedeux.interaction.nearest import lower_minima, pair_table
 from pasdedeux.interaction.shape_context import ShapeCoverage
 
 __all__ = ["Coverage", "CoverageCurve", "coverage_curve", "plain_coverage"]
@@ -58,8 +58,7 @@ class Coverage:
     def __init__(self, truth_m: Array) -> None:
         if len(truth_m) == 0:
             raise InputError("coverage needs at least one real pair")
-        self._truth = _centred(truth_m)
-        self._table: EdgeTable = edge_table_3d(self._truth)
+        self._truth = pair_table(truth_m)
         self._best = np.full((2, len(self._truth)), np.inf)
         self._which = np.full((2, len(self._truth)), -1, dtype=np.int64)
         self.num_draws = 0
@@ -70,23 +69,9 @@ class Coverage:
         Raises:
             InputError: A coordinate is not finite.
         """
-        draws = _centred(draws_m)
-        for start in range(0, len(draws), _CHUNK):
-            part = draws[start : start + _CHUNK]
-            table = edge_table_3d(part)
-            nearest_update(
-                self._truth,
-                self._table.edges,
-                self._table.weights,
-                self._table.counts,
-                part,
-                table.edges,
-                table.weights,
-                table.counts,
-                self.num_draws,
-                self._best,
-                self._which,
-            )
+        for start in range(0, len(draws_m), _CHUNK):
+            part = pair_table(draws_m[start : start + _CHUNK])
+            lower_minima(self._truth, part, self.num_draws, self._best, self._which)
             self.num_draws += len(part)
 
     @property

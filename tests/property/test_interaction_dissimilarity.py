@@ -11,11 +11,11 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import (
     align_plane,
     cartesian_dissimilarity,
-    edge_table_3d,
     interaction_dissimilarity,
     plane_residual,
 )
-from pasdedeux.interaction.kernels import best_turn, nearest_update
+from pasdedeux.interaction.kernels import best_turn
+from pasdedeux.interaction.nearest import interaction_distances, lower_minima, pair_table
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.sampling.coverage import Coverage, coverage_curve, plain_coverage
@@ -178,23 +178,24 @@ def test_coverage_refuses_nothing_and_nan() -> None:
         Coverage(pairs).add(broken)
 
 
-def test_an_empty_edge_table_gives_infinite_minima() -> None:
-    pairs = random_pairs(np.random.default_rng(0), 2).reshape(2, 34, 3)
-    table = edge_table_3d(pairs)
+def test_an_empty_table_gives_infinite_minima() -> None:
+    pairs = random_pairs(np.random.default_rng(0), 2)
     best, which = np.full((2, 2), np.inf), np.full((2, 2), -1)
-    none = pairs[:0]
-    empty = edge_table_3d(none)
-    nearest_update(
-        pairs,
-        table.edges,
-        table.weights,
-        table.counts,
-        none,
-        empty.edges,
-        empty.weights,
-        empty.counts,
-        0,
-        best,
-        which,
-    )
+    lower_minima(pair_table(pairs), pair_table(pairs[:0]), 0, best, which)
     assert np.isinf(best).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), num_joints=st.integers(3, 12))
+@settings(max_examples=25, deadline=None)
+def test_minima_are_those_of_the_whole_table_of_distances(seed: int, num_joints: int) -> None:
+    """Also where joints are odd or few in number, and where several others are nearly as near as each other."""
+    rng = np.random.default_rng(seed)
+    truth, others = rng.normal(size=(4, 2, num_joints, 3)), rng.normal(size=(9, 2, num_joints, 3))
+    others[3:6] = truth[1] + 1e-6 * rng.normal(size=(3, 2, num_joints, 3))
+    best, which = np.full((2, 4), np.inf), np.full((2, 4), -1)
+    table = pair_table(truth)
+    lower_minima(table, pair_table(others[:5]), 0, best, which)
+    lower_minima(table, pair_table(others[5:]), 5, best, which)
+    distances = interaction_distances(truth, others)
+    np.testing.assert_allclose(best[0], distances.min(axis=1), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(which[0], distances.argmin(axis=1))

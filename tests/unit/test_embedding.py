@@ -8,8 +8,9 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores, union_scores
-from pasdedeux.evaluation.embedding import PairMap, interaction_distances, map_figure
+from pasdedeux.evaluation.embedding import PairMap, map_figure
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
+from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.interaction.shape_context import pair_shape_dissimilarity
 from pasdedeux.sampling.coverage import coverage_curve
 from pasdedeux.sampling.synthetic import random_pairs

@@ -1,0 +1,204 @@
+"""D_I and D_C between many pairs: running minima over draws, and whole tables of distances.
+
+D_I in 3D sums over 300 edges or so of two pairs.  Whether a draw may be nearer than the nearest so far is first told by
+an estimate in single precision over all pairs of joints, most of weight 0, which runs without gathers; only who has a
+chance is summed exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d
+
+__all__ = ["PairTable", "interaction_distances", "lower_minima", "pair_table"]
+
+Array = npt.NDArray[np.float64]
+
+_LANES = 8
+_REORDERED = {"reassoc", "contract", "nsz"}
+_ESTIMATE_SLACK = 1e-4
+"""Relative error allowed for the estimate; over 600 terms single precision makes 1e-5 at worst."""
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """Pairs made ready for comparison.
+
+    Args:
+        points_m: Centred joints of both people (pair, n, 3), metres.
+        edges: Edges of their Delaunay tetrahedra with the weights of eq. 8.
+        ring: The same weights by distance on a ring: of joints k and k + g + 1 (mod n) at (pair, g, k).
+    """
+
+    points_m: Array
+    edges: EdgeTable
+    ring: npt.NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.points_m)
+
+
+def pair_table(pairs_m: Array) -> PairTable:
+    """Make pairs (pair, person=2, joint, 3), metres, ready for comparison.
+
+    Raises:
+        InputError: A coordinate is not finite.
+    """
+    points = np.asarray(pairs_m, dtype=np.float64)
+    points = points.reshape(len(points), points.shape[1] * points.shape[2], 3)
+    points = np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
+    table = edge_table_3d(points)
+    num_points = points.shape[1]
+    width = -(-num_points // _LANES) * _LANES
+    ring = np.zeros((len(points), num_points // 2, width), dtype=np.float32)
+    _fill_ring(table.edges, table.weights, table.counts, num_points, ring)
+    return PairTable(points, table, ring)
+
+
+def lower_minima(truth: PairTable, others: PairTable, first_index: int, best: Array, which: Array) -> None:
+    """Lower the running minima of D_I and D_C of each truth to what `others` reach.
+
+    Args:
+        truth: The pairs that minima are kept for.
+        others: The pairs that may be nearer.
+        first_index: Index of the first of `others` in the whole set.
+        best: Running minima (2, truth), D_I then D_C, metres; changed in place.
+        which: Which other reached them (2, truth), integers; changed in place.
+    """
+    mine, theirs = truth.edges, others.edges
+    _lower_minima(
+        *(truth.points_m, mine.edges, mine.weights, mine.counts, truth.ring),
+        *(others.points_m, theirs.edges, theirs.weights, theirs.counts, others.ring),
+        *(first_index, best, which),
+    )
+
+
+def interaction_distances(first_m: Array, second_m: Array) -> Array:
+    """Give D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
+
+    Raises:
+        InputError: A coordinate is not finite.
+    """
+    first, second = pair_table(first_m), pair_table(second_m)
+    distances = np.empty((len(first), len(second)))
+    one, other = first.edges, second.edges
+    _fill_distances(
+        *(first.points_m, one.edges, one.weights, one.counts),
+        *(second.points_m, other.edges, other.weights, other.counts),
+        distances,
+    )
+    return distances
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_ring(edges, weights, counts, num_points, ring):  # type: ignore[no-untyped-def]
+    for row in range(edges.shape[0]):
+        for e in range(counts[row]):
+            i, j = edges[row, e, 0], edges[row, e, 1]
+            gap = (j - i) % num_points
+            if gap > num_points // 2:
+                i, gap = j, num_points - gap
+            ring[row, gap - 1, i] += weights[row, e]
+
+
+@numba.njit(cache=True, nogil=True)
+def _lower_minima(  # type: ignore[no-untyped-def]
+    truth,
+    own_edges,
+    own_weights,
+    own_counts,
+    own_ring,
+    others,
+    edges,
+    weights,
+    counts,
+    ring,
+    first_index,
+    best,
+    which,
+):
+    num_points = truth.shape[1]
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    difference = np.empty((num_points, 3))
+    size = own_ring.shape[1] + own_ring.shape[2]
+    x, y, z = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    for row in range(truth.shape[0]):
+        for column in range(others.shape[0]):
+            best_turn(others[column], truth[row], key, m, q, rotmat)
+            total = _difference(rotmat, others[column], truth[row], difference) / num_points
+            if total < best[1, row]:
+                best[1, row], which[1, row] = total, first_index + column
+            for k in range(x.shape[0]):
+                at = k % num_points
+                x[k], y[k], z[k] = difference[at, 0], difference[at, 1], difference[at, 2]
+            if _estimate(x, y, z, own_ring[row], ring[column]) * (1.0 - _ESTIMATE_SLACK) < best[0, row]:
+                total = _side_sum(difference, own_edges[row], own_counts[row], own_weights[row])
+                total += _side_sum(difference, edges[column], counts[column], weights[column])
+                if total < best[0, row]:
+                    best[0, row], which[0, row] = total, first_index + column
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_distances(  # type: ignore[no-untyped-def]
+    first, first_edges, first_weights, first_counts, second, edges, weights, counts, distances
+):
+    key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
+    difference = np.empty((first.shape[1], 3))
+    for row in range(first.shape[0]):
+        for column in range(second.shape[0]):
+            best_turn(second[column], first[row], key, m, q, rotmat)
+            _difference(rotmat, second[column], first[row], difference)
+            total = _side_sum(difference, first_edges[row], first_counts[row], first_weights[row])
+            distances[row, column] = total + _side_sum(difference, edges[column], counts[column], weights[column])
+
+
+@numba.njit(cache=True, nogil=True)
+def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-def]
+    """Write the difference of the turned points to the fixed ones; gives the sum of its lengths."""
+    total = 0.0
+    for k in range(moving.shape[0]):
+        squared = 0.0
+        for axis in range(3):
+            value = (
+                rotmat[axis, 0] * moving[k, 0]
+                + rotmat[axis, 1] * moving[k, 1]
+                + rotmat[axis, 2] * moving[k, 2]
+                - fixed[k, axis]
+            )
+            difference[k, axis] = value
+            squared += value * value
+        total += np.sqrt(squared)
+    return total
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_REORDERED)
+def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
+    """Estimate both sides of D_I from the differences of aligned points, repeated beyond the last, and two rings."""
+    total = np.float32(0.0)
+    width = one.shape[1]
+    for gap in range(one.shape[0]):
+        first, second = one[gap], other[gap]
+        start, stop = gap + 1, gap + 1 + width
+        u, v, w = x[start:stop], y[start:stop], z[start:stop]
+        for k in range(width):
+            p, q, r = u[k] - x[k], v[k] - y[k], w[k] - z[k]
+            total += (first[k] + second[k]) * np.sqrt(p * p + q * q + r * r)
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _side_sum(difference, edges, count, weights):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for e in range(count):
+        i, j = edges[e, 0], edges[e, 1]
+        u = difference[j, 0] - difference[i, 0]
+        v = difference[j, 1] - difference[i, 1]
+        w = difference[j, 2] - difference[i, 2]
+        total += weights[e] * np.sqrt(u * u + v * v + w * w)
+    return total

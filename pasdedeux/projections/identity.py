@@ -14,6 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.projections.identity_kernels import (
+    clean_detections,
+    match_costs,
+    predict_joints,
+    size_in_image,
+    update_joints,
+)
 from pasdedeux.skeletons import OP14
 
 __all__ = ["FollowedRows", "Follower", "IdentityOptions", "body_size_px", "follow_people", "identity_switches"]
@@ -27,12 +34,6 @@ _PLACE_GAIN, _SPEED_GAIN = 0.7, 0.25
 _SIZE_GAIN = 0.1
 _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
 """Who is not seen goes on: the speed of the whole body fades slowly, that of limbs against it fast."""
-
-_IMPOSSIBLE = 1e6
-_LEAST_SIZE_PX = 4.0
-_HIGHEST_BOX_PER_LENGTH = 4.0
-
-_TRUNK = OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"])
 
 
 @dataclass(frozen=True)
@@ -100,9 +101,8 @@ class _Person:
     def predict(self, time_s: float) -> Array:
         """Give where the joints are expected; speeds fade, so that absences do not fling people away."""
         passed = time_s - self.last_time_s
-        body = np.median(self.speed_px_s[self.is_known], axis=0)
-        limbs = self.speed_px_s - body
-        return np.asarray(self.place_px + body * _faded(passed, _BODY_FADE_S) + limbs * _faded(passed, _LIMB_FADE_S))
+        body_s, limb_s = _faded(passed, _BODY_FADE_S), _faded(passed, _LIMB_FADE_S)
+        return predict_joints(self.place_px, self.speed_px_s, self.is_known, body_s, limb_s)
 
 
 def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
@@ -110,18 +110,11 @@ def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
 
     The diagonal of the box of the seen joints, but at least what the trunk says and at most four times the trunk.
     """
-    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
-
-    def diagonal(points: Array, seen: npt.NDArray[np.bool_]) -> Array:
-        high = np.where(seen[..., None], points, -np.inf).max(axis=-2)
-        low = np.where(seen[..., None], points, np.inf).min(axis=-2)
-        return np.where(seen.sum(axis=-1) >= 2, np.linalg.norm(np.where(high > low, high - low, 0.0), axis=-1), np.nan)
-
-    box = diagonal(keypoints_px, is_seen)
-    trunk = diagonal(keypoints_px[..., _TRUNK, :], is_seen[..., _TRUNK])
-    has_trunk = is_seen[..., _TRUNK].sum(axis=-1) >= 4
-    size = np.where(has_trunk, np.clip(box, 1.5 * trunk, _HIGHEST_BOX_PER_LENGTH * trunk), box)
-    return np.where(np.isfinite(size), np.maximum(size, _LEAST_SIZE_PX), np.nan)
+    batch, joints = confidence.shape[:-1], confidence.shape[-1]
+    flat, seen = keypoints_px.reshape(-1, joints, 2), confidence.reshape(-1, joints)
+    is_seen = np.isfinite(flat).all(axis=-1) & (seen > 0)
+    sizes = [size_in_image(points, one) for points, one in zip(flat.astype(np.float64), is_seen, strict=True)]
+    return np.array(sizes, dtype=np.float64).reshape(batch)
 
 
 class Follower:
@@ -144,9 +137,9 @@ class Follower:
             keypoints_px: Detections (detection, 14, 2), NaN where not seen.
             confidence: (detection, 14), 0 where not seen.
         """
-        points, seen = _clean(keypoints_px, confidence)
-        is_seen = seen > 0
-        size = body_size_px(points, seen)
+        points, seen, is_seen, size = clean_detections(
+            np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
+        )
         is_usable = (is_seen.sum(axis=1) >= self.options.least_joints) & np.isfinite(size)
         track_id = np.full(len(points), -1, dtype=np.int64)
         usable = np.flatnonzero(is_usable)
@@ -188,21 +181,19 @@ class Follower:
 
     def _costs(self, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size: Array) -> tuple[Array, Array]:
         """Give the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
-        cost = np.full((len(self._people), len(points)), _IMPOSSIBLE)
+        cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
         for row, person in enumerate(self._people):
-            predicted = person.predict(time_s)
-            both = is_seen & person.is_known
-            distance = np.linalg.norm(np.nan_to_num(points) - predicted, axis=-1)
-            # A single joint that is far off is a detector's fault and not another person.
-            share = np.minimum(distance / person.size_px, 3.0 * self.options.gate)
-            count = both.sum(axis=1)
-            mean = np.sum(share * both, axis=1) / np.maximum(count, 1)
-            # Where the two have too few joints in common only the place of the whole tells.
-            centre = np.array([np.mean(one[seen], axis=0) for one, seen in zip(points, is_seen, strict=True)])
-            own = predicted[person.is_known].mean(axis=0)
-            mean = np.where(count >= 2, mean, np.linalg.norm(centre - own, axis=-1) / person.size_px)
-            cost[row] = mean + self.options.size_cost * np.abs(np.log(size / person.size_px))
+            cost[row] = match_costs(
+                person.predict(time_s),
+                person.is_known,
+                person.size_px,
+                points,
+                is_seen,
+                size,
+                3.0 * self.options.gate,
+                self.options.size_cost,
+            )
             passed = time_s - person.last_time_s
             limit[row] = min(self.options.gate + self.options.gate_growth_per_s * passed, self.options.most_gate)
         return cost, limit
@@ -273,12 +264,6 @@ def _faded(passed_s: float, fade_s: float) -> float:
     return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
 
 
-def _clean(keypoints_px: Array, confidence: Array) -> tuple[Array, Array]:
-    points = np.array(keypoints_px, dtype=np.float64)
-    is_seen = np.isfinite(points).all(axis=-1) & (np.nan_to_num(confidence) > 0)
-    return np.where(is_seen[..., None], points, np.nan), np.where(is_seen, np.nan_to_num(confidence), 0.0)
-
-
 def _twin(
     index: int,
     matched: dict[int, _Person],
@@ -308,15 +293,18 @@ def _mean_of(points: Array, confidence: Array) -> tuple[Array, Array]:
 def _update(person: _Person, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size_px: float) -> None:
     """Move a person's state to a detection that is theirs."""
     passed = time_s - person.last_time_s
-    predicted = person.predict(time_s)
-    off = np.where((is_seen & person.is_known)[:, None], np.nan_to_num(points) - predicted, 0.0)
-    person.place_px = np.where(
-        (is_seen & ~person.is_known)[:, None], np.nan_to_num(points), predicted + _PLACE_GAIN * off
+    update_joints(
+        person.place_px,
+        person.speed_px_s,
+        person.is_known,
+        person.predict(time_s),
+        points,
+        is_seen,
+        passed,
+        float(np.exp(-passed / _LIMB_FADE_S)),
+        _PLACE_GAIN,
+        _SPEED_GAIN,
     )
-    if passed > 0:
-        person.speed_px_s = person.speed_px_s * np.where(is_seen, 1.0, np.exp(-passed / _LIMB_FADE_S))[:, None]
-        person.speed_px_s = person.speed_px_s + _SPEED_GAIN / passed * off
-    person.is_known = person.is_known | is_seen
     person.size_px += _SIZE_GAIN * (size_px - person.size_px)
     person.last_time_s = time_s
 

@@ -17,6 +17,7 @@ from pasdedeux.projections.identity import (
     follow_people,
     identity_switches,
 )
+from pasdedeux.projections.identity_kernels import match_costs, predict_joints, update_joints
 from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.walkers import walk
 
@@ -152,3 +153,25 @@ def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="gates"):
         IdentityOptions(gate=0.0)
     assert np.isnan(body_size_px(np.zeros((14, 2)), np.zeros(14)))
+
+
+def test_costs_and_updates_of_one_person_are_what_their_formulas_say() -> None:
+    rng = np.random.default_rng(8)
+    place, speed = rng.normal(0, 100, (14, 2)), rng.normal(0, 30, (14, 2))
+    known, seen = rng.uniform(size=14) < 0.8, rng.uniform(size=(3, 14)) < 0.8
+    points = place + rng.normal(0, 20, (3, 14, 2))
+    body = np.median(speed[known], axis=0)
+    predicted = place + 0.1 * body + 0.05 * (speed - body)
+    np.testing.assert_allclose(predict_joints(place, speed, known, 0.1, 0.05), predicted)
+    size = np.array([300.0, 330.0, 200.0])
+    cost = match_costs(predicted, known, 310.0, points, seen, size, 0.08, 0.2)
+    for at in range(3):
+        both = seen[at] & known
+        way = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.08)[both].mean()
+        assert cost[at] == pytest.approx(way + 0.2 * abs(np.log(size[at] / 310.0)))
+    new_place, new_speed, new_known = place.copy(), speed.copy(), known.copy()
+    update_joints(new_place, new_speed, new_known, predicted, points[0], seen[0], 0.04, 0.8, 0.7, 0.25)
+    off = np.where((seen[0] & known)[:, None], points[0] - predicted, 0.0)
+    np.testing.assert_allclose(new_place, np.where((seen[0] & ~known)[:, None], points[0], predicted + 0.7 * off))
+    np.testing.assert_allclose(new_speed, speed * np.where(seen[0], 1.0, 0.8)[:, None] + 0.25 / 0.04 * off)
+    np.testing.assert_array_equal(new_known, known | seen[0])

@@ -1,0 +1,146 @@
+"""What following people does with each detection of a frame, compiled: a live frame cannot afford array calls."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.skeletons import OP14
+
+__all__ = ["clean_detections", "match_costs", "predict_joints", "size_in_image", "update_joints"]
+
+Array = npt.NDArray[np.float64]
+Booleans = npt.NDArray[np.bool_]
+
+_TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
+_LEAST_SIZE_PX = 4.0
+_HIGHEST_BOX_PER_LENGTH = 4.0
+_LEAST_BOX_PER_LENGTH = 1.5
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Booleans, Array]:
+    """Give keypoints (n, j, 2), NaN where not seen, confidences, 0 there, what was seen (n, j), and sizes (n,)."""
+    count, joints = confidence.shape
+    points, seen = np.empty((count, joints, 2)), np.empty((count, joints))
+    is_seen, size = np.empty((count, joints), dtype=np.bool_), np.empty(count)
+    for at in range(count):
+        for joint in range(joints):
+            x, y, c = keypoints[at, joint, 0], keypoints[at, joint, 1], confidence[at, joint]
+            is_seen[at, joint] = np.isfinite(x) and np.isfinite(y) and c > 0
+            points[at, joint, 0] = x if is_seen[at, joint] else np.nan
+            points[at, joint, 1] = y if is_seen[at, joint] else np.nan
+            seen[at, joint] = c if is_seen[at, joint] else 0.0
+        size[at] = size_in_image(points[at], is_seen[at])
+    return points, seen, is_seen, size
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def size_in_image(points: Array, is_seen: Booleans) -> float:
+    """Do `identity.body_size_px` for one person (j, 2)."""
+    box, count = _diagonal(points, is_seen, np.arange(points.shape[0]))
+    if count < 2:
+        return np.nan
+    trunk, in_trunk = _diagonal(points, is_seen, _TRUNK)
+    if in_trunk >= 4:
+        box = min(max(box, _LEAST_BOX_PER_LENGTH * trunk), _HIGHEST_BOX_PER_LENGTH * trunk)
+    return max(box, _LEAST_SIZE_PX)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
+    """Give the diagonal of the box of the seen joints, and how many they are."""
+    count = 0
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for joint in joints:
+        if is_seen[joint]:
+            count += 1
+            low_x, high_x = min(low_x, points[joint, 0]), max(high_x, points[joint, 0])
+            low_y, high_y = min(low_y, points[joint, 1]), max(high_y, points[joint, 1])
+    return (np.hypot(high_x - low_x, high_y - low_y) if count >= 2 else np.nan), count
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float, limb_s: float) -> Array:
+    """Give where a person's joints (j, 2) are expected: the median speed works for `body_s`, what is left `limb_s`."""
+    out = np.empty(place.shape)
+    for axis in range(2):
+        body = np.median(speed[is_known, axis])
+        for joint in range(place.shape[0]):
+            out[joint, axis] = place[joint, axis] + body * body_s + (speed[joint, axis] - body) * limb_s
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def match_costs(
+    predicted: Array,
+    is_known: Booleans,
+    own_size: float,
+    points: Array,
+    is_seen: Booleans,
+    size: Array,
+    most_share: float,
+    size_cost: float,
+) -> Array:
+    """Give what each detection (n,) costs a person: mean way of its joints from the prediction, by the body's size.
+
+    A single joint that is far off is a detector's fault and not another person: it counts `most_share` at most.  Where
+    the two have too few joints in common only the place of the whole tells.
+    """
+    cost = np.empty(points.shape[0])
+    own = np.zeros(2)
+    num_known = 0
+    for joint in range(is_known.shape[0]):
+        if is_known[joint]:
+            num_known += 1
+            own += predicted[joint]
+    own /= num_known
+    for at in range(points.shape[0]):
+        total, both, num_seen = 0.0, 0, 0
+        centre = np.zeros(2)
+        for joint in range(is_known.shape[0]):
+            if not is_seen[at, joint]:
+                continue
+            num_seen += 1
+            centre += points[at, joint]
+            if is_known[joint]:
+                both += 1
+                away = np.hypot(points[at, joint, 0] - predicted[joint, 0], points[at, joint, 1] - predicted[joint, 1])
+                total += min(away / own_size, most_share)
+        centre /= num_seen
+        if both >= 2:
+            cost[at] = total / both
+        else:
+            cost[at] = np.hypot(centre[0] - own[0], centre[1] - own[1]) / own_size
+        cost[at] += size_cost * abs(np.log(size[at] / own_size))
+    return cost
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def update_joints(
+    place: Array,
+    speed: Array,
+    is_known: Booleans,
+    predicted: Array,
+    points: Array,
+    is_seen: Booleans,
+    passed: float,
+    fade: float,
+    place_gain: float,
+    speed_gain: float,
+) -> None:
+    """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade."""
+    for joint in range(place.shape[0]):
+        both = is_seen[joint] and is_known[joint]
+        for axis in range(2):
+            off = points[joint, axis] - predicted[joint, axis] if both else 0.0
+            if is_seen[joint] and not is_known[joint]:
+                place[joint, axis] = points[joint, axis]
+            else:
+                place[joint, axis] = predicted[joint, axis] + place_gain * off
+            if passed > 0:
+                if not is_seen[joint]:
+                    speed[joint, axis] *= fade
+                speed[joint, axis] += speed_gain / passed * off
+        is_known[joint] = is_known[joint] or is_seen[joint]

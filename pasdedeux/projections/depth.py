@@ -18,12 +18,12 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import OP14
 
-__all__ = ["BoneDepths", "DepthSettings", "bone_vectors", "decode_depths", "place_depths"]
+__all__ = ["SIGN_GROUPS", "BoneDepths", "DepthSettings", "bone_vectors", "decode_depths", "place_depths"]
 
 Array = npt.NDArray[np.float64]
 
 _PARENTS = np.array([max(parent, 0) for parent in OP14.parents])
-_GROUPS: tuple[tuple[int, ...], ...] = tuple(
+SIGN_GROUPS: tuple[tuple[int, ...], ...] = tuple(
     tuple(OP14.indices(names))
     for names in (
         ("head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),
@@ -120,7 +120,7 @@ def decode_depths(
     log_weight = -misfit_m / settings.misfit_m
     depths = np.ascontiguousarray(bone_vectors(candidates_m)[..., 2])
     sign = np.ones(size.shape)
-    for group in _GROUPS:
+    for group in SIGN_GROUPS:
         joints = np.array(group)
         width = np.sqrt(settings.kernel_m**2 + deviation[:, joints] ** 2)
         score = _sign_scores(size[:, joints], width, depths[:, :, joints], log_weight, settings.floor)

@@ -54,6 +54,8 @@ class FixedLagViterbi:
         self._weights = weights or TemporalWeights()
         self._steps: deque[_Step] = deque()
         self._num_decided = 0
+        self.path: Integers = np.zeros(0, dtype=np.int64)
+        """Candidates, by the best path to the newest frame, from the first frame that was just decided on."""
 
     def push(self, frame: int, row: Integers, yaw_steps: Array, distance_m: Array) -> list[Decision]:
         """Add a frame's candidates (k,), at least one of finite distance; give what is old enough to be decided.
@@ -93,6 +95,7 @@ class FixedLagViterbi:
             rank = int(step.back[rank])
             ranks.append(rank)
         ranks.reverse()
+        self.path = np.array(ranks[self._num_decided :], dtype=np.int64)
         decided = [Decision(steps[i].frame, ranks[i]) for i in range(self._num_decided, count)]
         # The newest decided frame stays: it is where the paths of later frames start from.
         for _ in range(count - 1):

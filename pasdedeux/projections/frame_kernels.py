@@ -16,11 +16,10 @@ from pasdedeux.skeletons import OP14
 __all__ = [
     "filter_rotations",
     "find_bone_rotations",
-    "fit_frame",
     "least_squares_scale",
     "metric_of",
     "place_bones",
-    "place_vectors",
+    "rotate_vector",
     "straighten_frame",
     "transition_costs",
     "turn_from_camera_axis",
@@ -62,6 +61,13 @@ def straighten_frame(points: Array, mid_hip: Array, focal: float) -> tuple[Array
 def turn_from_camera_axis(direction: Array) -> Array:
     """Do `rotations.swing_between` from +Z to a direction (3,): a rotation (4,)."""
     return np.array(_swing((0.0, 0.0, 1.0), (direction[0], direction[1], direction[2])))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def rotate_vector(unitquat: Array, vector: Array) -> Array:
+    """Do `rotations.rotate` for one vector (3,)."""
+    turned = _rotate((unitquat[0], unitquat[1], unitquat[2], unitquat[3]), (vector[0], vector[1], vector[2]))
+    return np.array(turned)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -122,45 +128,6 @@ def least_squares_scale(points: Array, weight: Array, match: Array) -> Array:
     if spread_px > 0 and spread_m > 0:
         out[0] = np.sqrt(spread_m / spread_px)
     return out
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def fit_frame(retrieved: Array, image: Array, weight: Array, lengths: Array, distance: float, share: float) -> Array:
-    """Give the bones (14, 3) of a pose across as seen in the image and in depth as retrieved.
-
-    A bone whose ends were seen takes its part across from the image (perspective of the retrieved depth undone) and the
-    retrieved pose together, its depth from the retrieved pose, and is brought to its length.  Other bones stay as
-    retrieved.  (Depth from what the length leaves over was tried: a scale 3 % off makes a flat bone point a quarter of
-    its length out of the image.)
-
-    Args:
-        retrieved: Pose (14, 3) in the person's own proportions about the mid-hip, camera axes, metres.
-        image: Joints (14, 2), metres at the mid-hip's depth about its image; anything where not seen.
-        weight: Weights (14,); 0 where not seen.
-        lengths: Bone lengths (14,), metres.
-        distance: Distance of the mid-hip from the camera, metres.
-        share: Weight of the retrieved bone against an image of weight 1.
-
-    Returns:
-        Direction times length of each bone (14, 3); zero for the neck.
-    """
-    bones = np.zeros((_JOINTS, 3))
-    for joint in _ORDER:
-        parent = _PARENTS[joint]
-        old = _less(_at(retrieved, joint), _at(retrieved, parent))
-        seen = min(weight[joint], weight[parent])
-        if seen <= 0:
-            bones[joint, 0], bones[joint, 1], bones[joint, 2] = old
-            continue
-        own = 1.0 - retrieved[joint, 2] / distance
-        before = 1.0 - retrieved[parent, 2] / distance
-        part = share / (share + seen)
-        x = (1.0 - part) * (image[joint, 0] * own - image[parent, 0] * before) + part * old[0]
-        y = (1.0 - part) * (image[joint, 1] * own - image[parent, 1] * before) + part * old[1]
-        norm = _length((x, y, old[2]))
-        fitted = _scaled((x, y, old[2]), lengths[joint] / norm) if norm > 1e-9 else old
-        bones[joint, 0], bones[joint, 1], bones[joint, 2] = fitted
-    return bones
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -262,20 +229,6 @@ def place_bones(unitquat: Array, lengths: Array) -> Array:
         bone = _rotate(turn, _at(_REST, joint))
         for axis in range(3):
             positions[joint, axis] = positions[parent, axis] + lengths[joint] * bone[axis]
-    for axis in range(3):
-        middle = 0.5 * (positions[_LEFT_HIP, axis] + positions[_RIGHT_HIP, axis])
-        for joint in range(_JOINTS):
-            positions[joint, axis] -= middle
-    return positions
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def place_vectors(bones: Array) -> Array:
-    """Give positions (14, 3) about the mid-hip of bones (14, 3) as vectors."""
-    positions = np.zeros((_JOINTS, 3))
-    for joint in _ORDER:
-        for axis in range(3):
-            positions[joint, axis] = positions[_PARENTS[joint], axis] + bones[joint, axis]
     for axis in range(3):
         middle = 0.5 * (positions[_LEFT_HIP, axis] + positions[_RIGHT_HIP, axis])
         for joint in range(_JOINTS):

@@ -8,22 +8,21 @@ rotations and root, and planted feet are stilled.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import multiply, rotate
+from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.projections.fixed_lag import Decision, FixedLagViterbi
 from pasdedeux.projections.frame_kernels import (
     filter_rotations,
     find_bone_rotations,
-    fit_frame,
     least_squares_scale,
     place_bones,
-    place_vectors,
+    rotate_vector,
     straighten_frame,
     turn_from_camera_axis,
     turn_poses,
@@ -38,6 +37,7 @@ from pasdedeux.projections.scale import place_track
 from pasdedeux.projections.smoothing import OneEuro, one_euro_share
 from pasdedeux.projections.temporal import TemporalWeights
 from pasdedeux.projections.tracks import Lens
+from pasdedeux.projections.window_fit import WindowFit, WindowFitOptions
 from pasdedeux.projections.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
@@ -51,8 +51,8 @@ _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
 _FIRST_ROUNDS = 3
 """Searches of a person's first frame, whose scale is only guessed from the bones."""
 
-_ROOT_BETA = 2.0
-"""Growth of the root's cut-off with its speed, Hz per m/s: bodies move slower than limbs turn."""
+_SPREAD_FRAMES = 32
+"""Frames that proportions are estimated from, at least when as many were seen, and less than twice as many."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,18 @@ class LiveOptions:
         lag: A pose leaves this many frames after its image.
         num_candidates: Projections kept per frame.
         min_joints: Frames with fewer joints of a person give no pose.
-        window_s: Scale and proportions are taken from the frames of this time.
+        window_s: Scale is taken from the frames of this time.
         proportions_every: Frames between two estimates of a person's proportions.
         temporal: Costs of the choice over time.
-        smoothing: The 1-euro filter.
+        smoothing: The 1-euro filter of rotations.
+        root_smoothing: That of the way, whose growth is in Hz per m/s.
         identities: How people are followed.
-        is_fitted: Poses are fitted to their frame's image.
-        retrieved_share: Weight of the retrieved pose against the image in the fit.
-        image_s: Standard deviation in time of the mean of images that is fitted to, over frames up to 3 of these away
-            that have come.
+        search_slack: What the search does not look into holds nothing nearer than 1 / (1 + this) of the farthest
+            candidate; 0 is exact.
+        metres_per_pixel: Scale of the image at the person where it is known; estimated otherwise.
+        has_own_proportions: Bone lengths are estimated per person; the reference body's otherwise.
+        is_fitted: Poses are fitted to the images of their window.
+        fit: What the fit believes.
         has_clean_up: Planted feet are stilled and the floor is kept.
         clean_up: How.
     """
@@ -82,11 +85,14 @@ class LiveOptions:
     window_s: float = 1.0
     proportions_every: int = 15
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
-    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.8, beta=0.5))
+    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=6.0, beta=2.0))
+    root_smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.8, beta=2.0))
     identities: IdentityOptions = field(default_factory=IdentityOptions)
+    search_slack: float = 0.2
+    metres_per_pixel: float | None = None
+    has_own_proportions: bool = True
     is_fitted: bool = True
-    retrieved_share: float = 0.1
-    image_s: float = 0.06
+    fit: WindowFitOptions = field(default_factory=WindowFitOptions)
     has_clean_up: bool = True
     clean_up: LiveCleanUpOptions = field(default_factory=LiveCleanUpOptions)
 
@@ -94,8 +100,8 @@ class LiveOptions:
         """Refuse values without meaning."""
         if self.lag < 0 or min(self.num_candidates, self.min_joints, self.proportions_every) < 1:
             raise InputError(f"live reconstruction: counts must be at least 1 and the lag not negative: {self}")
-        if min(self.window_s, self.image_s, self.retrieved_share) <= 0:
-            raise InputError(f"live reconstruction: windows and shares must be positive: {self}")
+        if self.window_s <= 0 or not (self.metres_per_pixel is None or self.metres_per_pixel > 0):
+            raise InputError(f"live reconstruction: windows and scales must be positive: {self}")
 
 
 @dataclass(frozen=True)
@@ -133,6 +139,7 @@ class _Waiting:
     row: Integers
     yaw_steps: Array
     distance_m: Array
+    pose_m: Array
     root_m: Array
     own_m: Array
     weights: Array
@@ -173,17 +180,18 @@ class LivePerson:
             searcher.database, rate_hz=rate_hz, lag=self._options.lag, weights=self._options.temporal
         )
         window = max(3, round(self._options.window_s * rate_hz))
-        self._window: deque[_Seen] = deque(maxlen=window)
+        self._spread: list[_Seen] = []
+        self._stride = 1
         self._scales: deque[float] = deque(maxlen=window)
         self._waiting: deque[_Waiting] = deque()
-        self._decided: deque[_Waiting] = deque(maxlen=max(1, round(3.0 * self._options.image_s * rate_hz)))
+        self._index = searcher.index.with_slack(max(searcher.index.slack, self._options.search_slack))
+        self._fit = WindowFit(rate_hz, self._options.lag + 1, self._options.num_candidates, self._options.fit)
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
-        self._num_estimates = 0
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
         self._rotations = _RotationFilter(self._options.smoothing, rate_hz)
         self._clean_up = LiveCleanUp(rate_hz, self._options.clean_up) if self._options.has_clean_up else None
-        self._root = _PointFilter(replace(self._options.smoothing, beta=_ROOT_BETA), rate_hz)
+        self._root = _PointFilter(self._options.root_smoothing, rate_hz)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
@@ -196,23 +204,36 @@ class LivePerson:
                 waiting = None  # too little of the person to tell the size by; a later frame will do
             if waiting is not None:
                 self._waiting.append(waiting)
-                decided = self._viterbi.push(frame, waiting.row, waiting.yaw_steps, waiting.distance_m)
-                return [self._pose(one) for one in decided]
+                if self._options.is_fitted:
+                    distance = float(np.linalg.norm(waiting.root_m))
+                    self._fit.see(
+                        frame,
+                        waiting.own_m,
+                        waiting.weights,
+                        waiting.pose_m,
+                        waiting.distance_m,
+                        distance,
+                        self._proportions,
+                    )
+                return self._poses(self._viterbi.push(frame, waiting.row, waiting.yaw_steps, waiting.distance_m))
         return self.advance(frame)
 
     def advance(self, frame: int) -> list[LivePose]:
         """Give the poses that are due when the sequence is at `frame` and the person is not seen."""
-        return [self._pose(one) for one in self._viterbi.decide_until(frame - self._options.lag)]
+        return self._poses(self._viterbi.decide_until(frame - self._options.lag))
 
     def finish(self) -> list[LivePose]:
         """Give all poses that still wait."""
         if not self._waiting:
             return []
-        return [self._pose(one) for one in self._viterbi.decide_until(self._waiting[-1].frame)]
+        return self._poses(self._viterbi.decide_until(self._waiting[-1].frame))
 
     def _match(self, frame: int, points: Array, weights: Array) -> _Waiting | None:
         database, focal = self._searcher.database, self._lens.focal_px
-        if self._scales:
+        known = self._options.metres_per_pixel
+        if known is not None:
+            scale, rounds = known, 1
+        elif self._scales:
             scale, rounds = median(self._scales), 1
         else:
             first = place_track(points[None], weights[None], self._searcher.reference, window=1)
@@ -224,7 +245,7 @@ class LivePerson:
         ratio = float("nan")
         for _ in range(rounds):
             query = unify_image((straight - centre) * scale, self._proportions)
-            found = self._searcher.index.search(query, weights, num_neighbours=self._options.num_candidates)
+            found = self._index.search(query, weights, num_neighbours=self._options.num_candidates)
             if found.projection[0] < 0:
                 return None
             yaw_rad = np.array([found.yaw_index[0] * database.yaw_step_rad])
@@ -233,21 +254,25 @@ class LivePerson:
             fit = least_squares_scale(straight, weights, unify_image(matched, 1.0 / self._proportions))
             ratio = float(fit[0])
             if np.isfinite(ratio):
-                scale = median([*self._scales, ratio])
+                scale = known or median([*self._scales, ratio])
                 centre = fit[1:3] - fit[3:] / scale
         if np.isfinite(ratio):
             self._scales.append(ratio)
         own = (straight - centre) * scale
-        self._learn_proportions(_Seen(weights, own, matched))
+        if self._options.has_own_proportions:
+            self._learn_proportions(_Seen(weights, own, matched))
         refined = refine_yaws(database, found, unify_image(own, self._proportions), weights)
-        is_real = found.projection >= 0
+        order = np.argsort(refined.distance_m, kind="stable")[: np.count_nonzero(found.projection >= 0)]
+        row, yaw_steps = found.row[order], refined.yaw_steps[order]
+        poses = turn_poses(database.poses_m, row, yaw_steps * database.yaw_step_rad) @ self._camera_rotmat.T
         place = np.append(centre * scale, -scale * focal)
         return _Waiting(
             frame,
-            found.row[is_real],
-            refined.yaw_steps[is_real],
-            refined.distance_m[is_real],
-            rotate(turn_from_camera_axis(towards), place),
+            row,
+            yaw_steps,
+            refined.distance_m[order],
+            poses,
+            rotate_vector(turn_from_camera_axis(towards), place),
             own,
             weights,
         )
@@ -262,26 +287,30 @@ class LivePerson:
         return np.asarray(share @ off_mean / share.sum())
 
     def _learn_proportions(self, seen: _Seen) -> None:
-        self._window.append(seen)
+        """Estimate the proportions now and then, from frames spread over all that was seen: a body does not change."""
+        if self._num_seen % self._stride == 0:
+            self._spread.append(seen)
+            if len(self._spread) == 2 * _SPREAD_FRAMES:
+                self._spread, self._stride = self._spread[::2], 2 * self._stride
         self._num_seen += 1
         if self._num_seen % self._options.proportions_every == 0:
-            estimate = estimate_proportions(
-                np.stack([one.own_m for one in self._window]),
-                np.stack([one.weights for one in self._window]),
-                np.stack([one.matched_m for one in self._window]),
+            self._proportions = estimate_proportions(
+                np.stack([one.own_m for one in self._spread]),
+                np.stack([one.weights for one in self._spread]),
+                np.stack([one.matched_m for one in self._spread]),
             )
-            # A body does not change: the mean of all estimates, which moves less and less.
-            self._num_estimates += 1
-            self._proportions = self._proportions + (estimate - self._proportions) / self._num_estimates
 
-    def _pose(self, decision: Decision) -> LivePose:
+    def _poses(self, decided: list[Decision]) -> list[LivePose]:
+        """Give the poses of frames that were just decided on."""
+        path = self._viterbi.path
+        return [self._pose(one, path[at:]) for at, one in enumerate(decided)]
+
+    def _pose(self, decision: Decision, path: Integers) -> LivePose:
+        """Give the pose of the oldest frame; `path` has the candidates that it and all waiting frames follow."""
         waiting = self._waiting.popleft()
         assert waiting.frame == decision.frame, "every frame pushed is decided once, in order"
-        database, rank = self._searcher.database, decision.rank
-        yaw_rad = waiting.yaw_steps[rank : rank + 1] * database.yaw_step_rad
-        pose = turn_poses(database.poses_m, waiting.row[rank : rank + 1], yaw_rad)[0] @ self._camera_rotmat.T
-        if self._options.is_fitted:
-            pose = self._fitted(pose, waiting)
+        rank = decision.rank
+        pose = self._fit.fit(path, self._proportions) if self._options.is_fitted else waiting.pose_m[rank]
         unitquat = self._rotations.step(waiting.frame, find_bone_rotations(pose))
         root = self._root.step(waiting.frame, waiting.root_m)
         # Bones turn against each other, so only the body's frame turns with the whole.
@@ -298,28 +327,11 @@ class LivePerson:
             positions_m=positions,
             bone_unitquat=turned,
             root_m=root,
-            yaw_rad=float(np.mod(yaw_rad[0], 2.0 * np.pi)),
+            yaw_rad=float(np.mod(waiting.yaw_steps[rank] * self._searcher.database.yaw_step_rad, 2.0 * np.pi)),
             score_m=float(waiting.distance_m[rank]),
             row=int(waiting.row[rank]),
             num_joints_seen=int(np.count_nonzero(waiting.weights > 0)),
         )
-
-    def _fitted(self, pose: Array, waiting: _Waiting) -> Array:
-        """Give the retrieved pose (14, 3) fitted to the frame's image, in the person's own proportions."""
-        lengths = REFERENCE_LENGTHS_M * self._proportions
-        own = place_bones(find_bone_rotations(pose), lengths)
-        options = self._options
-        near = [waiting, *self._decided, *self._waiting]
-        near = [one for one in near if abs(one.frame - waiting.frame) <= 3.0 * options.image_s * self._rate_hz]
-        away = np.array([one.frame - waiting.frame for one in near]) / (options.image_s * self._rate_hz)
-        weight = np.exp(-0.5 * away**2)[:, None] * np.stack([one.weights for one in near])
-        total = weight.sum(axis=0)
-        image = np.einsum("fj,fjd->jd", weight, np.nan_to_num(np.stack([one.own_m for one in near])))
-        image /= np.where(total > 0, total, 1.0)[:, None]
-        distance = float(np.linalg.norm(waiting.root_m))
-        bones = fit_frame(own, image, total, lengths, distance, options.retrieved_share)
-        self._decided.append(waiting)
-        return place_vectors(bones)
 
 
 class _RotationFilter:

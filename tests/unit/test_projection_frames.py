@@ -5,17 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.kinematics.rotations import multiply, swing_between, unitquat_from_rotvec
+from pasdedeux.kinematics.rotations import rotate, swing_between, unitquat_from_rotvec
 from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.frame_kernels import (
     filter_rotations,
     find_bone_rotations,
-    fit_frame,
     least_squares_scale,
     metric_of,
     place_bones,
-    place_vectors,
+    rotate_vector,
     straighten_frame,
     transition_costs,
     turn_from_camera_axis,
@@ -59,6 +58,11 @@ def test_rays_are_straightened_as_for_a_track(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(direction, towards[frame], rtol=1e-12)
         expected = swing_between(np.array([0.0, 0.0, 1.0]), direction)
         np.testing.assert_allclose(turn_from_camera_axis(direction), expected, atol=1e-12)
+
+
+def test_a_vector_turns_as_many_do(rng: np.random.Generator) -> None:
+    unitquat, vector = unitquat_from_rotvec(rng.normal(0, 1, 3)), rng.normal(0, 1, 3)
+    np.testing.assert_allclose(rotate_vector(unitquat, vector), rotate(unitquat, vector), atol=1e-12)
 
 
 def test_an_image_is_moved_to_the_reference_body_as_for_a_track(rng: np.random.Generator) -> None:
@@ -113,34 +117,3 @@ def test_the_filter_of_a_frame_is_that_of_a_motion(rng: np.random.Generator) -> 
     for frame in range(1, 40):
         value, velocity = filter_rotations(value, velocity, unitquat[frame], 30.0, 0.8, 0.3, 1.0)
         np.testing.assert_allclose(np.abs(np.sum(value * expected[frame], axis=-1)), 1.0, atol=1e-12)
-
-
-def test_a_pose_fitted_to_its_image_has_its_lengths_and_is_nearer_to_the_truth(rng: np.random.Generator) -> None:
-    truth = centre_and_face(walk(30)).poses_m
-    turns = unitquat_from_rotvec(rng.normal(0, 0.15, (30, 14, 3)))
-    retrieved = place_bone_rotations(
-        np.stack([multiply(one, turn) for one, turn in zip(bone_rotations(truth), turns, strict=True)]),
-        REFERENCE_LENGTHS_M,
-        np.zeros((30, 3)),
-    )
-    distance = 3.0
-    image = truth[..., :2] / (1.0 - truth[..., 2:] / distance)
-    fitted = []
-    for pose, seen in zip(retrieved, image, strict=True):
-        bones = fit_frame(pose, seen, np.ones(14), REFERENCE_LENGTHS_M, distance, 0.1)
-        np.testing.assert_allclose(np.linalg.norm(bones, axis=-1), REFERENCE_LENGTHS_M, atol=1e-12)
-        fitted.append(place_vectors(bones))
-    error = [np.linalg.norm(one - truth, axis=-1).mean() for one in (np.stack(fitted), retrieved)]
-    assert error[0] < 0.6 * error[1]
-
-
-def test_a_fitted_pose_stays_as_retrieved_where_nothing_was_seen(rng: np.random.Generator) -> None:
-    pose = centre_and_face(walk(1)).poses_m[0]
-    bones = fit_frame(pose, np.full((14, 2), np.nan), np.zeros(14), REFERENCE_LENGTHS_M, 4.0, 0.1)
-    np.testing.assert_allclose(place_vectors(bones), pose, atol=1e-12)
-    weight = np.ones(14)
-    weight[OP14.index("left_wrist")] = 0.0
-    image = pose[:, :2] + rng.normal(0, 0.05, (14, 2))
-    bones = fit_frame(pose, image, weight, REFERENCE_LENGTHS_M, 1e9, 0.1)
-    wrist, elbow = OP14.index("left_wrist"), OP14.index("left_elbow")
-    np.testing.assert_allclose(bones[wrist], pose[wrist] - pose[elbow], atol=1e-12)

@@ -95,7 +95,7 @@ def test_fitted_poses_are_steadier_than_retrieved_ones_and_as_near_to_the_truth(
         found = np.stack([pose.positions_m for pose in poses])
         error[is_fitted] = root_centred_error_m(found, truth[:, 0]).mean()
         shake[is_fitted] = jitter_m(found - mid_hip(found)[:, None])
-    assert error[True] < 1.05 * error[False]
+    assert error[True] < error[False] + 0.005
     assert shake[True] < 0.9 * shake[False]
 
 
@@ -174,4 +174,4 @@ def test_bad_input_is_named(searcher: Searcher) -> None:
     with pytest.raises(InputError, match="lag"):
         replace(LiveOptions(), lag=-1)
     with pytest.raises(InputError, match="windows"):
-        LiveOptions(image_s=0.0)
+        LiveOptions(window_s=0.0)

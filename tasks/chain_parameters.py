@@ -87,7 +87,7 @@ class ChainsParameters(Parameters):
     truncation: float = Field(100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0")
     reference: Literal["seed", "left_out"] = Field(
         "seed",
-        description="f0 of eq. 11: the seed's density, or, where that is higher, that of a pair as likely as a real "
+        description="f0 of eq. 11: the seed's density, or the range between it and that of a pair as likely as a real "
         "one that is not annotated",
     )
     left_out_quantile: float = Field(

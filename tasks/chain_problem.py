@@ -80,7 +80,7 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
         likelihood: Likelihood | None = None if seen is None else seen.likelihood
         if is_agreement:
             likelihood = agreement_of(shard, store, seed.pair_m)
-        left_out = np.inf if seen is None else seen.log_left_out
+        left_out = None if seen is None else seen.log_left_out
         target = PairDensity(chart, prior, likelihood, truncation=options["truncation"], log_left_out=left_out)
     except InputError as error:
         raise InputError(f"seed {options['seed_index']} ({seed.origin}): {error}") from None
@@ -140,7 +140,7 @@ class Seen:
     likelihood: InteractionLikelihood | MeasuredLikelihood
     speeds: Speeds | None
     guides: AnnotatedPairs
-    log_left_out: float
+    log_left_out: float | None
     num_annotations: int
     num_skipped: int
     num_swapped: int
@@ -227,10 +227,10 @@ def _some(pairs: AnnotatedPairs, entries: np.ndarray) -> AnnotatedPairs:
     return AnnotatedPairs(pairs.points_m[chosen], pairs.directions[chosen], pairs.annotation_index[chosen])
 
 
-def _left_out(pairs: AnnotatedPairs, options: Mapping[str, Any], rng: np.random.Generator) -> float:
-    """Give the log likelihood of a real pair that is not annotated where the truncation refers to it, else inf."""
+def _left_out(pairs: AnnotatedPairs, options: Mapping[str, Any], rng: np.random.Generator) -> float | None:
+    """Give the log likelihood of a real pair that is not annotated, where the truncation refers to it too."""
     if options["reference"] == "seed":
-        return np.inf
+        return None
     least = left_out_dissimilarity(pairs, view_bandwidth_rad=options["sigma_v_rad"], beta_m=options["beta_m"])
     return left_out_log_likelihood(
         least, options["num_views"], rng, sigma_l=options["sigma_l"], quantile=options["left_out_quantile"]

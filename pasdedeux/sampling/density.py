@@ -43,8 +43,7 @@ class Evaluation:
 class PairDensity:
     """The truncated density round one seed.
 
-    With f0 the seed's density, or another reference, and c the truncation, the target is 0 below f0 / c, f between, and
-    c f0 above (eq. 11).
+    With f0 the seed's density and c the truncation, the target is 0 below f0 / c, f between, and c f0 above (eq. 11).
     The target does not change when the pair moves rigidly.
 
     Args:
@@ -52,8 +51,10 @@ class PairDensity:
         prior: Physical prior.
         likelihood: Likelihood; None samples the prior alone.
         truncation: c of eq. 11, above 1; inf leaves the density as it is.
-        log_left_out: Log likelihood of a real pair that is not annotated (`reference`): where the seed's own is
-            higher, this stands for it in f0, and the target is cut lower and flat from lower on.
+        log_left_out: Log likelihood of a real pair that is not annotated (`reference`): a second f0, with the seed's
+            prior.  The target is 0 below the lesser f0 / c and flat above c times the greater: from a seed that is
+            annotated worse than real pairs are, a chain may climb to where they are; one that is annotated better may
+            go down to them.  None refers to the seed alone.
 
     Raises:
         InputError: The seed's density is 0, with the term that made it so, or `truncation` is not above 1.
@@ -66,14 +67,13 @@ class PairDensity:
         likelihood: Likelihood | None,
         *,
         truncation: float = 100.0,
-        log_left_out: float = np.inf,
+        log_left_out: float | None = None,
     ) -> None:
         if not truncation > 1.0:
             raise InputError(f"the truncation c must be above 1, found {truncation:g}")
         self.chart = chart
         self._prior = prior
         self._likelihood = likelihood
-        self._window = float(np.log(truncation))
         seed = chart.seed_parameters()
         pair_m = chart.positions_fast(seed)
         terms = prior.terms(seed, pair_m)
@@ -82,19 +82,13 @@ class PairDensity:
         """Log of the seed's density before truncation."""
         if not np.isfinite(self.log_seed):
             raise InputError(_why_zero(terms, prior, log_likelihood))
-        self.log_reference = terms.log_prior + min(log_likelihood, log_left_out)
-        """Log of f0 of eq. 11."""
-        self.seed_evaluation = Evaluation(min(self.log_seed, self.log_ceiling), terms.log_prior, log_likelihood)
-
-    @property
-    def log_floor(self) -> float:
+        window = float(np.log(truncation))
+        second = self.log_seed if log_left_out is None else terms.log_prior + log_left_out
+        self.log_floor = min(self.log_seed, second) - window
         """Log density below which the target is 0."""
-        return self.log_reference - self._window
-
-    @property
-    def log_ceiling(self) -> float:
+        self.log_ceiling = max(self.log_seed, second) + window
         """Log density above which the target is flat."""
-        return self.log_reference + self._window
+        self.seed_evaluation = Evaluation(self.log_seed, terms.log_prior, log_likelihood)
 
     def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
         """Give the target at parameters (108,); work ends as soon as it is known to lie below `at_least`.

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.drawing import figure_png
 
-__all__ = ["Curve", "CurvePanel", "box_figure", "curve_figure", "panel_figure", "view_figure"]
+__all__ = ["Curve", "CurvePanel", "box_figure", "curve_figure", "grid_figure", "panel_figure", "view_figure"]
 
 Array = npt.NDArray[np.float64]
 
@@ -111,6 +111,26 @@ def box_figure(groups: Mapping[str, Array], *, title: str, y_label: str) -> byte
     axis.set_ylabel(y_label, fontsize=8)
     axis.tick_params(labelsize=7)
     axis.grid(visible=True, axis="y", alpha=0.25)
+    figure.tight_layout()
+    return figure_png(figure)
+
+
+def grid_figure(values: Array, *, rows: Sequence[str], columns: Sequence[str], title: str) -> bytes:
+    """Draw figures between 0 and 1 (row, column) as a coloured grid with each figure in its cell; give PNG bytes.
+
+    A figure that is not finite leaves its cell empty.
+    """
+    from matplotlib.figure import Figure  # here: planning does not draw
+
+    figure = Figure(figsize=(2.6 + 0.62 * len(columns), 1.6 + 0.24 * len(rows)), dpi=110)
+    axis = figure.subplots()
+    axis.imshow(np.asarray(values, dtype=np.float64), vmin=0.0, vmax=1.0, cmap="RdYlGn", aspect="auto", alpha=0.8)
+    for row, column in np.argwhere(np.isfinite(values)).tolist():
+        axis.text(column, row, f"{values[row, column]:.2f}", fontsize=7, ha="center", va="center")
+    axis.set_xticks(np.arange(len(columns)), columns, rotation=45, ha="right")
+    axis.set_yticks(np.arange(len(rows)), rows)
+    axis.set_title(title, fontsize=9)
+    axis.tick_params(labelsize=7)
     figure.tight_layout()
     return figure_png(figure)
 

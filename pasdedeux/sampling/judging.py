@@ -23,15 +23,15 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.capsules_kernel import clip_penetration
-from pasdedeux.plausibility.occupancy import KIND_OF_BONE, bone_cells, bone_directions
 from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth_kernels import place_bones
+from pasdedeux.sampling.image_odds import LiftDensity
 from pasdedeux.sampling.likelihood import AnnotatedPairs, InteractionLikelihood, ViewBank
 from pasdedeux.sampling.seeds import SIGMA_P_M
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Corrupted", "Corruption", "Judge", "corrupt", "separation", "told_apart"]
+__all__ = ["Corrupted", "Corruption", "Judge", "Trial", "corrupt", "seen_from", "separation", "told_apart"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -99,12 +99,7 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
             into each other along the line between the people, so there that is the view.
         kind: What is done.
     """
-    frame = pair_frame(pairs_m)
-    towards = frame.direction(directions)
-    if kind in _INSIDE_M:
-        towards = normalise(pairs_m[:, 0, 0] - pairs_m[:, 1, 0])
-    axes = view_rotmat(towards, frame.axes[..., 1])
-    seen = np.einsum("nij,npkj->npki", axes, pairs_m)
+    seen = seen_from(pairs_m, directions, kind)
     rows: Indices = np.arange(len(pairs_m), dtype=np.int64)
     sign = rng.choice([-1.0, 1.0], size=len(seen))
     false = seen.copy()
@@ -130,6 +125,22 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
             image, depth = np.ascontiguousarray(seen[own, ..., :2]), np.ascontiguousarray(seen[other, ..., 2])
             place_bones(image, depth, bone_lengths(PAIR17, seen[own]), order, parents, _TIGHTNESS, false[own])
     return Corrupted(rows=rows, pairs_m=false[rows], seen_m=seen[rows])
+
+
+def seen_from(pairs_m: Array, directions: Array, kind: Corruption) -> Array:
+    """Give pairs (n, person=2, joint=17, 3), metres, in the axes of the camera that a corruption hides from.
+
+    Args:
+        pairs_m: Pairs.
+        directions: View of each in its local frame, (n, 3); where bodies are pushed into each other it is not used.
+        kind: What is to be done.
+    """
+    frame = pair_frame(pairs_m)
+    towards = frame.direction(directions)
+    if kind in _INSIDE_M:
+        towards = normalise(pairs_m[:, 0, 0] - pairs_m[:, 1, 0])
+    axes = view_rotmat(towards, frame.axes[..., 1])
+    return np.einsum("nij,npkj->npki", axes, pairs_m)
 
 
 def _pushed(pair: Array, depth_m: float) -> Array | None:
@@ -185,9 +196,10 @@ class Judge:
         - `likelihood`: eqs. 6 and 9 as published, `mean_view` (a geometric mean of likelihoods), `median_view`,
           `worst_view`: minus the mean, median and 90th percentile of the least d_I over the views of the bank, all with
           one more view that fits perfectly;
-        - with grown pairs: `grown_D_I`, `grown_D_C`, minus the least distance to one; `placement` and `limbs` of
-          `agreement`; and `agreement`, the density that chains sample: those with `contact` and the joint limits;
-          `agreement_and_pose_prior`: that and `pose_prior`; `agreement_and_mean_view`: that and `mean_view` at 1 cm.
+        - with grown pairs: `grown_D_I`, `grown_D_C`, minus the least distance to one; `grown_near`, minus the mean one
+          to the ten nearest; `placement` and `limbs` of `agreement`; and `agreement`, the density that chains sample:
+          those with `contact` and the joint limits; `agreement_and_pose_prior`: that and `pose_prior`;
+          `agreement_and_mean_view`: that and `mean_view` at 1 cm.
         """
         pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
         distance = self.limits.nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
@@ -197,8 +209,7 @@ class Judge:
         # So wide that no view is left out as too far behind the best.
         matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)
         views = np.array([[*matcher.match(pair).dissimilarity_m, 0.0] for pair in pairs])
-        above, cell = bone_cells(bone_directions(pairs))
-        shares = self.occupancy.log_share[KIND_OF_BONE, above, cell]
+        shares = self.occupancy.bone_logs(pairs)
         up = pair_frame(pairs).axes[..., 1]
         lowest = np.einsum("npki,ni->npk", pairs[:, :, _ANKLES], up).min(axis=-1)
         terms = {
@@ -222,12 +233,65 @@ class Judge:
             parts = [agreement.terms(pair) for pair in pairs]
             terms["grown_D_I"] = -coverage.interaction_m
             terms["grown_D_C"] = -coverage.cartesian_m
+            terms["grown_near"] = -np.array([agreement.nearest_m(pair) for pair in pairs])
             terms["placement"] = np.array([part.placement for part in parts])
             terms["limbs"] = np.array([part.limbs for part in parts])
             terms["agreement"] = np.array([part.total for part in parts]) - distance / (2.0 * SIGMA_P_M**2)
             terms["agreement_and_pose_prior"] = terms["agreement"] + terms["pose_prior"]
             terms["agreement_and_mean_view"] = terms["agreement"] + terms["mean_view"] / _MEAN_VIEW_WIDTH_M
         return {name: np.asarray(values) for name, values in terms.items()}
+
+    def trials(self, rng: np.random.Generator, real_m: Array, directions: Array) -> dict[Corruption, Trial]:
+        """Try every kind of corruption on real pairs (n, person=2, joint=17, 3), metres.
+
+        With grown pairs there is one term more, `image_odds`: the odds of the pair among the lifts of the image that
+        the corruption does not show in.  Kinds that can be done to no pair are left out.
+
+        Args:
+            rng: As for `corrupt`.
+            real_m: Real pairs.
+            directions: View of each, in its local frame, (n, 3).
+        """
+        own, own_odds, found = self.values(real_m), {}, {}
+        for kind in Corruption:
+            corrupted = corrupt(rng, real_m, directions, kind)
+            if not len(corrupted.rows):
+                continue
+            real = {name: values[corrupted.rows] for name, values in own.items()}
+            false = self.values(corrupted.pairs_m)
+            if len(self.grown_m):
+                is_pushed = kind in _INSIDE_M
+                if is_pushed not in own_odds:
+                    own_odds[is_pushed] = self.odds(seen_from(real_m, directions, kind))
+                real["image_odds"] = own_odds[is_pushed][corrupted.rows]
+                false["image_odds"] = self.odds(corrupted.pairs_m)
+            found[kind] = Trial(real, false, corrupted.moved_m)
+        return found
+
+    def odds(self, seen_m: Array) -> Array:
+        """Give the odds of pairs (n, 2, 17, 3), metres, in camera axes, among the lifts of their images, (n,)."""
+        return LiftDensity(Agreement(self.grown_m), self.limits, self.occupancy).odds(seen_m)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Terms of real pairs and of their corruptions, row by row.
+
+    Args:
+        real: Each term of the real pairs, (n,).
+        corrupted: Each term of their corruptions, (n,).
+        moved_m: How far the joint that moved most did, (n,), metres.
+    """
+
+    real: dict[str, Array]
+    corrupted: dict[str, Array]
+    moved_m: Array
+
+    def from_m(self, least_m: float) -> Trial:
+        """Give the rows in which a joint moved at least as far as `least_m`, metres."""
+        far = self.moved_m >= least_m
+        real, corrupted = ({name: one[far] for name, one in part.items()} for part in (self.real, self.corrupted))
+        return Trial(real, corrupted, self.moved_m[far])
 
 
 def separation(real: Array, corrupted: Array) -> float:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.stats import spearmanr
 
+from pasdedeux.evaluation.figures import grid_figure
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.plausibility import JointLimits, Occupancy
+from pasdedeux.sampling.annotations import GatheredPairs
+from pasdedeux.sampling.combination import Combination
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth import GrowthOptions, grow
-from pasdedeux.sampling.judging import Corruption, Judge, corrupt, separation, told_apart
-from pasdedeux.sampling.likelihood import build_bank
+from pasdedeux.sampling.judging import Corruption, Judge, Trial, seen_from, separation, told_apart
+from pasdedeux.sampling.likelihood import AnnotatedPairs, build_bank
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
@@ -26,6 +33,23 @@ FAR_M = 0.2
 """Corruptions that move no joint as far as this are left out of a score of their own, metres."""
 NUM_REAL = 1500
 """Real pairs that the distance of lifted pairs from the truth is measured to, at most."""
+LIFTED_FOR_JUDGED = 2
+"""Lifted pairs for each real pair."""
+NUM_FITTED_TAKES = 2
+"""Takes that the combination is fitted on, at most."""
+COMBINED = (
+    "image_odds",
+    "placement",
+    "limbs",
+    "contact",
+    "pose_prior_sum",
+    "joint_limits",
+    "agreement",
+    "grown_near",
+    "mean_view",
+)
+"""Terms of the combination."""
+RANK_METRIC = "rank_correlation_with_nearest_real"
 
 
 def shards(inputs: StageInputs, *, num_judged_pairs: int) -> list[Shard]:
@@ -54,66 +78,177 @@ def shards(inputs: StageInputs, *, num_judged_pairs: int) -> list[Shard]:
 
 def run(shard: Shard, store: Store) -> TopicResult:
     """Score every term by AUC and pair by pair for every corruption, and by its rank correlation with the truth."""
-    count, num_takes = int(shard.parameters["num_judged_pairs"]), int(shard.parameters["num_takes"])
-    take_refs = shard.inputs[:num_takes]
-    grown_refs = shard.inputs[num_takes : num_takes + int(shard.parameters["num_grown"])]
-    facts = {ref: store.manifest(ref).facts for ref in take_refs}
-    held_out = sorted(str(fact["take_id"]) for fact in facts.values() if fact["is_held_out"])
+    material = _read(shard, store)
+    count = int(shard.parameters["num_judged_pairs"])
+    rng = stream(shard.seed, TOPIC)
+    hidden = np.concatenate([material.takes[name] for name in material.held_out])
+    shown = {name: pairs for name, pairs in material.takes.items() if name not in material.held_out}
+    judge = material.judge(rng, None)
+    trials = judge.trials(rng, *material.some(rng, hidden, count))
+    lifted = material.lifted(rng, judge, np.concatenate([*shown.values(), hidden[:0]]), LIFTED_FOR_JUDGED * count)
+    notes = [
+        f"{min(count, len(hidden))} real pairs of {', '.join(material.held_out)}, and corruptions that their own "
+        "image does not show; that image counts as annotated, so the best view of both is perfect. `auc`: the chance "
+        "that a real pair scores above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is "
+        "chance. The rank correlation is between minus the term and the distance from the nearest real pair, over "
+        "pairs lifted without agreement. `image_odds` is the share of a pair's density among all lifts of its image."
+    ]
+    scores: list[Score] = []
+    if len(material.grown) and shown:
+        fitted_on = sorted(rng.permutation(sorted(shown))[:NUM_FITTED_TAKES].tolist())
+        combination = material.combination(rng, fitted_on, max(count // NUM_FITTED_TAKES, 1))
+        for trial in trials.values():
+            for part in (trial.real, trial.corrupted):
+                part["combination"] = combination.value(part)
+        if lifted is not None:
+            lifted.values["combination"] = combination.value(lifted.values)
+        scores += [
+            Score(TOPIC, "combination_weight", term, float(weight), split="fitted")
+            for term, weight in zip(combination.terms, combination.weights, strict=True)
+        ]
+        notes.append(
+            "`combination` is logistic, of terms divided by their standard deviation over real pairs; it was fitted on "
+            f"{', '.join(fitted_on)}, each judged with what grew from the other takes alone."
+        )
+    kinds = _with_far_flips(trials)
+    areas: dict[str, dict[str, float]] = {}
+    for name, trial in kinds.items():
+        for term, real in trial.real.items():
+            false = trial.corrupted[term]
+            area, paired = separation(real, false), told_apart(real, false)
+            areas.setdefault(term, {})[name] = area
+            scores.append(Score(TOPIC, f"auc_{name}", term, area, split="held_out", count=len(real)))
+            scores.append(Score(TOPIC, f"told_apart_{name}", term, paired, split="held_out", count=len(real)))
+    if lifted is not None:
+        for term, values in lifted.values.items():
+            # A term that says the same of every pair has no rank.
+            if np.ptp(values) > 0.0:
+                rank = float(spearmanr(-values, lifted.distance_m).statistic)
+                areas[term]["rank correlation"] = rank
+                count = len(values)
+                scores.append(Score(TOPIC, RANK_METRIC, term, rank, split="annotated", count=count))
+    columns = [*kinds, *(["rank correlation"] if lifted is not None else [])]
+    picture = grid_figure(
+        np.array([[row.get(column, np.nan) for column in columns] for row in areas.values()]),
+        rows=list(areas),
+        columns=[column.replace("_", " ") for column in columns],
+        title="Area under the curve by term and corruption",
+    )
+    return TopicResult(
+        scores=scores,
+        pictures={"density-terms.png": picture},
+        captions={
+            "density-terms.png": "How often a real pair scores above a corrupted one, by term and kind of corruption; "
+            "last, the rank correlation with the distance to the nearest real pair."
+        },
+        notes=notes,
+    )
+
+
+def _with_far_flips(trials: Mapping[Corruption, Trial]) -> dict[str, Trial]:
+    """Give the trials by name, and beside all flips those that move a joint by 20 cm or more."""
+    named = {}
+    for kind, trial in trials.items():
+        named[str(kind)] = trial
+        if kind is Corruption.LIMB_FLIPPED and (trial.moved_m >= FAR_M).any():
+            named[f"{kind}_from_20_cm"] = trial.from_m(FAR_M)
+    return named
+
+
+@dataclass(frozen=True)
+class _Lifted:
+    """Terms of lifted pairs, and how far each pair is from the nearest real one, metres."""
+
+    values: dict[str, np.ndarray]
+    distance_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Material:
+    """What terms are made from, with the take that each annotation and grown pair shows; None where nobody knows."""
+
+    takes: dict[str, np.ndarray]
+    held_out: list[str]
+    limits: JointLimits
+    occupancy: Occupancy
+    gathered: GatheredPairs
+    annotated_take: np.ndarray
+    grown: np.ndarray
+    grown_take: np.ndarray
+
+    def judge(self, rng: np.random.Generator, without: str | None) -> Judge:
+        """Give a judge that has seen no annotation of a take, and nothing that grew from one."""
+        every = self.gathered.pairs
+        is_seen, is_left = (
+            np.array([without is None or take != without for take in takes], dtype=bool)
+            for takes in (self.annotated_take, self.grown_take)
+        )
+        pairs = AnnotatedPairs(every.points_m[is_seen], every.directions[is_seen], every.annotation_index[is_seen])
+        bank = build_bank(self.gathered.view_density().sample(rng, NUM_VIEWS), pairs, num_candidates=NUM_CANDIDATES)
+        return Judge(self.limits, self.occupancy, pairs, bank, self.grown[is_left])
+
+    def some(self, rng: np.random.Generator, pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Give some pairs (n, 2, 17, 3) and a view of each (n, 3)."""
+        some = pairs[rng.permutation(len(pairs))[:count]].astype(np.float64)
+        return some, self.gathered.view_density().sample(rng, len(some))
+
+    def combination(self, rng: np.random.Generator, takes: Sequence[str], count: int) -> Combination:
+        """Fit a combination on pairs of takes, each judged as if it had not been annotated."""
+        real: dict[str, list[Mapping[str, np.ndarray]]] = {}
+        corrupted: dict[str, list[Mapping[str, np.ndarray]]] = {}
+        for take in takes:
+            trials = self.judge(rng, take).trials(rng, *self.some(rng, self.takes[take], count))
+            for kind, trial in trials.items():
+                if kind is Corruption.SLID_10:
+                    continue
+                far = trial.from_m(FAR_M) if kind is Corruption.LIMB_FLIPPED else trial
+                real.setdefault(kind, []).append(far.real)
+                corrupted.setdefault(kind, []).append(far.corrupted)
+        return Combination.fitted(
+            COMBINED, [_joined(real[kind]) for kind in real], [_joined(corrupted[kind]) for kind in real]
+        )
+
+    def lifted(self, rng: np.random.Generator, judge: Judge, shown: np.ndarray, count: int) -> _Lifted | None:
+        """Judge pairs that are lifted from a grown one, each from the nearest alone; None where nothing has grown."""
+        if not (len(self.grown) and len(shown)):
+            return None
+        alone = GrowthOptions(num_sweeps=0, num_neighbours=1)
+        growth = grow(self.grown[:1], self.gathered.pairs, self.limits, num_grown=3 * count, options=alone)
+        pairs, directions = growth.pairs_m[::3], self.gathered.pairs.directions[growth.entry[::3]]
+        truth = Coverage(pairs)
+        truth.add(shown[rng.permutation(len(shown))[:NUM_REAL]])
+        values = judge.values(pairs)
+        values["image_odds"] = judge.odds(seen_from(pairs, directions, Corruption.DEPTH_MIRRORED))
+        return _Lifted(values, truth.cartesian_m)
+
+
+def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _read(shard: Shard, store: Store) -> _Material:
+    num_takes, num_grown = int(shard.parameters["num_takes"]), int(shard.parameters["num_grown"])
+    take_refs, grown_refs = shard.inputs[:num_takes], shard.inputs[num_takes : num_takes + num_grown]
+    facts = [store.manifest(ref).facts for ref in take_refs]
+    held_out = sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
     for ref in shard.inputs[num_takes:]:
         refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
-    rng = stream(shard.seed, TOPIC)
-    takes = read_takes(store, take_refs, "pair17_m")
-    hidden = np.concatenate([takes[name] for name in held_out])
-    shown = np.concatenate([pairs for name, pairs in takes.items() if name not in held_out] or [hidden[:0]])
-    tables = [store.read(ref, "seeds", columns=["pair17_m"]) for ref in grown_refs]
-    grown = np.concatenate([np.zeros((0, 2, 17, 3)), *(np.asarray(table["pair17_m"]) for table in tables)])
-    gathered = gather(shard, store).gathered
-    limits = read_limits(shard, store)
-    density = gathered.view_density()
-    bank = build_bank(density.sample(rng, NUM_VIEWS), gathered.pairs, num_candidates=NUM_CANDIDATES)
-    real = hidden[rng.permutation(len(hidden))[:count]].astype(np.float64)
-    directions = density.sample(rng, len(real))
-    judge = Judge(limits, read_occupancy(shard, store), gathered.pairs, bank, grown)
-    own = judge.values(real)
-    scores: list[Score] = []
-    for kind in Corruption:
-        corrupted = corrupt(rng, real, directions, kind)
-        false = judge.values(corrupted.pairs_m)
-        is_far = corrupted.moved_m >= FAR_M
-        for name, chosen in ((str(kind), np.ones_like(is_far)), (f"{kind}_from_20_cm", is_far)):
-            rows = corrupted.rows[chosen]
-            if not len(rows) or (name != kind and kind is not Corruption.LIMB_FLIPPED):
-                continue
-            for term, values in own.items():
-                auc, paired = (
-                    separation(values[rows], false[term][chosen]),
-                    told_apart(values[rows], false[term][chosen]),
-                )
-                scores.append(Score(TOPIC, f"auc_{name}", term, auc, split="held_out", count=len(rows)))
-                scores.append(Score(TOPIC, f"told_apart_{name}", term, paired, split="held_out", count=len(rows)))
-    if len(grown) and len(shown):
-        alone = GrowthOptions(num_sweeps=0, num_neighbours=1)
-        lifted = grow(grown[:1], gathered.pairs, limits, num_grown=3 * count, options=alone).pairs_m[::3]
-        truth = Coverage(lifted)
-        truth.add(shown[rng.permutation(len(shown))[:NUM_REAL]])
-        scores += [
-            Score(
-                TOPIC,
-                "rank_correlation_with_nearest_real",
-                term,
-                float(spearmanr(-values, truth.cartesian_m).statistic),
-                split="annotated",
-                count=len(lifted),
-            )
-            for term, values in judge.values(lifted).items()
-            # A term that says the same of every pair has no rank.
-            if np.ptp(values) > 0.0
-        ]
-    note = (
-        f"{len(real)} real pairs of {', '.join(held_out)}, and corruptions that their own image does not show; that "
-        "image counts as annotated, so the best view of both is perfect. `auc`: the chance that a real pair scores "
-        "above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is chance. The rank "
-        "correlation is between minus the term and the distance from the nearest real pair, over pairs lifted without "
-        "agreement."
+    take_of = {
+        str(sequence): str(fact["takes"][0])
+        for fact in (store.manifest(ref).facts for ref in shard.inputs if "annotations" in store.manifest(ref).tables)
+        if len(fact["takes"]) == 1
+        for sequence in fact["sequence_ids"]
+    }
+    tables = [store.read(ref, "seeds", columns=["pair17_m", "sequence_id"]) for ref in grown_refs]
+    placed = gather(shard, store)
+    sequences = [placed.places[index][0] for index in placed.gathered.pairs.annotation_index.tolist()]
+    return _Material(
+        takes=read_takes(store, take_refs, "pair17_m"),
+        held_out=held_out,
+        limits=read_limits(shard, store),
+        occupancy=read_occupancy(shard, store),
+        gathered=placed.gathered,
+        annotated_take=np.array([take_of.get(sequence) for sequence in sequences], dtype=object),
+        grown=np.concatenate([np.zeros((0, 2, 17, 3)), *(np.asarray(table["pair17_m"]) for table in tables)]),
+        grown_take=np.array([take_of.get(str(one)) for table in tables for one in table["sequence_id"]], dtype=object),
     )
-    return TopicResult(scores=scores, notes=[note])

@@ -12,7 +12,8 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model, penetration
 from pasdedeux.sampling import build_bank
-from pasdedeux.sampling.judging import Corruption, Judge, corrupt, separation, told_apart
+from pasdedeux.sampling.combination import Combination
+from pasdedeux.sampling.judging import Corruption, Judge, corrupt, seen_from, separation, told_apart
 from pasdedeux.sampling.synthetic import random_annotations
 from pasdedeux.skeletons import PAIR17
 from tests.unit.test_views import dancers
@@ -94,3 +95,38 @@ def test_terms_prefer_real_pairs_to_mirrored_ones_and_the_best_view_cannot() -> 
     assert separation(real["likelihood"], values["likelihood"]) == pytest.approx(0.5, abs=0.15)
     pushed = judge.values(corrupt(rng, PAIRS, VIEWS, Corruption.INSIDE_10).pairs_m)
     assert (pushed["contact"] < real["contact"].min()).mean() > 0.9
+
+
+def test_trials_hold_each_pair_beside_its_own_corruption_and_the_odds_of_both() -> None:
+    rng = np.random.default_rng(5)
+    entries = random_annotations(rng, dancers(6, 60), 60)
+    bank = build_bank(entries.directions[:2], entries, num_candidates=20)
+    grown = PAIRS + rng.normal(scale=0.01, size=PAIRS.shape)
+    judge = Judge(JointLimits.published(), Occupancy.empty(), entries, bank, grown)
+    few, views = PAIRS[:3], VIEWS[:3]
+    trials = judge.trials(np.random.default_rng(1), few, views)
+    mirrored = trials[Corruption.DEPTH_MIRRORED]
+    again = corrupt(np.random.default_rng(1), few, views, Corruption.DEPTH_MIRRORED)
+    np.testing.assert_array_equal(mirrored.moved_m, again.moved_m)
+    np.testing.assert_allclose(mirrored.real["agreement"], judge.values(few)["agreement"])
+    np.testing.assert_allclose(mirrored.corrupted["agreement"], judge.values(again.pairs_m)["agreement"])
+    np.testing.assert_allclose(mirrored.real["image_odds"], judge.odds(seen_from(few, views, Corruption.SLID_10)))
+    assert (mirrored.real["image_odds"] > mirrored.corrupted["image_odds"]).all()
+    far = mirrored.from_m(float(np.sort(mirrored.moved_m)[1]))
+    assert len(far.moved_m) == len(far.real["limbs"]) == len(far.corrupted["image_odds"]) == 2
+
+
+def test_a_combination_weighs_what_tells_and_not_what_does_not() -> None:
+    rng = np.random.default_rng(6)
+    real = {"tells": rng.normal(2.0, 1.0, 400), "noise": rng.normal(size=400), "same": np.ones(400)}
+    false = {"tells": rng.normal(0.0, 1.0, 100), "noise": rng.normal(size=100), "same": np.ones(100)}
+    fitted = Combination.fitted(tuple(real), [real], [false])
+    assert fitted.weights[0] > 1.0 > 5.0 * np.abs(fitted.weights[1:]).max()
+    assert fitted.weights[2] == pytest.approx(0.0, abs=1e-6)
+    assert separation(fitted.value(real), fitted.value(false)) > 0.9
+    # No term decides alone, however far it lies.
+    far = {name: np.array([fitted.centre[at]]) for at, name in enumerate(fitted.terms)}
+    assert fitted.value({**far, "tells": np.array([1e9])})[0] == pytest.approx(4.0 * fitted.weights[0])
+    for parts in (([], []), ([real], [{name: one[:0] for name, one in false.items()}])):
+        with pytest.raises(InputError, match="kind"):
+            Combination.fitted(tuple(real), *parts)

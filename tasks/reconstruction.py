@@ -23,7 +23,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["MOST_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 9
+VERSION = 10
 
 
 MOST_PAIRS = 30_000
@@ -65,6 +65,13 @@ class ReconstructionParameters(Parameters):
         True,
         description="Two people near each other are placed by the pairs of the database that look like both; `nearest` "
         "leaves them where their own size puts them",
+    )
+    camera_height_m: float | None = Field(
+        None,
+        gt=0,
+        le=100,
+        description="Height of the camera over the floor where it is known, which gives people their true size (as "
+        "exactly as pitches_deg of [projections] has the true pitch); else everybody is about 1.75 m tall",
     )
     smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
     has_clean_up: bool = Field(
@@ -209,6 +216,7 @@ def _reconstruct(
         options,
         has_clean_up=parameters.has_clean_up,
         pairs_m=read_pairs(store, database_refs, most=MOST_PAIRS) if is_paired else None,
+        camera_height_m=parameters.camera_height_m,
     )
     facts["couples"] = [
         {"person_ids": list(couple), "size_ratio": float(np.divide(*placing.sizes)), "lens_factor": placing.lens_factor}

@@ -33,24 +33,26 @@ def overlay_clip(
     labels: Sequence[str] = (),
     colours: Sequence[str] = PERSON_COLOURS,
     titles: Sequence[str] = (),
+    max_width_px: int = _MAX_WIDTH_PX,
 ) -> bytes:
     """Draw 2D skeletons over time and give an animated WebP.
 
     Args:
         skeleton: Topology of the keypoints.
         keypoints_px: (frame, person, joint, 2) pixels, x right, y down; NaN where missing: its bones are left out.
-        image_size_px: Width and height of the image; scaled down to at most 480 px wide.
+        image_size_px: Width and height of the image.
         rate_hz: Frames per second.
         floor_px: Line segments (n, 2, 2) of a floor grid, drawn behind.
         labels: A caption for each frame; none when empty.
         colours: Colours of the people, in turn.
         titles: Headings of equal columns of the image.
+        max_width_px: Wider images are scaled down.
 
     Returns:
         The bytes of the clip; a clip of no frames has one empty image.
     """
     width, height = image_size_px
-    scale = min(1.0, _MAX_WIDTH_PX / width)
+    scale = min(1.0, max_width_px / width)
     size = (max(2, round(width * scale)), max(2, round(height * scale)))
     frames = [
         _draw_frame(

@@ -59,6 +59,7 @@ def side_by_side_clip(
         rate_hz=rate_hz,
         colours=colours,
         titles=_TITLES,
+        max_width_px=3 * _PANEL_PX,
     )
 
 

@@ -29,7 +29,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.cleanup import clean_reconstruction
-from pasdedeux.projections.pitch import floor_offset
+from pasdedeux.projections.pitch import floor_offset, sized_by_height
 from pasdedeux.projections.proportions import retarget_image
 from pasdedeux.projections.published import Codebook, recall, search_published
 from pasdedeux.projections.reconstruct import (
@@ -101,12 +101,14 @@ class Condition:
         noise: Standard deviation of each coordinate's noise, as a part of the length of the torso.
         missing: Share of the joints hidden, each on its own.
         has_scale: Metres per pixel are known, of parallel rays; estimated from the track otherwise.
+        has_height: The height of the pinhole over the floor is known, which gives the person's size.
     """
 
     name: str
     noise: float = 0.0
     missing: float = 0.0
     has_scale: bool = True
+    has_height: bool = False
 
 
 CONDITIONS: Mapping[Setting, tuple[Condition, ...]] = {
@@ -120,6 +122,7 @@ CONDITIONS: Mapping[Setting, tuple[Condition, ...]] = {
         Condition("clean"),
         Condition("noise 3 % of the torso", noise=0.03),
         Condition("30 % of the joints missing", missing=0.3),
+        Condition("clean, height of the camera known", has_height=True),
     ),
 }
 
@@ -132,11 +135,13 @@ class Seen:
         track: The keypoints.
         truth_m: The motion (frame, 14, 3), camera axes, metres.
         options: How it is reconstructed.
+        camera_height_m: Height of the camera over the floor where it is known.
     """
 
     track: Track
     truth_m: Array
     options: ReconstructionOptions
+    camera_height_m: float | None = None
 
 
 def see(
@@ -145,7 +150,7 @@ def see(
     """Give what a camera `yaw_deg` about +Y sees of a motion.
 
     Args:
-        world_m: The motion (frame, 14, 3), upright axes, its own proportions and way, metres.
+        world_m: The motion (frame, 14, 3), upright axes, floor at 0, its own proportions and way, metres.
         setting: By parallel rays the motion is put on the database's body first, its way kept.  The pinhole stands
             level with the middle of the hips, 4 m from it; a lens of the same picture angle as most is assumed of it.
         condition: What is done to the image.
@@ -154,6 +159,7 @@ def see(
         rng: Draws noise and hidden joints.
     """
     shape = world_m.shape[:2]
+    height = None
     noise = rng.normal(0.0, 1.0, (*shape, 2)) * condition.noise
     hidden = rng.uniform(size=shape) < condition.missing
     body = retarget_proportions(world_m) if setting is Setting.PARALLEL else world_m
@@ -179,8 +185,9 @@ def see(
         clear = camera.project(body).px
         noise_px, lens = noise * torso * focal / _DISTANCE_M, Lens.assumed(*_IMAGE_PX, clear)
         options = ReconstructionOptions()
+        height = float(camera.position_m[1]) if condition.has_height else None
     px = np.where(hidden[..., None], np.nan, clear + noise_px)
-    return Seen(Track(px, np.where(hidden, 0.0, 1.0), rate_hz, lens), truth, options)
+    return Seen(Track(px, np.where(hidden, 0.0, 1.0), rate_hz, lens), truth, options, height)
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
@@ -232,6 +239,8 @@ def reconstruct_seen(
             retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=options.num_candidates
         )
         recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
+    if seen.camera_height_m is not None:
+        made = {name: sized_by_height(one, camera, seen.camera_height_m) for name, one in made.items()}
     motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
     for name, one in made.items():
         motions[name] = one.positions_m

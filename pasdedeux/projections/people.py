@@ -14,7 +14,7 @@ from pasdedeux.projections.cleanup import clean_reconstruction
 from pasdedeux.projections.faults import repair_tracks
 from pasdedeux.projections.identity import follow_people
 from pasdedeux.projections.motion_out import upright_motion
-from pasdedeux.projections.pitch import choose_pitch, floor_offset
+from pasdedeux.projections.pitch import choose_pitch, floor_offset, sized_by_height
 from pasdedeux.projections.reconstruct import (
     Matches,
     Method,
@@ -175,6 +175,7 @@ def reconstruct_people(
     *,
     has_clean_up: bool = True,
     pairs_m: npt.NDArray[np.floating] | None = None,
+    camera_height_m: float | None = None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
@@ -188,6 +189,7 @@ def reconstruct_people(
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
+        camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
     """
     options = options or ReconstructionOptions()
     chosen = choose_pitch(searchers, [one.track for one in people], options) if len(searchers) > 1 else 0
@@ -206,6 +208,8 @@ def reconstruct_people(
             (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
             for person, matches in matched
         )
+        if camera_height_m is not None:
+            found = tuple((person, sized_by_height(one, camera, camera_height_m)) for person, one in found)
         if method is not Method.NEAREST:
             if placings is None:
                 placings = _place(searcher, [matches for _, matches in matched], found, pairs_m)

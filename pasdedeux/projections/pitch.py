@@ -1,4 +1,4 @@
-"""Where up is: the pitch of a sequence's camera, and the floor its people stand on."""
+"""Where up is: the pitch of a sequence's camera, and the floor its people stand on, which may tell their size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.tracks import Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["choose_camera", "choose_pitch", "floor_offset"]
+__all__ = ["choose_camera", "choose_pitch", "floor_offset", "sized_by_height"]
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +34,12 @@ _MOST_FLOOR_M = 0.1
 
 _MOST_PROJECTIONS = 1_000_000
 """Projections that a camera is judged by."""
+
+_ANKLE_HEIGHT_M = 0.07
+"""Height of the ankle of the reference body over the floor, standing (Winter 2009, fig. 4.1: 0.039 of stature)."""
+_STANDING_PERCENT = 10.0
+"""Of the frames have the lower ankle no higher than it is when it stands."""
+_SIZE_RANGE = (0.5, 2.0)
 
 _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 
@@ -93,6 +99,39 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCame
     floor = min(float(np.min(one[:, _ANKLES, 1])) for one in points)
     start = np.mean([mid_hip(one[0]) for one in points], axis=0)
     return np.asarray(upright @ np.array([start[0], floor, start[2]]))
+
+
+def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
+    """Give a reconstruction at the size that puts the floor as far below the camera as it is known to be.
+
+    One camera does not see how large people are: body and way may grow together about the camera.  So does the floor
+    below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  A
+    person whose feet are not below the camera, or who would come out twice or half as large, keeps the size.
+
+    Args:
+        found: Reconstruction, camera axes, camera at the origin.
+        camera: The database's camera, whose pitch says where up is.
+        camera_height_m: Height of the camera over the floor, metres.
+
+    Raises:
+        InputError: The height is not positive.
+    """
+    if not (np.isfinite(camera_height_m) and camera_height_m > 0):
+        raise InputError(f"the height of the camera over the floor is {camera_height_m} m; it must be positive")
+    upright = found.positions_m @ np.asarray(camera.camera_from_upright_rotmat)
+    lowest = upright[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
+    if not len(lowest):
+        return found
+    below = _ANKLE_HEIGHT_M - float(np.percentile(lowest, _STANDING_PERCENT))
+    size = camera_height_m / below if below > 0 else float("nan")
+    if not _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1]:
+        return found
+    return replace(
+        found,
+        positions_m=size * found.positions_m,
+        root_m=size * found.root_m,
+        metres_per_pixel=size * found.metres_per_pixel,
+    )
 
 
 def _misfit(searcher: Searcher, track: Track, options: ReconstructionOptions, floor_weight: float) -> float:

@@ -60,7 +60,8 @@ _SECTIONS = {
     "pinhole_views": (
         "Unseen motion, pinhole",
         "The same motion on its own body before a pinhole at 4 m; proportions and scale are estimated from the track, "
-        "and the lens is assumed, as it is with video of one's own.",
+        "and the lens is assumed, as it is with video of one's own. Where the height of the camera over the floor is "
+        "known, the floor says how large the person is.",
     ),
     "left_out_clips": (
         "Clips left out",

@@ -348,6 +348,9 @@ def test_yaw_steps_and_cameras_of_a_study_reach_the_database_and_who_reads_it(st
     assert facts["num_projections"] == 15 * 4 * 72
     chosen = (np.array(table["method"]) == "fit") & (np.asarray(table["person_id"]) == 0)
     assert root_centred_error_m(np.asarray(table["op14_m"], dtype=float)[chosen], truth[0]).mean() < 0.12
+    heights = [reconstruct(store, [video], built, methods=("nearest",), camera_height_m=h)[0] for h in (1.2, 1.8)]
+    scales = [np.asarray(open_table(one, store)["metres_per_pixel"]) for one in heights]
+    np.testing.assert_allclose(scales[1] / scales[0], 1.5)
 
 
 def test_the_default_database_has_steps_of_12_degrees_and_a_camera_at_1_5_metres() -> None:

@@ -18,9 +18,11 @@ from pasdedeux.evaluation.unseen_views import (
     unseen_view_scores,
 )
 from pasdedeux.projections.database import Database
+from pasdedeux.projections.pitch import sized_by_height
 from pasdedeux.projections.published import PublishedSettings, build_codebook
-from pasdedeux.projections.reconstruct import Method, Searcher, match_track
-from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.projections.reconstruct import Method, Searcher, match_track, reconstruct_track
+from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 
 
@@ -158,3 +160,29 @@ def test_a_clip_holds_every_frame_up_to_its_limit() -> None:
     clip = side_by_side_clip(np.stack([px, px + 90.0], axis=1), people, rate_hz=12.0, truth_m=people, most_frames=8)
     assert clip[:4] == b"RIFF"
     assert clip.count(b"ANMF") == 8
+
+
+def test_a_camera_of_known_height_gives_people_their_size(searcher: Searcher) -> None:
+    """The body is three quarters as large as the database's, which no pinhole sees."""
+    world = 0.75 * walk(60, seed=9)
+    world[..., 1] += 0.75 * 0.07 - world[:, OP14.indices(["left_ankle", "right_ankle"]), 1].min()
+    errors, distances = [], []
+    for condition in (Condition("clean"), Condition("known", has_height=True)):
+        seen = see(world, Setting.PINHOLE, condition, yaw_deg=30.0, rate_hz=24.0, rng=np.random.default_rng(0))
+        made, _ = reconstruct_seen(searcher, seen, methods=(Method.FIT,), has_clean_up=False)
+        errors.append(root_centred_error_m(made["fit"], seen.truth_m).mean())
+        distances.append(np.abs(mid_hip(made["fit"])[:, 2] - mid_hip(seen.truth_m)[:, 2]).mean())
+    assert errors[0] > 0.1
+    assert errors[1] < 0.5 * errors[0]
+    assert distances[1] < 0.25 * distances[0]
+
+
+def test_a_height_that_cannot_be_true_changes_no_size(searcher: Searcher) -> None:
+    seen = see(
+        walk(24, seed=9), Setting.PINHOLE, Condition("clean"), yaw_deg=0.0, rate_hz=24.0, rng=np.random.default_rng(0)
+    )
+    found = reconstruct_track(searcher, seen.track, Method.NEAREST)
+    camera = searcher.database.camera
+    assert sized_by_height(found, camera, 9.0) is found
+    with pytest.raises(InputError, match="must be positive"):
+        sized_by_height(found, camera, 0.0)

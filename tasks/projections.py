@@ -53,7 +53,11 @@ class ProjectionsParameters(Parameters):
     )
     distance_m: float = Field(4.0, gt=1.5, le=100, description="Distance of the camera from the mid-hip")
     include_draws: bool = Field(False, description="Poses of the chains' draws enter the database")
-    include_variants: bool = Field(False, description="Poses of the variants enter the database")
+    include_variants: bool = Field(
+        False,
+        description="Poses of the variants enter the database; to search 14 million projections a worker needs 3 GB "
+        "(--worker-memory 4)",
+    )
     densities: tuple[str, ...] = Field(("ic",), description="Densities whose draws enter")
     num_clusters: int = Field(
         0,

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pasdedeux.errors import InputError
+
 __all__ = ["register"]
 
 _HELP = """Reconstruct 3D motions of the people in a folder of OpenPose files, from the projections of a study.
@@ -43,6 +45,15 @@ def reconstruct(
         float | None,
         typer.Option(min=-80.0, max=80.0, metavar="DEG", help="How far the camera looks down; live 10, else found."),
     ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=100.0,
+            metavar="M",
+            help="Height of the camera over the floor, if known: gives people their size.",
+        ),
+    ] = None,
     lag: Annotated[int, typer.Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
     clean_up: Annotated[bool, typer.Option(help="Still planted feet and keep the floor.")] = True,
 ) -> None:
@@ -50,10 +61,11 @@ def reconstruct(
     # Here, because numba and the search take a second that the other commands need not wait for.
     from flows.console.reconstructing import Live, Whole, follow_video, reconstruct_video
 
+    if follow and height is not None:
+        raise InputError("--height is for whole videos: live, nobody knows yet where the floor is")
     if follow:
         live = Live(out, rate_hz=rate, size=size, pitch_deg=pitch, idle_s=idle, lag=lag, has_clean_up=clean_up)
         follow_video(folder, database, store, live)
     else:
-        reconstruct_video(
-            folder, database, store, Whole(out, rate_hz=rate, size=size, pitch_deg=pitch, has_clean_up=clean_up)
-        )
+        whole = Whole(out, rate_hz=rate, size=size, pitch_deg=pitch, camera_height_m=height, has_clean_up=clean_up)
+        reconstruct_video(folder, database, store, whole)

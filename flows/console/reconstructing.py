@@ -63,6 +63,7 @@ class Whole:
     rate_hz: float = 30.0
     size: str | None = None
     pitch_deg: float | None = None
+    camera_height_m: float | None = None
     has_clean_up: bool = True
 
 
@@ -106,6 +107,7 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
         image_size_px=image_size,
         has_clean_up=whole.has_clean_up,
         pairs_m=read_pairs(source, refs, most=MOST_PAIRS),
+        camera_height_m=whole.camera_height_m,
     )
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)

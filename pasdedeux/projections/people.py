@@ -275,6 +275,7 @@ def reconstruct_detections(
     options: ReconstructionOptions | None = None,
     has_clean_up: bool = True,
     pairs_m: npt.NDArray[np.floating] | None = None,
+    camera_height_m: float | None = None,
 ) -> ReconstructedCrowd:
     """Reconstruct the people of a video.
 
@@ -289,6 +290,7 @@ def reconstruct_detections(
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
         pairs_m: Pairs that two people are placed by, see `reconstruct_people`.
+        camera_height_m: Height of the camera over the floor where it is known.
 
     Raises:
         InputError: Nobody can be reconstructed (says why).
@@ -299,7 +301,15 @@ def reconstruct_detections(
     tracks = followed.tracks
     if not tracks:
         raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
-    found = reconstruct_people(searchers, tracks, [method], options, has_clean_up=has_clean_up, pairs_m=pairs_m)
+    found = reconstruct_people(
+        searchers,
+        tracks,
+        [method],
+        options,
+        has_clean_up=has_clean_up,
+        pairs_m=pairs_m,
+        camera_height_m=camera_height_m,
+    )
     if not found.methods:
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     people = tuple(

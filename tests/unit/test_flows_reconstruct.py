@@ -125,6 +125,20 @@ def test_files_that_lie_there_become_a_bvh_file_a_person(
     assert "camera pitch" in said.err
 
 
+def test_the_height_of_the_camera_gives_people_their_size(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sizes = []
+    for height in ("1.2", "1.8"):
+        command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path / height), "--height", height]
+        assert run_command_line([*command, "--size", "1920x1080", "--pitch", "6"]) == 0
+        first = read_bvh(min((tmp_path / height).iterdir()).read_bytes())
+        sizes.append(np.linalg.norm(first.rest_offsets, axis=-1).sum())
+    assert sizes[1] / sizes[0] == pytest.approx(1.5, rel=0.05)
+    assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", "--height", "1.5"]) == 2
+    assert "--height is for whole videos" in capsys.readouterr().err
+
+
 def test_files_being_written_by_another_process_become_lines_in_order(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

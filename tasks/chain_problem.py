@@ -37,8 +37,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chain_parameters import LIKELIHOOD_PARAMETERS
 from tasks.densities import IMAGE_DENSITIES, agreement_of, image_likelihood
-from tasks.priors import read_occupancy
-from tasks.seeds import read_limits
+from tasks.priors import read_limits, read_occupancy
 from tasks.stage import Shard, stream
 
 __all__ = ["ChainProblem", "SeedRow", "chain_problem", "look_at_annotations", "read_seed_row"]

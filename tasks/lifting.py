@@ -28,7 +28,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import DrawSet, draw_manifests, join_draws, read_draw_sets
-from tasks.seeds import read_limits
+from tasks.priors import read_limits
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis, shares_takes
 

@@ -12,7 +12,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
 from tasks.torso_bases import default_origin, default_torso_basis
 
-__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_occupancy", "run_shard"]
+__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_limits", "read_occupancy", "run_shard"]
 
 VERSION = 3
 
@@ -95,6 +95,20 @@ def read_occupancy(shard: Shard, store: Store) -> Occupancy:
             bone = np.array([BONES.index(str(name)) for name in table["bone"]], dtype=np.int64)
             counts[bone, np.asarray(table["above"]), np.asarray(table["cell"])] = np.asarray(table["num_poses"])
     return Occupancy(counts)
+
+
+def read_limits(shard: Shard, store: Store) -> JointLimits:
+    """Give the joint limits among a shard's inputs; the published ones where no stage wrote any."""
+    for ref in shard.inputs:
+        if "joint_limits" in store.manifest(ref).tables:
+            table = store.read(ref, "joint_limits")
+            order = np.argsort(np.asarray(table["angle_id"]), kind="stable")
+            return JointLimits(
+                lower_rad=np.asarray(table["lower_rad"], dtype=np.float64)[order],
+                upper_rad=np.asarray(table["upper_rad"], dtype=np.float64)[order],
+                source=tuple(str(table["source"][row]) for row in order),
+            )
+    return JointLimits.published()
 
 
 def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:

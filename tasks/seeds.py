@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
-from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.growth import GrowthOptions, grow
 from pasdedeux.sampling.lifting import lift_seeds
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
-from tasks.priors import read_occupancy
+from tasks.priors import read_limits, read_occupancy
 from tasks.seed_files import SeedFile, credits_of, load_seed, read_seed
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
+from tasks.seed_parameters import GROWTH_PARAMETERS, SeedFrame, SeedsParameters
+from tasks.stage import Shard, Stage, StageInputs, commit, merge_takes, stream
 from tasks.torso_bases import read_torso_basis, shares_takes
 
 __all__ = [
@@ -31,71 +33,6 @@ __all__ = [
 ]
 
 VERSION = 4
-
-
-_GROWTH_PARAMETERS = (
-    "num_grown",
-    "num_starts",
-    "num_hypotheses",
-    "image_deviation_m",
-    "depth_deviation_m",
-    "farthest_m",
-    "num_neighbours",
-    "num_sweeps",
-    "is_refined",
-)
-
-
-class SeedFrame(Parameters):
-    """A frame of a take that becomes a seed."""
-
-    take: str = Field(description="Name of the take")
-    frame: int = Field(ge=0, description="Frame at the study's rate")
-
-
-class SeedsParameters(Parameters):
-    """How many seeds there are and where they come from."""
-
-    num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
-    frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
-    files: tuple[SeedFile, ...] = Field((), description="Files that become seeds too: pairs edited or restarted from")
-    max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
-    num_lifted: int = Field(
-        0,
-        ge=0,
-        le=10_000,
-        description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I)",
-    )
-    max_annotations: int = Field(500, ge=1, description="Annotations that are grouped to choose those to lift")
-    num_grown: int = Field(
-        0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
-    )
-    num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
-    num_hypotheses: int = Field(1, ge=1, description="Likeliest view hypotheses of an annotation; more brought nothing")
-    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
-    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
-    farthest_m: float = Field(
-        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
-    )
-    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
-    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
-
-    is_refined: bool = Field(
-        False,
-        description="Whether every grown pair at last becomes the likeliest lift of its image; takes as long as growth",
-    )
-
-    @model_validator(mode="after")
-    def _there_are_seeds(self) -> SeedsParameters:
-        if not (self.num_seeds or self.frames or self.files or self.num_lifted):
-            raise ValueError("num_seeds, frames, files and num_lifted all ask for none; chains need at least one seed")
-        return self
-
-    @model_validator(mode="after")
-    def _starts_are_grown(self) -> SeedsParameters:
-        if self.num_starts > self.num_grown:
-            raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
-        return self
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
@@ -132,7 +69,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         refs = (*limits, *seen, *(basis.ref for basis in bases))
         shards.append(_shared_shard(inputs, "lifted", chosen, refs, ()))
     if parameters.num_grown and shards:
-        chosen = parameters.model_dump(mode="json", include=set(_GROWTH_PARAMETERS))
+        chosen = parameters.model_dump(mode="json", include=set(GROWTH_PARAMETERS))
         chosen["first_index"] = len(shards) + max(parameters.num_lifted - 1, 0)
         before = tuple(shard.key for shard in shards)
         shards.append(_shared_shard(inputs, "grown", chosen, (*limits, *seen), before))
@@ -228,20 +165,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         pair = pairs
     else:
         pair, take_id, frame = _choose(shard, store, poses, index)
-    columns = {
-        "seed_index": [index],
-        "origin": ["frame"],
-        "take_id": [take_id],
-        "take_frame": [frame],
-        "sequence_id": [None],
-        "sequence_frame": [None],
-        "parent_seed_index": [None],
-        "made_from": [None],
-        "generation": [0],
-        "gap_m": [None],
-        "log_prior": seed_quality(pair[None], read_limits(shard, store)).log_prior,
-        "pair17_m": gauge_fix(pair)[None],
-    }
+    log_prior = seed_quality(pair[None], read_limits(shard, store)).log_prior
+    columns = _columns("frame", [index], gauge_fix(pair)[None], log_prior, take_id=[take_id], take_frame=[frame])
     facts = {
         "kind": "seed",
         "seed_index": index,
@@ -252,24 +177,31 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     return commit(shard, store, tables={"seeds": columns}, facts=facts)
 
 
+def _columns(
+    origin: str, indices: Sequence[int] | np.ndarray, pairs_m: np.ndarray, log_prior: np.ndarray, **known: Any
+) -> dict[str, Any]:
+    """Give the table of seeds of one origin; what is not known of them is empty."""
+    count = len(pairs_m)
+    unknown = ("take_id", "take_frame", "sequence_id", "sequence_frame", "parent_seed_index", "made_from", "gap_m")
+    return {
+        "seed_index": indices,
+        "origin": [origin] * count,
+        **{name: [None] * count for name in unknown},
+        "generation": [0] * count,
+        "log_prior": log_prior,
+        "pair17_m": pairs_m,
+        **known,
+    }
+
+
 def _take_in(shard: Shard, store: Store) -> ArtifactRef:
     """Commit a seed that came in a file, gauge-fixed, with the lineage that the file states."""
     index = int(shard.parameters["seed_index"])
     pair = read_seed(shard)
-    columns = {
-        "seed_index": [index],
-        "origin": ["draw" if pair.made_from.startswith("draws@") else "file"],
-        "take_id": [None],
-        "take_frame": [None],
-        "sequence_id": [None],
-        "sequence_frame": [None],
-        "parent_seed_index": [None],
-        "made_from": [pair.made_from or None],
-        "generation": [0],
-        "gap_m": [None],
-        "log_prior": seed_quality(pair.pair_m[None], read_limits(shard, store)).log_prior,
-        "pair17_m": gauge_fix(pair.pair_m)[None],
-    }
+    origin = "draw" if pair.made_from.startswith("draws@") else "file"
+    log_prior = seed_quality(pair.pair_m[None], read_limits(shard, store)).log_prior
+    made_from = [pair.made_from or None]
+    columns = _columns(origin, [index], gauge_fix(pair.pair_m)[None], log_prior, made_from=made_from)
     facts = {
         "kind": "seed",
         "seed_index": index,
@@ -295,20 +227,14 @@ def _lift(shard: Shard, store: Store) -> ArtifactRef:
     count = len(seeds.pairs_m)
     places = [placed.places[index] for index in gathered.pairs.annotation_index[seeds.entry].tolist()]
     indices = int(options["first_index"]) + np.arange(count)
-    columns = {
-        "seed_index": indices,
-        "origin": ["lifted"] * count,
-        "take_id": [None] * count,
-        "take_frame": [None] * count,
-        "sequence_id": [sequence for sequence, _ in places],
-        "sequence_frame": [frame for _, frame in places],
-        "parent_seed_index": [None] * count,
-        "made_from": [None] * count,
-        "generation": [0] * count,
-        "gap_m": [None] * count,
-        "log_prior": seeds.log_prior,
-        "pair17_m": seeds.pairs_m,
-    }
+    columns = _columns(
+        "lifted",
+        indices,
+        seeds.pairs_m,
+        seeds.log_prior,
+        sequence_id=[sequence for sequence, _ in places],
+        sequence_frame=[frame for _, frame in places],
+    )
     facts = {
         "kind": "lifted_seeds",
         "starts": indices.tolist(),
@@ -344,20 +270,17 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
     places = [placed.places[index] for index in pairs.annotation_index[growth.entry].tolist()]
-    columns = {
-        "seed_index": first + np.arange(count),
-        "origin": ["grown"] * count,
-        "take_id": [None] * count,
-        "take_frame": [None] * count,
-        "sequence_id": [sequence for sequence, _ in places],
-        "sequence_frame": [frame for _, frame in places],
-        "parent_seed_index": growth.parent,
-        "made_from": [None] * count,
-        "generation": growth.generation,
-        "gap_m": growth.gap_m,
-        "log_prior": growth.log_prior,
-        "pair17_m": growth.pairs_m,
-    }
+    columns = _columns(
+        "grown",
+        first + np.arange(count),
+        growth.pairs_m,
+        growth.log_prior,
+        sequence_id=[sequence for sequence, _ in places],
+        sequence_frame=[frame for _, frame in places],
+        parent_seed_index=growth.parent,
+        generation=growth.generation,
+        gap_m=growth.gap_m,
+    )
     facts = {
         "kind": "grown_seeds",
         "num_grown": count,
@@ -406,20 +329,6 @@ def _read_pairs(store: Store, ref: ArtifactRef, frames: np.ndarray) -> np.ndarra
         own = own[np.argsort(frame[own], kind="stable")]
         parts.append(positions[own[np.searchsorted(frame[own], frames)]])
     return np.stack(parts, axis=1)
-
-
-def read_limits(shard: Shard, store: Store) -> JointLimits:
-    """Give the joint limits among a shard's inputs; the published ones where no stage wrote any."""
-    for ref in shard.inputs:
-        if "joint_limits" in store.manifest(ref).tables:
-            table = store.read(ref, "joint_limits")
-            order = np.argsort(np.asarray(table["angle_id"]), kind="stable")
-            return JointLimits(
-                lower_rad=np.asarray(table["lower_rad"], dtype=np.float64)[order],
-                upper_rad=np.asarray(table["upper_rad"], dtype=np.float64)[order],
-                source=tuple(str(table["source"][row]) for row in order),
-            )
-    return JointLimits.published()
 
 
 STAGE = Stage(

@@ -22,7 +22,7 @@ from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import priors, views
 from tasks.ingest.known_sources import DUET_CREDIT
-from tasks.seeds import read_limits
+from tasks.priors import read_limits
 from tasks.stage import Shard, StageInputs
 from tasks.torso_bases import read_torso_basis
 from tests.unit.test_joint_limits import wild

@@ -1,0 +1,75 @@
+"""Settings of the stage `seeds`."""
+
+from __future__ import annotations
+
+from pydantic import Field, model_validator
+
+from tasks.seed_files import SeedFile
+from tasks.stage import Parameters
+
+__all__ = ["GROWTH_PARAMETERS", "SeedFrame", "SeedsParameters"]
+
+GROWTH_PARAMETERS = (
+    "num_grown",
+    "num_starts",
+    "num_hypotheses",
+    "image_deviation_m",
+    "depth_deviation_m",
+    "farthest_m",
+    "num_neighbours",
+    "num_sweeps",
+    "is_refined",
+)
+"""Those that decide what grows."""
+
+
+class SeedFrame(Parameters):
+    """A frame of a take that becomes a seed."""
+
+    take: str = Field(description="Name of the take")
+    frame: int = Field(ge=0, description="Frame at the study's rate")
+
+
+class SeedsParameters(Parameters):
+    """How many seeds there are and where they come from."""
+
+    num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
+    frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
+    files: tuple[SeedFile, ...] = Field((), description="Files that become seeds too: pairs edited or restarted from")
+    max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
+    num_lifted: int = Field(
+        0,
+        ge=0,
+        le=10_000,
+        description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I)",
+    )
+    max_annotations: int = Field(500, ge=1, description="Annotations that are grouped to choose those to lift")
+    num_grown: int = Field(
+        0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
+    )
+    num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
+    num_hypotheses: int = Field(1, ge=1, description="Likeliest view hypotheses of an annotation; more brought nothing")
+    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
+    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
+    farthest_m: float = Field(
+        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
+    )
+    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
+    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
+
+    is_refined: bool = Field(
+        False,
+        description="Whether every grown pair at last becomes the likeliest lift of its image; takes as long as growth",
+    )
+
+    @model_validator(mode="after")
+    def _there_are_seeds(self) -> SeedsParameters:
+        if not (self.num_seeds or self.frames or self.files or self.num_lifted):
+            raise ValueError("num_seeds, frames, files and num_lifted all ask for none; chains need at least one seed")
+        return self
+
+    @model_validator(mode="after")
+    def _starts_are_grown(self) -> SeedsParameters:
+        if self.num_starts > self.num_grown:
+            raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
+        return self

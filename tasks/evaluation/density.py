@@ -94,8 +94,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
         "pairs lifted without agreement. `image_odds` is the share of a pair's density among all lifts of its image."
     ]
     scores: list[Score] = []
-    if len(material.grown) and shown:
-        fitted_on = sorted(rng.permutation(sorted(shown))[:NUM_FITTED_TAKES].tolist())
+    usable = [name for name in sorted(shown) if material.knows_others(name)]
+    fitted_on = sorted(rng.permutation(usable)[:NUM_FITTED_TAKES].tolist())
+    if fitted_on:
         combination = material.combination(rng, fitted_on, max(count // NUM_FITTED_TAKES, 1))
         for trial in trials.values():
             for part in (trial.real, trial.corrupted):
@@ -179,13 +180,20 @@ class _Material:
     def judge(self, rng: np.random.Generator, without: str | None) -> Judge:
         """Give a judge that has seen no annotation of a take, and nothing that grew from one."""
         every = self.gathered.pairs
-        is_seen, is_left = (
-            np.array([without is None or take != without for take in takes], dtype=bool)
-            for takes in (self.annotated_take, self.grown_take)
-        )
+        is_seen, is_left = self._others(without)
         pairs = AnnotatedPairs(every.points_m[is_seen], every.directions[is_seen], every.annotation_index[is_seen])
         bank = build_bank(self.gathered.view_density().sample(rng, NUM_VIEWS), pairs, num_candidates=NUM_CANDIDATES)
         return Judge(self.limits, self.occupancy, pairs, bank, self.grown[is_left])
+
+    def knows_others(self, take: str) -> bool:
+        """Whether annotations of other takes are there, and pairs that grew from them."""
+        return all(bool(is_other.any()) for is_other in self._others(take))
+
+    def _others(self, without: str | None) -> tuple[np.ndarray, ...]:
+        return tuple(
+            np.array([without is None or take != without for take in takes], dtype=bool)
+            for takes in (self.annotated_take, self.grown_take)
+        )
 
     def some(self, rng: np.random.Generator, pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Give some pairs (n, 2, 17, 3) and a view of each (n, 3)."""
@@ -202,6 +210,8 @@ class _Material:
                 if kind is Corruption.SLID_10:
                     continue
                 far = trial.from_m(FAR_M) if kind is Corruption.LIMB_FLIPPED else trial
+                if not len(far.moved_m):
+                    continue
                 real.setdefault(kind, []).append(far.real)
                 corrupted.setdefault(kind, []).append(far.corrupted)
         return Combination.fitted(
@@ -233,12 +243,11 @@ def _read(shard: Shard, store: Store) -> _Material:
     held_out = sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
     for ref in shard.inputs[num_takes:]:
         refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
-    take_of = {
-        str(sequence): str(fact["takes"][0])
-        for fact in (store.manifest(ref).facts for ref in shard.inputs if "annotations" in store.manifest(ref).tables)
-        if len(fact["takes"]) == 1
-        for sequence in fact["sequence_ids"]
-    }
+    take_of: dict[str, str | None] = {}
+    for ref in shard.inputs:
+        if "annotations" in store.manifest(ref).tables:
+            table = store.read(ref, "annotations", columns=["sequence_id", "take_id"])
+            take_of.update(zip(table["sequence_id"], table["take_id"], strict=True))
     tables = [store.read(ref, "seeds", columns=["pair17_m", "sequence_id"]) for ref in grown_refs]
     placed = gather(shard, store)
     sequences = [placed.places[index][0] for index in placed.gathered.pairs.annotation_index.tolist()]

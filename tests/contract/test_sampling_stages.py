@@ -76,10 +76,15 @@ def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any)
     (shard,) = density.shards(given, num_judged_pairs=4)
     hidden = {manifest.ref for manifest in tables["annotations"] if manifest.facts["is_held_out"]}
     assert not hidden.intersection(shard.inputs)
-    scores = density.run(shard, store).scores
+    result = density.run(shard, store)
+    weights = [score for score in result.scores if score.metric == "combination_weight"]
+    scores = [score for score in result.scores if score.metric != "combination_weight"]
     assert all(np.isfinite(score.value) and -1.0 <= score.value <= 1.0 for score in scores)
+    assert {score.method for score in weights} == set(density.COMBINED)
+    assert "fitted on" in result.notes[1]
+    assert set(result.pictures) == set(result.captions) == {"density-terms.png"}
     assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}
-    assert {"likelihood", "prior", "grown_D_I"} <= {score.method for score in scores}
+    assert {"likelihood", "prior", "grown_D_I", "image_odds", "combination"} <= {score.method for score in scores}
 
 
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:

@@ -47,23 +47,30 @@ def _fill_polar(x, y, shells, angles):  # type: ignore[no-untyped-def]
             angles[j, i - 1] = np.uint32(angle + np.uint32(0x80000000))
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _bin_of(shell, angle):  # type: ignore[no-untyped-def]
-    return shell + np.int32((np.uint64(angle) * np.uint64(NUM_SECTORS)) >> np.uint64(32))
+    """Give the bin: the upper half of angle times sectors, by halves, so that it fits in 32 bits."""
+    sectors = np.uint32(NUM_SECTORS)
+    carried = np.uint32((angle & np.uint32(0xFFFF)) * sectors) >> np.uint32(16)
+    return shell + np.int32(np.uint32((angle >> np.uint32(16)) * sectors + carried) >> np.uint32(16))
 
 
 @numba.njit(cache=True, nogil=True)
 def fill_histograms(points, counts):  # type: ignore[no-untyped-def]
-    """Count the bins of point sets (set, n, 2) into `counts` (set, n, bin), which is overwritten."""
+    """Count the bins of point sets (set, n, 2) into `counts` (set, n, bin), which is overwritten.
+
+    Joints stand in the order in which they are compared.
+    """
     num_points = points.shape[1]
     shells = np.empty((num_points, num_points - 1), dtype=np.int32)
     angles = np.empty((num_points, num_points - 1), dtype=np.uint32)
     counts[:] = 0
     for row in range(points.shape[0]):
         _fill_polar(points[row, :, 0], points[row, :, 1], shells, angles)
-        for i in range(num_points):
+        for at in range(num_points):
+            i = _JOINTS[at]
             for j in range(num_points - 1):
-                counts[row, i, _bin_of(shells[i, j], angles[i, j])] += 1
+                counts[row, at, _bin_of(shells[i, j], angles[i, j])] += 1
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
@@ -188,7 +195,8 @@ def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-unt
     total = np.int32(0)
     for b in range(own.shape[0]):
         one, two = own[b], np.float32(histogram[b])
-        total += np.int32(one * two / max(one + two, np.float32(1.0)) * np.float32(16777216.0))
+        part = np.int32(one * two / max(one + two, np.float32(1.0)) * np.float32(16777216.0))
+        total = np.int32(total + part)
     return total / 16777216.0
 
 
@@ -201,7 +209,7 @@ def _cost(shells, angles, angle, histograms, bound, is_exact, bins, own):  # typ
         i = _JOINTS[at]
         if _CHECKED[at] > 0.0 and not is_exact and cost > _CHECKED[at] * bound * at:
             return np.inf
-        cost += 1.0 - 2.0 * _shared(shells[i], angles[i], angle, histograms[i], bins, own) / (num_points - 1)
+        cost += 1.0 - 2.0 * _shared(shells[i], angles[i], angle, histograms[at], bins, own) / (num_points - 1)
         if cost > bound * num_points:
             return np.inf
     return cost / num_points
@@ -229,7 +237,7 @@ def best_shape(  # type: ignore[no-untyped-def]
         images: As for `_align_views`.
         counts: The same.
         slots: Annotation of each candidate, (m, most).
-        histograms: Joints in each bin, seen from each joint, (annotation, n, bin), uint8.
+        histograms: Counts of `fill_histograms` for the annotations, (annotation, n, bin), uint8.
         lanes_x: As for `_align_views`.
         lanes_y: The same.
         squares: The same.
@@ -244,30 +252,39 @@ def best_shape(  # type: ignore[no-untyped-def]
     dots, crosses = np.empty((num_views, most), dtype=np.float32), np.empty((num_views, most), dtype=np.float32)
     residual = np.empty((num_views, most), dtype=np.float32)
     least, first = np.empty(num_views), np.empty(num_views, dtype=np.int64)
-    shells = np.empty((num_points, num_points - 1), dtype=np.int32)
-    angles = np.empty((num_points, num_points - 1), dtype=np.uint32)
+    shells = np.empty((num_views, num_points, num_points - 1), dtype=np.int32)
+    angles = np.empty((num_views, num_points, num_points - 1), dtype=np.uint32)
     bins, own = np.empty(num_points - 1, dtype=np.int32), np.empty(_NUM_BINS, dtype=np.float32)
     order = np.empty(most, dtype=np.int32)
     _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, residual, least, first)
     best[:], best_slot[:] = np.inf, -1
     overall = limit
     for view in np.argsort(least):
+        # What the one with the least residual costs says which views to take first, and which are too far.
+        least[view] = np.inf
         if counts[view] == 0:
-            break
-        _fill_polar(images[view, 0], images[view, 1], shells, angles)
-        bound = overall + margin
+            continue
+        _fill_polar(images[view, 0], images[view, 1], shells[view], angles[view])
+        slot = slots[view, first[view]]
+        angle = _angle(np.float64(crosses[view, first[view]]), np.float64(dots[view, first[view]]))
+        ceiling = np.inf if is_exact else (overall + margin) / _LEAST_OF_FIRST
+        least[view] = _cost(shells[view], angles[view], angle, histograms[slot], ceiling, is_exact, bins, own)
+        if least[view] <= overall + margin:
+            best[view], best_slot[view] = least[view], slot
+        overall = min(overall, least[view])
+    for view in np.argsort(least):
+        if counts[view] == 0 or (not is_exact and _LEAST_OF_FIRST * least[view] > overall + margin):
+            continue
+        bound = min(overall + margin, best[view])
         kept = _nearest(residual[view], counts[view], counts[view] if is_exact else num_ranked, order)
-        for at in range(-1, kept):
-            c = order[at] if at >= 0 else first[view]
+        for c in order[:kept]:
+            if c == first[view]:
+                continue
             slot = slots[view, c]
             angle = _angle(np.float64(crosses[view, c]), np.float64(dots[view, c]))
-            # The one with the least residual may say that the whole view is too far.
-            ceiling = bound if is_exact or at >= 0 else bound / _LEAST_OF_FIRST
-            cost = _cost(shells, angles, angle, histograms[slot], ceiling, is_exact, bins, own)
+            cost = _cost(shells[view], angles[view], angle, histograms[slot], bound, is_exact, bins, own)
             if cost <= bound and cost < best[view]:
                 best[view], best_slot[view], bound = cost, slot, cost
-            if at < 0 and not is_exact and cost > ceiling:
-                break
         overall = min(overall, best[view])
 
 

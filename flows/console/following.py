@@ -48,6 +48,7 @@ def follow_folder(
     folder: Path,
     *,
     idle_s: float,
+    is_stopped: Callable[[], bool] = lambda: False,
     sleep: Callable[[float], object] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[FollowedFile]:
@@ -60,17 +61,19 @@ def follow_folder(
     Args:
         folder: Folder to watch.
         idle_s: Seconds without anything new after which the video is over.
+        is_stopped: Tells that the video is over, as a file `STOP` does.
         sleep: Waits; tests write in it.
         clock: Seconds.
     """
     last = -1
+    old: set[str] = set()
     since = clock()
     while True:
-        is_stopped = (folder / STOP_NAME).exists()
-        waiting = [(number, path) for number, path in list_frames(folder) if number > last]
+        is_told = is_stopped() or (folder / STOP_NAME).exists()
+        waiting = _new_frames(folder, old, last)
         frames = [_read(number, path) for number, path in waiting]
         whole = [index for index, one in enumerate(frames) if one.frame is not None]
-        is_over = is_stopped or clock() - since > idle_s
+        is_over = is_told or clock() - since > idle_s
         ready = len(frames) if is_over else (whole[-1] + 1 if whole else 0)
         for one in frames[:ready]:
             last = one.number
@@ -81,6 +84,23 @@ def follow_folder(
             return
         if not ready:
             sleep(_POLL_S)
+
+
+def _new_frames(folder: Path, old: set[str], last: int) -> list[tuple[int, Path]]:
+    """Do `list_frames` for frames after the last one given; names of others are remembered in `old`.
+
+    A night's folder has hundreds of thousands of files: names that were looked at are not looked at again.
+    """
+    with os.scandir(folder) as entries:
+        names = sorted(entry.name for entry in entries if entry.name not in old)
+    numbered = []
+    for name in names:
+        number = openpose_frame_number(name) if name.endswith(".json") else None
+        if number is None or number <= last:
+            old.add(name)
+        else:
+            numbered.append((number, folder / name))
+    return sorted(dict(reversed(numbered)).items())
 
 
 def _read(number: int, path: Path) -> FollowedFile:

@@ -18,8 +18,8 @@ _HELP = """Reconstruct 3D motions of the people in a folder of OpenPose files, f
   pasdedeux reconstruct walk/ --database projections:duets --follow
                                        a JSON line per person and frame while the files are being written
 
-With --follow, a pose leaves --lag frames after its image.  It ends when a file STOP appears in the folder, or
-when nothing new came for --idle seconds.
+With --follow, a pose leaves --lag frames after its image.  It ends with Ctrl-C, when a file STOP appears in the
+folder, or when nothing new came for --idle seconds: poses that wait are then written, and how long all took is told.
 """
 
 

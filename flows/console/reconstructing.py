@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 import typer
 
 from flows.console.context import open_store
-from flows.console.following import FollowedFile, follow_folder, list_frames
+from flows.console.following import STOP_NAME, follow_folder, list_frames
+from flows.console.live_lines import follow_lines, lines_into, told_to_stop
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import (
     OpenPoseFrame,
@@ -26,10 +22,9 @@ from pasdedeux.formats import (
     write_bvh,
 )
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
+from pasdedeux.projections.live import LiveOptions, LivePeople, warm_up
 from pasdedeux.projections.people import reconstruct_detections
 from pasdedeux.projections.reconstruct import Searcher
-from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.projections import read_pairs, read_views
@@ -38,8 +33,6 @@ from tasks.reconstruction import MOST_PAIRS, read_database
 __all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
 
 _LIVE_PITCH_DEG = 10.0
-_CHECKED_ROWS = 30
-"""Detections after which a live video's keypoints are checked for looking like people."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +71,12 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
     source, refs = _projections(database, store)
     (searcher,) = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
     options = LiveOptions(lag=live.lag, has_clean_up=live.has_clean_up)
+    warm_up(searcher, options)
     people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
-    with _lines(live.out) as file:
-        _follow(people, follow_folder(folder, idle_s=live.idle_s), file, rate_hz=live.rate_hz, lag=live.lag)
+    typer.echo(f"following {folder}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
+    with lines_into(live.out) as out, told_to_stop() as is_stopped:
+        files = follow_folder(folder, idle_s=live.idle_s, is_stopped=is_stopped)
+        follow_lines(people, files, out, rate_hz=live.rate_hz)
 
 
 def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) -> None:
@@ -195,86 +191,3 @@ def _read_all(folder: Path) -> list[tuple[int, OpenPoseFrame]]:
     if not frames:
         raise InputError(f"folder {folder} holds no OpenPose files, whose names end in a frame number and .json")
     return frames
-
-
-@contextmanager
-def _lines(path: Path | None) -> Iterator[TextIO | None]:
-    """Give the file that lines go to, None for standard output."""
-    if path is None:
-        yield None
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8") as file:
-        yield file
-
-
-def _follow(people: LivePeople, files: Iterator[FollowedFile], out: TextIO | None, *, rate_hz: float, lag: int) -> None:
-    """Write the poses of frames as they come, then say how long they took."""
-    arrived: dict[int, float] = {}
-    work_s: list[float] = []
-    delay_s: list[float] = []
-    seen: list[tuple[int, OpenPoseFrame]] = []
-    layout: str | None = None
-    began = time.time()
-
-    def write(poses: list[LivePose]) -> None:
-        for pose in poses:
-            delay = time.time() - arrived[pose.frame]
-            delay_s.append(delay)
-            line = _line(pose, rate_hz=rate_hz, delay_s=delay)
-            if out is None:
-                typer.echo(line)
-            else:
-                out.write(line + "\n")
-                out.flush()
-
-    for file in files:
-        if file.frame is None:
-            typer.echo(f"{file.path.name} was left out: {file.problem}", err=True)
-            continue
-        frame = file.frame
-        arrived[file.number] = max(file.path.stat().st_mtime, began)  # files that lay there before wait from now on
-        start = time.perf_counter()
-        if frame.layout is None:
-            poses = people.push(file.number, np.zeros((0, OP14.num_joints, 2)), np.zeros((0, OP14.num_joints)))
-        else:
-            if layout not in (None, frame.layout):
-                raise InputError(f"{file.path.name} has the layout '{frame.layout}', the files before it '{layout}'")
-            layout = frame.layout
-            if len(seen) < _CHECKED_ROWS:
-                seen.append((file.number, frame))
-                if len(seen) == _CHECKED_ROWS:
-                    check_anatomy(join_openpose_frames(seen, sequence_id="video"))
-            op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, frame.confidence)
-            poses = people.push(file.number, op14.positions, op14.confidence)
-        work_s.append(time.perf_counter() - start)
-        write(poses)
-        for old in [number for number in arrived if number < file.number - 10 * (lag + 100)]:
-            del arrived[old]
-    write(people.finish())
-    if not delay_s:
-        typer.echo(f"{len(work_s)} frames, nobody to be seen", err=True)
-        return
-    work, delay = 1000 * np.array(work_s), np.array(delay_s)
-    typer.echo(
-        f"{len(work)} frames, {len(delay)} poses; work per frame {np.median(work):.1f} ms (median), "
-        f"{np.quantile(work, 0.99):.1f} ms (99 %); a pose left {lag} frames after its image, "
-        f"{np.median(delay):.3f} s (median), {np.quantile(delay, 0.99):.3f} s (99 %) after its file was written",
-        err=True,
-    )
-
-
-def _line(pose: LivePose, *, rate_hz: float, delay_s: float) -> str:
-    return json.dumps(
-        {
-            "frame": pose.frame,
-            "time_s": round(pose.frame / rate_hz, 6),
-            "person_id": pose.person_id,
-            "op14_m": np.round(pose.positions_m, 4).tolist(),
-            "root_m": np.round(pose.root_m, 4).tolist(),
-            "yaw_rad": round(pose.yaw_rad, 4),
-            "score_m": round(pose.score_m, 4),
-            "num_joints_seen": pose.num_joints_seen,
-            "delay_s": round(delay_s, 4),
-        }
-    )

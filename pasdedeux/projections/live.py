@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,7 +13,7 @@ from pasdedeux.projections.live_person import LiveOptions, LivePerson, LivePose
 from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.tracks import Lens
 
-__all__ = ["LiveOptions", "LivePeople", "LivePerson", "LivePose"]
+__all__ = ["LiveOptions", "LivePeople", "LivePerson", "LivePose", "warm_up"]
 
 Array = npt.NDArray[np.float64]
 
@@ -80,3 +82,14 @@ class LivePeople:
     def finish(self) -> list[LivePose]:
         """Give all poses that still wait."""
         return [pose for person in sorted(self._people) for pose in self._people[person].finish()]
+
+
+def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
+    """Load what is compiled before the first image comes: a pose of the database goes through a chain of its own."""
+    options = replace(options or LiveOptions(), lag=min((options or LiveOptions()).lag, 6))
+    people = LivePeople(searcher, rate_hz=30.0, image_size_px=(1920, 1080), options=options)
+    pose = searcher.database.turned(np.zeros(1, dtype=np.int64), np.zeros(1))
+    px = searcher.database.camera.project(pose) * np.array([300.0, -300.0]) + np.array([960.0, 540.0])
+    for frame in range(options.proportions_every + options.lag):
+        people.push(frame, px, np.ones(px.shape[:-1]))
+    people.finish()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,9 +16,13 @@ import pytest
 
 from flows.console.app import run_command_line
 from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
+from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.formats import read_bvh
 from pasdedeux.projections.bones import bone_rotations
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.live import LiveOptions, LivePeople
+from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -154,7 +159,9 @@ def test_files_being_written_by_another_process_become_lines_in_order(
         assert [line["frame"] for line in own] == list(range(FRAMES))
         steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
         assert steps.max() < 0.25
-    assert "a pose left 3 frames after its image" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "a pose left 3 frames after its image (3 at most)" in said
+    assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
 
 
 def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
@@ -196,6 +203,35 @@ def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(
     found = read_while(tmp_path, steps, idle_s=35.0)
     assert [(one.number, one.frame is None) for one in found] == [(7, True), (9, False)]
     assert "JSON" in found[0].problem
+
+
+def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_path: Path) -> None:
+    with told_to_stop() as is_stopped:
+        assert not is_stopped()
+        signal.raise_signal(signal.SIGINT)
+        assert is_stopped()
+        (tmp_path / "film_3.json").write_bytes(list_frames(video)[0][1].read_bytes())
+        found = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
+        assert [one.number for one in found] == [3]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_times_are_told_of_files_that_came_while_following(
+    video: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = next(iter(store.artifacts("projections")))
+    rows = read_database(store, [manifest.ref])
+    people = LivePeople(Searcher.of(Database(rows[0], rows[1])), rate_hz=30.0, options=LiveOptions(lag=2))
+    files = list(follow_folder(video, idle_s=-1.0))
+    newest = max(file.path.stat().st_mtime for file in files)
+    follow_lines(people, iter(files), None, rate_hz=30.0, began=newest + 1.0)
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 2 * FRAMES
+    assert "came while following" not in said.err
+    people = LivePeople(Searcher.of(Database(rows[0], rows[1])), rate_hz=30.0, options=LiveOptions(lag=2))
+    follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
+    assert f"({FRAMES - 2} files that came while following)" in capsys.readouterr().err
 
 
 def test_nothing_new_for_the_idle_time_ends_it(tmp_path: Path) -> None:

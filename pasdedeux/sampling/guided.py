@@ -214,8 +214,11 @@ class Guided:
         if not move_by(there, blocks, step, NUM_JOINTS):
             # The turn back would not be the turn's own negative; what is never proposed need not balance.
             return Proposed(parameters, log_correction=-np.inf)
-        guided = GuidedStep(step, blocks, entry, log_z, deviation)
-        correction = self.log_density(there, guided.back()) - self.log_density(parameters, guided)
+        moves = deviation > 0.0
+        # `log_density` of the step forth, whose way and noise are known.
+        forth = log_chance[entry] - 0.5 * float((noise[moves] ** 2).sum()) - 0.5 * np.count_nonzero(moves) * log_z
+        back = GuidedStep(step, blocks, entry, log_z, deviation).back()
+        correction = self.log_density(there, back) - float(forth)
         resolve: Callable[[], Resolved] | None = None
         if self.plain.bias is not None:
 

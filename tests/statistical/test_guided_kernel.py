@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -127,6 +128,26 @@ def test_the_ratio_is_that_of_the_normal_densities_of_one_displacement_at_both_e
             ends.append(logs.sum() + np.log(chance[step.entry] / chance.sum()))
         found = propose.log_density(there, step.back()) - propose.log_density(here, step)
         assert found == pytest.approx(ends[1] - ends[0], abs=1e-6)
+
+
+def test_a_proposed_step_carries_the_ratio_of_its_two_densities() -> None:
+    propose = Guided(kernel(EVERYTHING, is_biased=False), guides(6, width_m=0.5), share=1.0)
+    here = CHART.seed_parameters()
+
+    class Kept(Guided):
+        steps: ClassVar[list[GuidedStep]] = []
+
+        def log_density(self, parameters: np.ndarray, guided: GuidedStep) -> float:
+            self.steps.append(guided)
+            return super().log_density(parameters, guided)
+
+    watched = Kept(propose.plain, propose.guides, share=1.0)
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        proposed = watched(here, None, rng)
+        back = Kept.steps[-1]
+        ratio = propose.log_density(proposed.parameters, back) - propose.log_density(here, back.back())
+        assert proposed.log_correction == pytest.approx(ratio, abs=1e-9)
 
 
 def test_the_way_to_an_annotation_leads_to_what_it_shows_and_back() -> None:

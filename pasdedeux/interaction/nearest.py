@@ -61,7 +61,9 @@ def pair_table(pairs_m: Array) -> PairTable:
     return PairTable(points, table, ring)
 
 
-def lower_minima(truth: PairTable, others: PairTable, first_index: int, best: Array, which: Array) -> None:
+def lower_minima(
+    truth: PairTable, others: PairTable, first_index: int, best: Array, which: npt.NDArray[np.int64]
+) -> None:
     """Lower the running minima of D_I and D_C of each truth to what `others` reach.
 
     Args:

@@ -4,6 +4,10 @@ A corrupted pair looks exactly like the real one in one image: mirrored in depth
 one person nearer or further, with bodies in each other, or with every bone's depth turned as in another pair.  That
 image is counted as annotated, so the best view of both is perfect (d_I = 0) and cannot tell them apart.  A term that
 cannot either says nothing about 3D truth, however well it scores.
+
+The two frames before and after an annotation were tried as a term and left out: how likely the image's velocities are
+when bones turn as little as they need tells limbs mirrored in depth with an AUC of 0.56 and slides with 0.48 to 0.55,
+and adds nothing beside the odds.  The mirrored limb moves as smoothly as the true one.
 """
 
 from __future__ import annotations

@@ -29,6 +29,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.cleanup import clean_reconstruction
+from pasdedeux.projections.live import LiveOptions, LivePerson
 from pasdedeux.projections.pitch import floor_offset, sized_by_height
 from pasdedeux.projections.proportions import retarget_image
 from pasdedeux.projections.published import Codebook, recall, search_published
@@ -43,6 +44,7 @@ from pasdedeux.projections.reconstruct import (
 )
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.projections.tracks import Lens, Track
+from pasdedeux.projections.window_fit import WindowFitOptions
 from pasdedeux.skeletons import OP14
 
 __all__ = [
@@ -50,6 +52,7 @@ __all__ = [
     "BEST_MARK",
     "CLEAN",
     "CONDITIONS",
+    "LIVE",
     "Condition",
     "Seen",
     "Setting",
@@ -65,6 +68,8 @@ Stream = Callable[[int], np.random.Generator]
 
 BEST_MARK = "best_of_50"
 AS_PUBLISHED = "as_published"
+LIVE = "live"
+"""Frame by frame, each pose a few frames after its image."""
 CLEAN = "_clean"
 """Appended to the name of a method whose motion was cleaned up."""
 ALL_VIEWS = "mean of views"
@@ -213,6 +218,7 @@ def reconstruct_seen(
     methods: Sequence[Method] = tuple(Method),
     codebook: Codebook | None = None,
     has_clean_up: bool = True,
+    has_live: bool = False,
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """Give a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
 
@@ -222,6 +228,7 @@ def reconstruct_seen(
         methods: Which methods.
         codebook: Clusters of the database: the published search and the window rule make `as_published` then.
         has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
+        has_live: The live chain gives its motion too, unless the camera's height is known, which it has no use for.
     """
     camera = searcher.database.camera
     track, options = seen.track, seen.options
@@ -247,7 +254,35 @@ def reconstruct_seen(
         if has_clean_up:
             cleaned = clean_reconstruction(one, floor_offset([one], camera), camera, rate_hz=track.rate_hz)
             motions[name + CLEAN] = cleaned.positions_m
+    if has_live and seen.camera_height_m is None:
+        motions[LIVE] = live_motion(searcher, seen, has_clean_up=False)
+        if has_clean_up:
+            motions[LIVE + CLEAN] = live_motion(searcher, seen, has_clean_up=True)
     return motions, recalls
+
+
+def live_motion(searcher: Searcher, seen: Seen, *, has_clean_up: bool) -> Array:
+    """Give a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
+    options = seen.options
+    fit = WindowFitOptions()
+    if options.metres_per_pixel is not None:
+        fit = replace(fit, least_noise_m=options.fit.least_noise_m)
+    live = LiveOptions(
+        min_joints=options.min_joints,
+        metres_per_pixel=options.metres_per_pixel,
+        has_own_proportions=options.has_own_proportions,
+        has_clean_up=has_clean_up,
+        fit=fit,
+    )
+    track = seen.track
+    person = LivePerson(0, searcher, rate_hz=track.rate_hz, lens=track.lens, options=live)
+    poses = []
+    for frame, (points, confidence) in enumerate(zip(track.keypoints_px, track.confidence, strict=True)):
+        poses += person.push(frame, points, confidence)
+    motion = np.full((*track.confidence.shape, 3), np.nan)
+    for pose in [*poses, *person.finish()]:
+        motion[pose.frame] = pose.positions_m
+    return motion
 
 
 def unseen_view_scores(
@@ -263,6 +298,7 @@ def unseen_view_scores(
     codebook: Codebook | None = None,
     methods: Sequence[Method] = tuple(Method),
     has_clean_up: bool = True,
+    has_live: bool = False,
     topic: str = "",
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
@@ -279,6 +315,7 @@ def unseen_view_scores(
         codebook: Clusters of the database: the published search and the window rule are then scored too.
         methods: Which methods.
         has_clean_up: Also with the clean-up.
+        has_live: Also as it leaves the live chain.
         topic: Topic of the scores; the setting's own when empty.
     """
     topic = topic or setting.value
@@ -288,7 +325,9 @@ def unseen_view_scores(
     motions: dict[str, list[Array]] = {}
     for view, yaw in enumerate(yaws_deg):
         seen = see(world_m, setting, condition, yaw_deg=yaw, rate_hz=rate_hz, rng=stream(view))
-        made, recalls = reconstruct_seen(searcher, seen, methods=methods, codebook=codebook, has_clean_up=has_clean_up)
+        made, recalls = reconstruct_seen(
+            searcher, seen, methods=methods, codebook=codebook, has_clean_up=has_clean_up, has_live=has_live
+        )
         for method, positions in made.items():
             motions.setdefault(method, []).append(positions)
             way_hz = rate_hz if has_way and method != BEST_MARK else None

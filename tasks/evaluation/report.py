@@ -55,7 +55,7 @@ _SECTIONS = {
         "Unseen motion, parallel rays",
         "Held-out motion on the body of the projection database, seen by parallel rays: errors of every method, and "
         "how far reconstructions from two views differ (root rotation removed), as in the paper on such databases. "
-        "`_clean` is the method with the clean-up after it.",
+        "`_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its image.",
     ),
     "pinhole_views": (
         "Unseen motion, pinhole",

@@ -146,6 +146,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
             yaws_deg=shard.parameters["yaws_deg"],
             stream=draw,
             codebook=codebook,
+            has_live=True,
         )
         if shard.parameters["condition"] == 0:
             name = f"{setting.value}-{item.replace(' ', '-')}.webp"

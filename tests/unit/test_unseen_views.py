@@ -62,7 +62,7 @@ def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(
             assert 0.0 < found["recall_at_1", "as_published", view] <= 1.0
             assert found["error_root_kept", "as_published", view] > fit
             if condition.name == "clean":
-                    assert found["error_root_kept", "live", view] < 0.05
+                assert found["error_root_kept", "live", view] < 0.05
                 assert ("error_root_kept", "live_clean", view) in found
             for method in (*Method, "as_published"):
                 assert ("foot_slide", f"{method}_clean", view) in found

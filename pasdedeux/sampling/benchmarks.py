@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
 from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.cameras import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.interaction.graph import delaunay_edges
-from pasdedeux.interaction.kernels import edge_table
+from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.agreement import Agreement, plain_agreement
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage, plain_coverage
-from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.density import Likelihood, PairDensity
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
     InteractionLikelihood,
@@ -23,17 +26,22 @@ from pasdedeux.sampling.likelihood import (
     build_bank,
     plain_log_likelihood,
 )
+from pasdedeux.sampling.measured_likelihood import ImageMeasure, MeasuredLikelihood, image_dissimilarity
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import GaussianBlocks
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs
+from pasdedeux.sampling.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
 
 __all__ = ["BENCHMARKS"]
 
 NUM_ANNOTATIONS, NUM_VIEWS, NUM_CANDIDATES = 8000, 20, 500
+NUM_SAMPLES, NUM_GROWN = 200, 300
+NUM_ANGLES = 29
+"""Angles of a person that may be out of range."""
 _SIZE = f"34 joints, {NUM_ANNOTATIONS} annotations, {NUM_VIEWS} views, {NUM_CANDIDATES} candidates a view"
 
 
+@cache
 def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 4000, spread_rad=0.2)
@@ -42,24 +50,99 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     return pairs, annotations, build_bank(views, annotations, num_candidates=NUM_CANDIDATES)
 
 
-def _likelihood() -> BenchmarkResult:
-    """Likelihood evaluations, none cut short by the prior or by a level to reach."""
-    _, annotations, bank = _problem()
-    fast = InteractionLikelihood(annotations, bank)
-    table = edge_table(annotations.points_m.reshape(NUM_ANNOTATIONS, -1, 2))
-    samples = random_pairs(np.random.default_rng(2), 200, spread_rad=0.2)
-    exact = InteractionLikelihood(annotations, bank, is_exact=True)
-    same = [abs(fast.log_likelihood(pair) - exact.log_likelihood(pair)) < 1e-6 for pair in samples]
-    turns, slow_turns = itertools.cycle(samples), itertools.cycle(samples)
+@cache
+def _edges() -> EdgeTable:
+    return edge_table(_problem()[1].points_m.reshape(NUM_ANNOTATIONS, -1, 2))
+
+
+def _samples() -> np.ndarray:
+    return random_pairs(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
+
+
+def _against_plain(
+    name: str, fast: Likelihood, fast_name: str, plain: Callable[[np.ndarray], object], note: str
+) -> BenchmarkResult:
+    """Measure likelihood evaluations, none cut short by the prior or by a level to reach."""
+    turns, slow_turns = itertools.cycle(_samples()), itertools.cycle(_samples())
     return BenchmarkResult(
-        name="likelihood",
+        name=name,
         unit="evaluations",
-        fast_name="ranked kernel",
+        fast_name=fast_name,
         fast_per_s=measure_rate(lambda: [fast.log_likelihood(next(turns)) for _ in range(50)], count=50),
         plain_name="numpy, vectorised over candidates",
-        plain_per_s=measure_rate(lambda: plain_log_likelihood(next(slow_turns), annotations, bank, table=table)),
-        note=f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}",
+        plain_per_s=measure_rate(lambda: plain(next(slow_turns))),
+        note=note,
     )
+
+
+def _share_of_best(fast: Likelihood, exact: Likelihood) -> str:
+    """Say in how many evaluations leaving candidates out does not change the result."""
+    same = [abs(fast.log_likelihood(pair) - exact.log_likelihood(pair)) < 1e-6 for pair in _samples()]
+    return f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}"
+
+
+def _plain(pair: np.ndarray) -> object:
+    return plain_log_likelihood(pair, *_problem()[1:], table=_edges())
+
+
+def _likelihood() -> BenchmarkResult:
+    """The published likelihood, without prior."""
+    fast, exact = (InteractionLikelihood(*_problem()[1:], is_exact=is_exact) for is_exact in (False, True))
+    return _against_plain("likelihood", fast, "only who has a chance", _plain, _share_of_best(fast, exact))
+
+
+def _exact() -> BenchmarkResult:
+    """The published likelihood with all candidates compared."""
+    exact = InteractionLikelihood(*_problem()[1:], is_exact=True)
+    return _against_plain("likelihood, exact", exact, "all candidates, compiled", _plain, _SIZE)
+
+
+def _density() -> BenchmarkResult:
+    """The published density: prior and likelihood, every one evaluated to the end."""
+    chart = PairChart(standing_pair())
+    prior = PhysicalPrior(chart, JointLimits.published(), most_invalid=2 * NUM_ANGLES)
+    target = PairDensity(chart, prior, InteractionLikelihood(*_problem()[1:]), truncation=np.inf)
+    parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
+    turns, slow_turns = itertools.cycle(parameters), itertools.cycle(parameters)
+
+    def plain() -> None:
+        own = next(slow_turns)
+        pair = chart.positions(own)
+        prior.terms(own, pair)
+        _plain(pair)
+
+    return BenchmarkResult(
+        name="density, prior included",
+        unit="evaluations",
+        fast_name="compiled",
+        fast_per_s=measure_rate(lambda: [target(next(turns)) for _ in range(50)], count=50),
+        plain_name="numpy, prior compiled",
+        plain_per_s=measure_rate(plain),
+        note=f"{_SIZE}; no floor and no limit of invalid angles ends one early",
+    )
+
+
+def _measured(measure: ImageMeasure) -> BenchmarkResult:
+    """The likelihoods of the two densities that the paper compares with."""
+    _, annotations, bank = _problem()
+    fast = MeasuredLikelihood(annotations, bank, measure)
+    exact = MeasuredLikelihood(annotations, bank, measure, is_exact=True)
+
+    def plain(pair: np.ndarray) -> None:
+        for view, image in enumerate(project_pair(pair, bank.directions).reshape(NUM_VIEWS, -1, 2)):
+            own = bank.candidates[view, : bank.counts[view]]
+            image_dissimilarity(image[None], annotations.points_m[own].reshape(len(own), -1, 2), measure).min()
+
+    name = f"likelihood, {measure.value.replace('_', ' ')}"
+    return _against_plain(name, fast, "views that matter", plain, _share_of_best(fast, exact))
+
+
+def _agreement() -> BenchmarkResult:
+    """The likelihood of the density of agreement with grown pairs."""
+    grown = random_pairs(np.random.default_rng(3), NUM_GROWN, spread_rad=0.2)
+    fast = Agreement(grown)
+    note = f"{NUM_GROWN} grown pairs; penetration in the compiled form only"
+    return _against_plain("likelihood, agreement", fast, "compiled", lambda pair: plain_agreement(pair, grown), note)
 
 
 def _chain() -> BenchmarkResult:
@@ -68,7 +151,6 @@ def _chain() -> BenchmarkResult:
     chart = PairChart(gauge_fix(pairs[0]))
     prior = PhysicalPrior(chart, JointLimits.published(), most_invalid=29)
     target = PairDensity(chart, prior, InteractionLikelihood(annotations, bank))
-    table = edge_table(annotations.points_m.reshape(NUM_ANNOTATIONS, -1, 2))
     propose, rng = GaussianBlocks(), np.random.default_rng(3)
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
 
@@ -76,12 +158,12 @@ def _chain() -> BenchmarkResult:
         parameters = propose(state.parameters, None, rng).parameters
         pair = chart.positions(parameters)
         prior.terms(parameters, pair)
-        plain_log_likelihood(pair, annotations, bank, table=table)
+        _plain(pair)
 
     return BenchmarkResult(
         name="chain",
         unit="steps",
-        fast_name="ranked kernel, level drawn first",
+        fast_name="compiled, level drawn first",
         fast_per_s=measure_rate(
             lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, settle=chart.gauge_fixed),
             count=100,
@@ -123,6 +205,11 @@ def _coverage() -> BenchmarkResult:
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "likelihood": _likelihood,
+    "exact": _exact,
+    "density": _density,
+    "cartesian": partial(_measured, ImageMeasure.CARTESIAN),
+    "shape_context": partial(_measured, ImageMeasure.SHAPE_CONTEXT),
+    "agreement": _agreement,
     "chain": _chain,
     "triangulation": _triangulation,
     "coverage": _coverage,

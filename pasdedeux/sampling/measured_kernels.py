@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.interaction.shape_context import INNER_RADIUS_M, NUM_SECTORS, NUM_SHELLS
+from pasdedeux.sampling.kernels import ROUGH_TOLERANCE_M
 
 __all__ = ["best_cartesian", "best_shape", "fill_histograms"]
 
@@ -119,11 +120,41 @@ def _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, resid
         least[view] = np.sqrt(max(square + own[first[view]], 0.0) / x.shape[0])
 
 
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+def _rough_distances(x, y, lanes_x, lanes_y, count, dot, cross, total):  # type: ignore[no-untyped-def]
+    """Write the summed joint distance of each candidate after the best turn; float32, a candidate per lane.
+
+    Args:
+        x: The centred image, (n,), metres.
+        y: The same upwards.
+        lanes_x: x of the candidates, (n, most), float32, metres.
+        lanes_y: y of them.
+        count: Number of candidates.
+        dot: s . c of each, (most,), float32; overwritten by the cosine of the turn.
+        cross: s x c of each; overwritten by the sine.
+        total: Result (most,), float32, metres.
+    """
+    for c in range(count):
+        # Points that all coincide are not turned: the least number keeps 0 / 0 away.
+        scale = np.float32(1.0) / np.sqrt(max(dot[c] * dot[c] + cross[c] * cross[c], np.float32(1e-30)))
+        dot[c] *= scale
+        cross[c] *= scale
+        total[c] = np.float32(0.0)
+    for k in range(x.shape[0]):
+        sx, sy = np.float32(x[k]), np.float32(y[k])
+        px, py = lanes_x[k], lanes_y[k]
+        for c in range(count):
+            dx, dy = dot[c] * sx - cross[c] * sy - px[c], cross[c] * sx + dot[c] * sy - py[c]
+            total[c] += np.sqrt(dx * dx + dy * dy)
+
+
 @numba.njit(cache=True, nogil=True)
 def best_cartesian(  # type: ignore[no-untyped-def]
     images, counts, slots, points, lanes_x, lanes_y, squares, limit, margin, best, best_slot
 ):
     """Write the least mean joint distance of each view, metres, and the slot that has it, as far as it can matter.
+
+    All candidates are compared in float32; only those that may be the best by that are compared in float64.
 
     Args:
         images: As for `_align_views`.
@@ -140,28 +171,32 @@ def best_cartesian(  # type: ignore[no-untyped-def]
     """
     num_views, num_points, most = images.shape[0], images.shape[2], slots.shape[1]
     dots, crosses = np.empty((num_views, most), dtype=np.float32), np.empty((num_views, most), dtype=np.float32)
-    residual = np.empty((num_views, most), dtype=np.float32)
+    rough = np.empty((num_views, most), dtype=np.float32)
     least, first = np.empty(num_views), np.empty(num_views, dtype=np.int64)
-    _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, residual, least, first)
+    _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, rough, least, first)
+    for view in range(num_views):
+        if counts[view] > 0:
+            x, y, own = images[view, 0], images[view, 1], rough[view]
+            _rough_distances(x, y, lanes_x[view], lanes_y[view], counts[view], dots[view], crosses[view], own)
+            least[view] = own[: counts[view]].min()
     best[:], best_slot[:] = np.inf, -1
     overall = limit
     for view in np.argsort(least):
         x, y = images[view, 0], images[view, 1]
         bound = overall + margin
-        for at in range(-1, counts[view]):
-            # The one with the least residual first: it bounds the others.
-            c = at if at >= 0 else first[view]
+        nearest = np.float32(least[view] + 2.0 * ROUGH_TOLERANCE_M * num_points)
+        for c in range(counts[view]):
+            # The best lies within rounding of the least; nothing beyond that or beyond what matters need be looked at.
+            if rough[view, c] > nearest or rough[view, c] > (bound + ROUGH_TOLERANCE_M) * num_points:
+                continue
             slot = slots[view, c]
             fixed = points[slot]
             cosine, sine = _turn(x, y, fixed)
-            ceiling = bound * num_points
             total = 0.0
             for k in range(num_points):
                 dx = cosine * x[k] - sine * y[k] - fixed[k, 0]
                 dy = sine * x[k] + cosine * y[k] - fixed[k, 1]
                 total += np.sqrt(dx * dx + dy * dy)
-                if total > ceiling:
-                    break
             total /= num_points
             if total <= bound and total < best[view]:
                 best[view], best_slot[view], bound = total, slot, total

@@ -11,7 +11,7 @@ from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["random_annotations", "random_pairs", "standing_pair"]
+__all__ = ["random_annotations", "random_pairs", "random_parameters", "standing_pair"]
 
 Array = npt.NDArray[np.float64]
 
@@ -48,14 +48,18 @@ def standing_pair(*, distance_m: float = 0.6) -> Array:
 
 def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
     """Give articulated variations (pair, 2, 17, 3), metres, of the standing pair, with its bone lengths."""
-    chart = PairChart(standing_pair())
-    parameters = np.tile(chart.seed_parameters(), (num_pairs, 1))
+    return PairChart(standing_pair()).positions(random_parameters(rng, num_pairs, spread_rad=spread_rad))
+
+
+def random_parameters(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
+    """Give the parameters (pair, 108) of `random_pairs`, round the standing pair."""
+    parameters = np.tile(PairChart(standing_pair()).seed_parameters(), (num_pairs, 1))
     noise = spread_rad * rng.normal(size=(num_pairs, NUM_PARAMETERS))
     noise[:, LENGTH_INDICES.ravel()] = 0.0
     noise[:, POSITION_INDICES.ravel()] *= 0.3
     noise[:, ROTATION_INDICES[:, 0]] *= 0.5
     noise[:, ROTATION_INDICES[:, 2]] *= 0.5
-    return chart.positions(parameters + noise)
+    return parameters + noise
 
 
 def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations: int) -> AnnotatedPairs:

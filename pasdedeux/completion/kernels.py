@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.interaction.kernels import best_turn
+from pasdedeux.interaction.kernels import best_turn, turned_squares
 
 __all__ = ["LANES", "fill_residuals", "fill_rigid_residuals", "refill_residuals"]
 
@@ -149,14 +149,4 @@ def fill_rigid_residuals(pairs: Lanes, joints: Indices, fixed: Array, out: Array
             for axis in range(3):
                 moving[at, axis] -= centre[axis]
         best_turn(moving, fixed, key, m, q, rotmat)
-        total = 0.0
-        for at in range(count):
-            for axis in range(3):
-                value = (
-                    rotmat[axis, 0] * moving[at, 0]
-                    + rotmat[axis, 1] * moving[at, 1]
-                    + rotmat[axis, 2] * moving[at, 2]
-                    - fixed[at, axis]
-                )
-                total += value * value
-        out[draw] = total
+        out[draw] = turned_squares(rotmat, moving, fixed)

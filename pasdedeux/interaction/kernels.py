@@ -20,6 +20,8 @@ __all__ = [
     "edge_table_3d",
     "fill_edge_weights",
     "side_sum",
+    "turned_gap",
+    "turned_squares",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -223,3 +225,26 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     rotmat[2, 0] = 2.0 * (x * z - w * y)
     rotmat[2, 1] = 2.0 * (y * z + w * x)
     rotmat[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
+    """Give the three differences of point k of `moving` (n, 3), turned, to that of `fixed` (n, 3)."""
+    x, y, z = moving[k, 0], moving[k, 1], moving[k, 2]
+    return (
+        rotmat[0, 0] * x + rotmat[0, 1] * y + rotmat[0, 2] * z - fixed[k, 0],
+        rotmat[1, 0] * x + rotmat[1, 1] * y + rotmat[1, 2] * z - fixed[k, 1],
+        rotmat[2, 0] * x + rotmat[2, 1] * y + rotmat[2, 2] * z - fixed[k, 2],
+    )
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def turned_squares(rotmat, moving, fixed):  # type: ignore[no-untyped-def]
+    """Give the squared distances of `moving` (n, 3), turned, to `fixed` (n, 3), summed over the points."""
+    total = 0.0
+    for k in range(moving.shape[0]):
+        u, v, w = turned_gap(rotmat, moving, fixed, k)
+        total += u * u
+        total += v * v
+        total += w * w
+    return total

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d
+from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d, turned_gap
 
 __all__ = ["PairTable", "interaction_distances", "lower_minima", "pair_table"]
 
@@ -165,17 +165,9 @@ def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-d
     """Write the difference of the turned points to the fixed ones; gives the sum of its lengths."""
     total = 0.0
     for k in range(moving.shape[0]):
-        squared = 0.0
-        for axis in range(3):
-            value = (
-                rotmat[axis, 0] * moving[k, 0]
-                + rotmat[axis, 1] * moving[k, 1]
-                + rotmat[axis, 2] * moving[k, 2]
-                - fixed[k, axis]
-            )
-            difference[k, axis] = value
-            squared += value * value
-        total += np.sqrt(squared)
+        u, v, w = turned_gap(rotmat, moving, fixed, k)
+        difference[k, 0], difference[k, 1], difference[k, 2] = u, v, w
+        total += np.sqrt(u * u + v * v + w * w)
     return total
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.kernels import best_turn
+from pasdedeux.interaction.kernels import best_turn, turned_squares
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.plausibility import capsule_model, clip_penetration
 from pasdedeux.skeletons import PAIR17
@@ -224,36 +224,13 @@ def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, wid
     for one in range(num_others):
         fixed = others[one]
         best_turn(centred, fixed, key, m, q, turn)
-        squared = 0.0
-        for k in range(num_points):
-            for axis in range(3):
-                value = (
-                    turn[axis, 0] * centred[k, 0]
-                    + turn[axis, 1] * centred[k, 1]
-                    + turn[axis, 2] * centred[k, 2]
-                    - fixed[k, axis]
-                )
-                squared += value * value
+        squared = turned_squares(turn, centred, fixed)
         weight = -0.5 * squared / num_points / (widths[0] * widths[0])
         work[0, one] = weight
-        squared = 0.0
-        for axis in range(3):
-            value = (
-                turn[axis, 0] * offset[0] + turn[axis, 1] * offset[1] + turn[axis, 2] * offset[2] - offsets[one, axis]
-            )
-            squared += value * value
+        squared = turned_squares(turn, offset.reshape(1, 3), offsets[one : one + 1])
         work[1, one] = weight - 0.5 * squared / (widths[1] * widths[1])
         for limb in range(num_limbs):
-            squared = 0.0
-            for part in range(2):
-                for axis in range(3):
-                    value = (
-                        turn[axis, 0] * limbs[limb, part, 0]
-                        + turn[axis, 1] * limbs[limb, part, 1]
-                        + turn[axis, 2] * limbs[limb, part, 2]
-                        - other_limbs[one, limb, part, axis]
-                    )
-                    squared += value * value
+            squared = turned_squares(turn, limbs[limb], other_limbs[one, limb])
             work[2 + limb, one] = weight - 0.5 * squared / (widths[2] * widths[2])
     every = _log_sum(work[0])
     least = np.inf

@@ -19,18 +19,17 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.depth import DepthSettings
 from pasdedeux.projections.frame_kernels import unify_image
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.projections.window_kernels import (
+from pasdedeux.projections.vote_kernels import (
     NUM_SIGN_STATES,
     bones_of,
     extend_signs,
-    fit_window,
     flatten_image,
     noise_of,
-    prepare_window,
     residuals_of,
     trace_signs,
     vote_signs,
 )
+from pasdedeux.projections.window_kernels import fit_window, prepare_window
 from pasdedeux.skeletons import OP14
 
 __all__ = ["WindowFit", "WindowFitOptions"]

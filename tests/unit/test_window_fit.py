@@ -14,15 +14,9 @@ from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
 from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_depths
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
+from pasdedeux.projections.vote_kernels import extend_signs, noise_of, prior_of_frame, trace_signs, vote_signs
 from pasdedeux.projections.window_fit import WindowFit, WindowFitOptions
-from pasdedeux.projections.window_kernels import (
-    extend_signs,
-    fit_window,
-    noise_of,
-    prior_of_frame,
-    trace_signs,
-    vote_signs,
-)
+from pasdedeux.projections.window_kernels import fit_window
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

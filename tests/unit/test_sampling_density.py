@@ -28,7 +28,7 @@ from pasdedeux.sampling import (
     plain_log_likelihood,
     seed_quality,
 )
-from pasdedeux.sampling.kernels import pair_axes
+from pasdedeux.sampling.image_kernels import pair_axes
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
     MIRRORED_LENGTH,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
@@ -116,6 +116,8 @@ def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None
         Speeds(np.full((1, NUM_BLOCKS), np.nan), np.zeros((1, 2)))
 
 
+# The first call compiles.
+@settings(deadline=None)
 @given(
     count=st.integers(2, 3),
     square=st.floats(0.0, 50.0),

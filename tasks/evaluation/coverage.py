@@ -22,7 +22,7 @@ from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_take_frames, read_takes
 from tasks.stage import Shard, StageInputs, stream
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["TOPIC", "draws_from_first_seeds", "run", "shards"]
 
 TOPIC = "coverage"
 SPLITS = ("annotated", "unannotated", "held_out")
@@ -88,7 +88,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
     truth = truth[generator.permutation(len(truth))[: parameters["num_truth_pairs"]]]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
-    draws |= _from_the_first_seed(store, draw_refs)
+    draws |= draws_from_first_seeds(store, draw_refs)
     # In random order, so that every seed counts from the start.
     draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}
     curves = {
@@ -119,13 +119,14 @@ def run(shard: Shard, store: Store) -> TopicResult:
     )
 
 
-def _from_the_first_seed(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
-    """Give the draws of each density from the first seed alone, where there are many others: how far chains walk."""
+def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
+    """Give the draws from the first seed alone of each density that has many others: how far chains walk."""
     facts = {ref: store.manifest(ref).facts for ref in refs if "draws" in store.manifest(ref).tables}
-    indices = {int(fact["seed_index"]) for fact in facts.values()}
-    if len(indices) < _MANY_SEEDS:
-        return {}
-    own = tuple(ref for ref, fact in facts.items() if int(fact["seed_index"]) == min(indices))
+    seeds: dict[str, set[int]] = {}
+    for fact in facts.values():
+        seeds.setdefault(str(fact["density"]), set()).add(int(fact["seed_index"]))
+    first = {name: min(indices) for name, indices in seeds.items() if len(indices) >= _MANY_SEEDS}
+    own = tuple(ref for ref, fact in facts.items() if first.get(str(fact["density"])) == int(fact["seed_index"]))
     return {f"{name}_first_seed": found.pairs_m for name, found in read_draw_sets(store, own).items()}
 
 

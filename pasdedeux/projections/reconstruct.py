@@ -48,9 +48,8 @@ _SAME_IMAGE_M = 0.002
 _MODEL_ERROR_M = 0.012
 """What estimated proportions, scale and lens leave over in the image even where keypoints are exact."""
 
-_DEVIATION_PER_MISFIT = 2.0
 _BONE_DEVIATION_RANGE_M = (0.01, 0.2)
-"""A retrieved bone is trusted to this many times the misfit of the retrieval, within these bounds."""
+"""Bounds of what a retrieved bone is trusted to."""
 
 _NOISE_OF_EQUAL_SHARES_M = 0.03
 """Noise of the image at which the followed motion and the frame's own candidates count the same."""
@@ -85,6 +84,7 @@ class ReconstructionOptions:
         metres_per_pixel: Scale of the image at the person where it is known (a measured camera); estimated otherwise.
         depth: How candidates vote on depth (method `fit`).
         fit: What the fit believes of image and time (method `fit`).
+        trust_per_misfit: A retrieved bone is trusted to this many times the misfit of the retrieval (method `fit`).
     """
 
     num_candidates: int = 50
@@ -97,13 +97,16 @@ class ReconstructionOptions:
     metres_per_pixel: float | None = None
     depth: DepthSettings = field(default_factory=DepthSettings)
     fit: ObservedFitSettings = field(default_factory=lambda: ObservedFitSettings(least_noise_m=_MODEL_ERROR_M))
+    trust_per_misfit: float = 2.0
 
     def __post_init__(self) -> None:
-        """Refuse counts below one and a scale that is not positive."""
+        """Refuse counts below one, and a scale or a trust that is not positive."""
         if min(self.num_candidates, self.num_placements, self.min_joints) < 1:
             raise InputError(f"reconstruction: candidates, placements and least joints must be at least 1: {self}")
         if self.metres_per_pixel is not None and not (np.isfinite(self.metres_per_pixel) and self.metres_per_pixel > 0):
             raise InputError(f"reconstruction: metres per pixel must be positive, found {self.metres_per_pixel}")
+        if not (np.isfinite(self.trust_per_misfit) and self.trust_per_misfit > 0):
+            raise InputError(f"reconstruction: trust per misfit must be positive, found {self.trust_per_misfit}")
 
 
 @dataclass(frozen=True)
@@ -319,7 +322,7 @@ def _fit(
     # The misfit of the best match holds the image's noise, which says nothing against the match.
     best = np.sqrt(np.maximum(neighbours.distance_m[:, 0] ** 2 - (_MEAN_OF_RAYLEIGH * noise) ** 2, 0.0))
     best = np.where(is_known, best, _BRIDGED_MISFIT_M)[:, None]
-    trust = np.clip(_DEVIATION_PER_MISFIT * best, *_BONE_DEVIATION_RANGE_M) * np.ones(OP14.num_joints)
+    trust = np.clip(options.trust_per_misfit * best, *_BONE_DEVIATION_RANGE_M) * np.ones(OP14.num_joints)
     window = _odd_window(0.5 * options.smoothing_s, track.rate_hz)
     positions = retrieved
     candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaws)

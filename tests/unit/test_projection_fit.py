@@ -63,6 +63,19 @@ def test_the_fit_is_no_worse_than_retrieval_when_the_image_is_poor(searcher: Sea
     assert errors(fitted.positions_m, truth) < errors(retrieved.positions_m, truth) + 0.001
 
 
+def test_the_less_a_retrieval_is_trusted_the_nearer_is_the_fit_to_a_clear_image(searcher: Searcher) -> None:
+    track, truth = parallel_track(walk(80, seed=11))
+    image = (truth - mid_hip(truth)[:, None])[..., :2]
+    off = []
+    for trust in (0.2, 4.0):
+        options = ReconstructionOptions(
+            has_own_proportions=False, metres_per_pixel=1.0 / 300.0, num_placements=1, trust_per_misfit=trust
+        )
+        fitted = reconstruct_track(searcher, track, Method.FIT, options).positions_m
+        off.append(np.linalg.norm((fitted - mid_hip(fitted)[:, None])[..., :2] - image, axis=-1).mean())
+    assert off[1] < off[0]
+
+
 def test_a_joint_that_lies_now_and_then_does_not_bend_the_fit(searcher: Searcher) -> None:
     track, truth = parallel_track(walk(80, seed=11))
     px = track.keypoints_px.copy()
@@ -209,3 +222,6 @@ def test_a_known_scale_is_kept_and_brings_the_fit_nearer(searcher: Searcher) -> 
     assert errors(fitted.positions_m, truth) < 0.03
     with pytest.raises(InputError, match="metres per pixel"):
         ReconstructionOptions(metres_per_pixel=0.0)
+    for trust in (0.0, np.nan):
+        with pytest.raises(InputError, match="trust per misfit"):
+            ReconstructionOptions(trust_per_misfit=trust)

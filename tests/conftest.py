@@ -8,9 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from tests.real_study import BuiltStudy
+
+# No example has a deadline: the first one of a kernel compiles it.
+settings.register_profile("pasdedeux", deadline=None)
+settings.load_profile("pasdedeux")
 
 
 def pytest_configure() -> None:

@@ -15,13 +15,13 @@ from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.camera import DatabaseCamera, cameras_of
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
+from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream

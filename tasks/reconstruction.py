@@ -11,12 +11,12 @@ from pydantic import Field
 
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.people import follow_and_repair, reconstruct_people
-from pasdedeux.projections.pitch import choose_camera
-from pasdedeux.projections.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
-from pasdedeux.projections.temporal import TemporalWeights
-from pasdedeux.projections.tracks import PersonTrack, why_no_video
+from pasdedeux.reconstruction.people import follow_and_repair, reconstruct_people
+from pasdedeux.reconstruction.pitch import choose_camera
+from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
+from pasdedeux.reconstruction.temporal import TemporalWeights
+from pasdedeux.reconstruction.tracks import PersonTrack, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-from pasdedeux.projections.bones import place_bone_rotations
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
+from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.skeletons import OP14
 
 __all__ = ["random_poses", "walk"]

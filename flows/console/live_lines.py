@@ -18,7 +18,7 @@ import typer
 from flows.console.following import FollowedFile
 from pasdedeux.errors import InputError
 from pasdedeux.formats import OpenPoseFrame, check_anatomy, join_openpose_frames
-from pasdedeux.projections.live import LivePeople, LivePose
+from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 

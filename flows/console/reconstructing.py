@@ -22,9 +22,9 @@ from pasdedeux.formats import (
     write_bvh,
 )
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.live import LiveOptions, LivePeople, warm_up
-from pasdedeux.projections.people import reconstruct_detections
-from pasdedeux.projections.reconstruct import Searcher
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
+from pasdedeux.reconstruction.people import reconstruct_detections
+from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.projections import read_pairs, read_views

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.projections.faults import RepairedCrowd
-from pasdedeux.projections.identity import body_size_px
+from pasdedeux.reconstruction.faults import RepairedCrowd
+from pasdedeux.reconstruction.identity import body_size_px
 from pasdedeux.skeletons import OP14
 
 __all__ = ["KINDS", "Faulty", "JointCounts", "count_joints", "inject"]

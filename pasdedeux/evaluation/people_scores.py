@@ -10,8 +10,8 @@ import numpy.typing as npt
 from pasdedeux.evaluation.detections import film, people_of
 from pasdedeux.evaluation.detector_faults import KINDS, JointCounts, count_joints, inject
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.projections.faults import repair_faults
-from pasdedeux.projections.identity import follow_people, identity_switches
+from pasdedeux.reconstruction.faults import repair_faults
+from pasdedeux.reconstruction.identity import follow_people, identity_switches
 
 __all__ = ["TOPIC", "fault_scores", "identity_scores"]
 

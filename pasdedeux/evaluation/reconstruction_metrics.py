@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 
 __all__ = ["foot_slide_m", "jitter_m", "root_centred_error_m", "root_removed_error_m", "scale_free_error_m"]

@@ -28,12 +28,14 @@ from pasdedeux.evaluation.reconstruction_metrics import (
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.cleanup import clean_reconstruction
-from pasdedeux.projections.live import LiveOptions, LivePerson
-from pasdedeux.projections.pitch import floor_offset, sized_by_height
-from pasdedeux.projections.proportions import retarget_image
 from pasdedeux.projections.published import Codebook, recall, search_published
-from pasdedeux.projections.reconstruct import (
+from pasdedeux.projections.retarget import mid_hip, retarget_proportions
+from pasdedeux.reconstruction.cleanup import clean_reconstruction
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
+from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
+from pasdedeux.reconstruction.pitch import floor_offset, sized_by_height
+from pasdedeux.reconstruction.proportions import retarget_image
+from pasdedeux.reconstruction.reconstruct import (
     Matches,
     Method,
     Reconstruction,
@@ -42,9 +44,7 @@ from pasdedeux.projections.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.projections.retarget import mid_hip, retarget_proportions
-from pasdedeux.projections.tracks import Lens, Track
-from pasdedeux.projections.window_fit import WindowFitOptions
+from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 __all__ = [

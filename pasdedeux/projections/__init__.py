@@ -1,1 +1,1 @@
-"""Projections: retarget, database, exact search, choice over time, smoothing, reconstruction of a track."""
+"""Projections: proportions retargeted, the database of poses seen from all around, and its search."""

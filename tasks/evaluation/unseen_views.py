@@ -26,8 +26,8 @@ from pasdedeux.evaluation.unseen_views import (
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.published import Codebook
-from pasdedeux.projections.reconstruct import Method, Searcher
 from pasdedeux.projections.sources import resample_positions
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import TopicResult, make_shard, read_people, refuse_overlap
 from tasks.projections import read_views

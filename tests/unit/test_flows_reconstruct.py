@@ -19,11 +19,11 @@ from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list
 from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.formats import read_bvh
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.live import LiveOptions, LivePeople
-from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
+from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, artifact_key

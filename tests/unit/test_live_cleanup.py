@@ -8,8 +8,8 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import foot_slide_m, jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.projections.cleanup import bend_leg
-from pasdedeux.projections.live_cleanup import LiveCleanUp, LiveCleanUpOptions
+from pasdedeux.reconstruction.cleanup import bend_leg
+from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
 from pasdedeux.skeletons import OP14
 from tests.crowds import duet_couple
 

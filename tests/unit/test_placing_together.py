@@ -12,11 +12,11 @@ from pasdedeux.cameras import look_at_camera
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
-from pasdedeux.projections.people import ReconstructedTracks, reconstruct_people
-from pasdedeux.projections.reconstruct import Method, Reconstruction, Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
-from pasdedeux.projections.together import PlacingOptions, choose_couples
-from pasdedeux.projections.tracks import Lens, PersonTrack, Track
+from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
+from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher
+from pasdedeux.reconstruction.together import PlacingOptions, choose_couples
+from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from tests.walkers import walk
 
 FRAMES = 96

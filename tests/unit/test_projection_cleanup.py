@@ -8,8 +8,8 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.projections.cleanup import CleanUpOptions, bend_leg, clean_up
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.cleanup import CleanUpOptions, bend_leg, clean_up
 from pasdedeux.skeletons import OP14
 from tests.crowds import duet_couple
 

@@ -11,10 +11,8 @@ from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_directions, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, cameras_of, pitch_of_height
 from pasdedeux.projections.database import Database, concatenate
-from pasdedeux.projections.motion_out import MOTION_SKELETON, motion_from_positions
 from pasdedeux.projections.retarget import (
     REFERENCE_LENGTHS_M,
     body_heading,
@@ -23,6 +21,8 @@ from pasdedeux.projections.retarget import (
     retarget_proportions,
 )
 from pasdedeux.projections.sources import op14_from_working, resample_positions
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.motion_out import MOTION_SKELETON, motion_from_positions
 from pasdedeux.skeletons import OP14, PAIR17
 from tests.walkers import random_poses, walk
 

@@ -10,8 +10,8 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.detections import film, people_of
 from pasdedeux.evaluation.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
-from pasdedeux.projections.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
-from pasdedeux.projections.tracks import Lens, PersonTrack, Track
+from pasdedeux.reconstruction.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
+from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
 from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
 

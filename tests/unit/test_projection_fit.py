@@ -12,11 +12,11 @@ from pasdedeux.fitting.terms import Normal
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.depth import bone_vectors, decode_depths, place_depths
-from pasdedeux.projections.proportions import estimate_proportions, retarget_image
-from pasdedeux.projections.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
-from pasdedeux.projections.tracks import Lens, Track
+from pasdedeux.reconstruction.depth import bone_vectors, decode_depths, place_depths
+from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
+from pasdedeux.reconstruction.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
+from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 from tests.walkers import random_poses, walk
 

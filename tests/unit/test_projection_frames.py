@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from pasdedeux.kinematics.rotations import rotate, swing_between, unitquat_from_rotvec
-from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.frame_kernels import (
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.live.frame_kernels import (
     filter_rotations,
     find_bone_rotations,
     least_squares_scale,
@@ -21,10 +22,9 @@ from pasdedeux.projections.frame_kernels import (
     turn_poses,
     unify_image,
 )
-from pasdedeux.projections.proportions import retarget_image
-from pasdedeux.projections.reconstruct import straighten_rays
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
-from pasdedeux.projections.smoothing import OneEuro, smooth_one_euro
+from pasdedeux.reconstruction.proportions import retarget_image
+from pasdedeux.reconstruction.reconstruct import straighten_rays
+from pasdedeux.reconstruction.smoothing import OneEuro, smooth_one_euro
 from pasdedeux.skeletons import OP14
 from tests.walkers import random_poses, walk
 

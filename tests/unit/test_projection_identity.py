@@ -10,14 +10,14 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.detections import Detections, film
-from pasdedeux.projections.identity import (
+from pasdedeux.reconstruction.identity import (
     FollowedRows,
     IdentityOptions,
     body_size_px,
     follow_people,
     identity_switches,
 )
-from pasdedeux.projections.identity_kernels import match_costs, predict_joints, update_joints
+from pasdedeux.reconstruction.identity_kernels import match_costs, predict_joints, update_joints
 from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
 from tests.walkers import walk
 

@@ -11,13 +11,13 @@ from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.fixed_lag import FixedLagViterbi
-from pasdedeux.projections.live import LiveOptions, LivePeople, LivePose
-from pasdedeux.projections.reconstruct import Searcher
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
-from pasdedeux.projections.temporal import choose_viterbi
+from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, LivePose
+from pasdedeux.reconstruction.live.fixed_lag import FixedLagViterbi
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.temporal import choose_viterbi
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

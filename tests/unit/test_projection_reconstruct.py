@@ -18,17 +18,17 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.pitch import choose_pitch, floor_offset
-from pasdedeux.projections.reconstruct import (
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
+from pasdedeux.projections.scale import bounding_box_height, running_median
+from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
+from pasdedeux.reconstruction.reconstruct import (
     Method,
     ReconstructionOptions,
     Searcher,
     match_track,
     reconstruct_track,
 )
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
-from pasdedeux.projections.scale import bounding_box_height, running_median
-from pasdedeux.projections.tracks import Lens, Track, rate_from_times, tracks_from_rows
+from pasdedeux.reconstruction.tracks import Lens, Track, rate_from_times, tracks_from_rows
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

@@ -9,18 +9,18 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, normalise, slerp, unitquat_from_rotvec
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
-from pasdedeux.projections.smoothing import (
+from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.smoothing import (
     OneEuro,
     bridge_gaps,
     continuous_signs,
     smooth_one_euro,
     smooth_savitzky_golay,
 )
-from pasdedeux.projections.temporal import (
+from pasdedeux.reconstruction.temporal import (
     TemporalWeights,
     choose_nearest,
     choose_viterbi,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotvec_from_unitquat, unitquat_from_rotvec
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
-from pasdedeux.projections.smoothing import OneEuro, smooth_one_euro
-from pasdedeux.projections.temporal import choose_window
+from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.smoothing import OneEuro, smooth_one_euro
+from pasdedeux.reconstruction.temporal import choose_window
 from tests.walkers import walk
 
 

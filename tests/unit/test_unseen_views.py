@@ -18,10 +18,10 @@ from pasdedeux.evaluation.unseen_views import (
     unseen_view_scores,
 )
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.pitch import sized_by_height
 from pasdedeux.projections.published import PublishedSettings, build_codebook
-from pasdedeux.projections.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction.pitch import sized_by_height
+from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

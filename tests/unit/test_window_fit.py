@@ -11,12 +11,12 @@ from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm, image_noise
 from pasdedeux.fitting.terms import DifferenceTerm, PointTerm
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
-from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_depths
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
-from pasdedeux.projections.vote_kernels import extend_signs, noise_of, prior_of_frame, trace_signs, vote_signs
-from pasdedeux.projections.window_fit import WindowFit, WindowFitOptions
-from pasdedeux.projections.window_kernels import fit_window
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.depth import DepthSettings, bone_vectors, decode_depths
+from pasdedeux.reconstruction.live.vote_kernels import extend_signs, noise_of, prior_of_frame, trace_signs, vote_signs
+from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
+from pasdedeux.reconstruction.live.window_kernels import fit_window
 from pasdedeux.skeletons import OP14
 from tests.walkers import walk
 

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.projections.bones import REST_DIRECTIONS
+from pasdedeux.reconstruction.bones import REST_DIRECTIONS
 from pasdedeux.skeletons import OP14
 
 __all__ = [

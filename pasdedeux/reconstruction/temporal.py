@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, multiply
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
+from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 
 __all__ = ["TemporalWeights", "choose_nearest", "choose_viterbi", "choose_window", "viterbi_path"]

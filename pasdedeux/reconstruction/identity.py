@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.identity_kernels import (
+from pasdedeux.reconstruction.identity_kernels import (
     clean_detections,
     match_costs,
     predict_joints,

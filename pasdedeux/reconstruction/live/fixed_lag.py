@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.frame_kernels import transition_costs, turn_poses
-from pasdedeux.projections.temporal import TemporalWeights
+from pasdedeux.reconstruction.live.frame_kernels import transition_costs, turn_poses
+from pasdedeux.reconstruction.temporal import TemporalWeights
 
 __all__ = ["Decision", "FixedLagViterbi"]
 

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.depth import DepthSettings
-from pasdedeux.projections.frame_kernels import unify_image
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.projections.vote_kernels import (
+from pasdedeux.reconstruction.depth import DepthSettings
+from pasdedeux.reconstruction.live.frame_kernels import unify_image
+from pasdedeux.reconstruction.live.vote_kernels import (
     NUM_SIGN_STATES,
     bones_of,
     extend_signs,
@@ -29,7 +29,7 @@ from pasdedeux.projections.vote_kernels import (
     trace_signs,
     vote_signs,
 )
-from pasdedeux.projections.window_kernels import fit_window, prepare_window
+from pasdedeux.reconstruction.live.window_kernels import fit_window, prepare_window
 from pasdedeux.skeletons import OP14
 
 __all__ = ["WindowFit", "WindowFitOptions"]

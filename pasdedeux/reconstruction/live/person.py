@@ -16,8 +16,12 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply
-from pasdedeux.projections.fixed_lag import Decision, FixedLagViterbi
-from pasdedeux.projections.frame_kernels import (
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
+from pasdedeux.projections.scale import place_track
+from pasdedeux.reconstruction.identity import IdentityOptions
+from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
+from pasdedeux.reconstruction.live.fixed_lag import Decision, FixedLagViterbi
+from pasdedeux.reconstruction.live.frame_kernels import (
     filter_rotations,
     find_bone_rotations,
     least_squares_scale,
@@ -28,17 +32,13 @@ from pasdedeux.projections.frame_kernels import (
     turn_poses,
     unify_image,
 )
-from pasdedeux.projections.identity import IdentityOptions
-from pasdedeux.projections.live_cleanup import LiveCleanUp, LiveCleanUpOptions
-from pasdedeux.projections.proportions import estimate_proportions
-from pasdedeux.projections.reconstruct import Searcher
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.projections.scale import place_track
-from pasdedeux.projections.smoothing import OneEuro, one_euro_share
-from pasdedeux.projections.temporal import TemporalWeights
-from pasdedeux.projections.tracks import Lens
-from pasdedeux.projections.window_fit import WindowFit, WindowFitOptions
-from pasdedeux.projections.yaw import refine_yaws
+from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
+from pasdedeux.reconstruction.proportions import estimate_proportions
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.smoothing import OneEuro, one_euro_share
+from pasdedeux.reconstruction.temporal import TemporalWeights
+from pasdedeux.reconstruction.tracks import Lens
+from pasdedeux.reconstruction.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
 __all__ = ["LiveOptions", "LivePerson", "LivePose"]

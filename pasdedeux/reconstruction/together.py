@@ -23,10 +23,10 @@ import numpy.typing as npt
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.pairs import PairDatabase, PairIndex, build_pair_index
-from pasdedeux.projections.proportions import retarget_image
-from pasdedeux.projections.reconstruct import Matches, Reconstruction
 from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.projections.tracks import PersonTrack
+from pasdedeux.reconstruction.proportions import retarget_image
+from pasdedeux.reconstruction.reconstruct import Matches, Reconstruction
+from pasdedeux.reconstruction.tracks import PersonTrack
 
 __all__ = ["PairSearcher", "Placing", "PlacingOptions", "choose_couples", "place_together"]
 

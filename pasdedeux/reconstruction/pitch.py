@@ -11,7 +11,8 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.reconstruct import (
+from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.reconstruction.reconstruct import (
     Method,
     Reconstruction,
     ReconstructionOptions,
@@ -19,8 +20,7 @@ from pasdedeux.projections.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.projections.retarget import mid_hip
-from pasdedeux.projections.tracks import Track
+from pasdedeux.reconstruction.tracks import Track
 from pasdedeux.skeletons import OP14
 
 __all__ = ["choose_camera", "choose_pitch", "floor_offset", "sized_by_height"]

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.projections.bones import bone_rotations
 from pasdedeux.projections.camera import DatabaseCamera
-from pasdedeux.projections.reconstruct import Reconstruction
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
+from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
 
 __all__ = ["CleanUpOptions", "CleanedMotion", "bend_leg", "clean_reconstruction", "clean_up", "find_contacts"]

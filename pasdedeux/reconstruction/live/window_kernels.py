@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.projections.vote_kernels import flatten_image, prior_of_frame, residuals_of
+from pasdedeux.reconstruction.live.vote_kernels import flatten_image, prior_of_frame, residuals_of
 from pasdedeux.skeletons import OP14
 
 __all__ = ["fit_window", "prepare_window"]

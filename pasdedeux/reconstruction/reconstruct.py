@@ -11,17 +11,17 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
-from pasdedeux.projections.bones import bone_rotations, place_bone_rotations
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.depth import DepthSettings, bone_vectors, decode_depths, place_depths
-from pasdedeux.projections.proportions import estimate_proportions, retarget_image
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import Placement, ScaleReference, place_track, refine_placement
 from pasdedeux.projections.search import EXACT_UP_TO, Neighbours, ProjectionIndex, build_index
-from pasdedeux.projections.smoothing import bridge_gaps, smooth_savitzky_golay
-from pasdedeux.projections.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
-from pasdedeux.projections.tracks import Track
-from pasdedeux.projections.yaw import refine_yaws
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.depth import DepthSettings, bone_vectors, decode_depths, place_depths
+from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
+from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
+from pasdedeux.reconstruction.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
+from pasdedeux.reconstruction.tracks import Track
+from pasdedeux.reconstruction.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
 __all__ = [

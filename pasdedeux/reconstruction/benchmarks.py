@@ -19,14 +19,9 @@ import numpy.typing as npt
 
 from pasdedeux.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
-from pasdedeux.projections.bones import place_bone_rotations
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.identity import Follower
-from pasdedeux.projections.live import LiveOptions, LivePeople
-from pasdedeux.projections.live_cleanup import LiveCleanUp
 from pasdedeux.projections.published import build_codebook, search_published
-from pasdedeux.projections.reconstruct import Method, Searcher, reconstruct_track
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
 from pasdedeux.projections.search import (
     Neighbours,
@@ -35,8 +30,13 @@ from pasdedeux.projections.search import (
     recall,
     search_brute_force,
 )
-from pasdedeux.projections.temporal import choose_viterbi, choose_window
-from pasdedeux.projections.tracks import Lens, Track
+from pasdedeux.reconstruction.bones import place_bone_rotations
+from pasdedeux.reconstruction.identity import Follower
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
+from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
+from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track
+from pasdedeux.reconstruction.temporal import choose_viterbi, choose_window
+from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 __all__ = ["BENCHMARKS", "LARGE_BENCHMARKS", "made_up_database"]

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.motion import Motion
-from pasdedeux.projections.bones import REST_DIRECTIONS, bone_rotations
 from pasdedeux.projections.camera import DatabaseCamera
+from pasdedeux.reconstruction.bones import REST_DIRECTIONS, bone_rotations
 from pasdedeux.skeletons import OP14, Skeleton
 
 __all__ = ["MOTION_SKELETON", "motion_from_bones", "motion_from_positions", "upright_motion"]

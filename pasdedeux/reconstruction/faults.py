@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.identity import body_size_px
-from pasdedeux.projections.tracks import PersonTrack
+from pasdedeux.reconstruction.identity import body_size_px
+from pasdedeux.reconstruction.tracks import PersonTrack
 from pasdedeux.skeletons import OP14
 
 __all__ = [

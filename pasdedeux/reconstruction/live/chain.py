@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.projections.identity import Follower
-from pasdedeux.projections.live_person import LiveOptions, LivePerson, LivePose
-from pasdedeux.projections.reconstruct import Searcher
-from pasdedeux.projections.tracks import Lens
+from pasdedeux.reconstruction.identity import Follower
+from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson, LivePose
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.tracks import Lens
 
 __all__ = ["LiveOptions", "LivePeople", "LivePerson", "LivePose", "warm_up"]
 

@@ -10,12 +10,12 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
-from pasdedeux.projections.cleanup import clean_reconstruction
-from pasdedeux.projections.faults import repair_tracks
-from pasdedeux.projections.identity import follow_people
-from pasdedeux.projections.motion_out import upright_motion
-from pasdedeux.projections.pitch import choose_pitch, floor_offset, sized_by_height
-from pasdedeux.projections.reconstruct import (
+from pasdedeux.reconstruction.cleanup import clean_reconstruction
+from pasdedeux.reconstruction.faults import repair_tracks
+from pasdedeux.reconstruction.identity import follow_people
+from pasdedeux.reconstruction.motion_out import upright_motion
+from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset, sized_by_height
+from pasdedeux.reconstruction.reconstruct import (
     Matches,
     Method,
     Reconstruction,
@@ -24,8 +24,8 @@ from pasdedeux.projections.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.projections.together import PairSearcher, Placing, choose_couples, place_together
-from pasdedeux.projections.tracks import PersonTrack, rate_from_times, tracks_from_rows
+from pasdedeux.reconstruction.together import PairSearcher, Placing, choose_couples, place_together
+from pasdedeux.reconstruction.tracks import PersonTrack, rate_from_times, tracks_from_rows
 
 __all__ = [
     "FollowedTracks",

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.projections.depth import SIGN_GROUPS
+from pasdedeux.reconstruction.depth import SIGN_GROUPS
 from pasdedeux.skeletons import OP14
 
 __all__ = [

@@ -22,7 +22,7 @@ from tasks.shards import worker_environment
 
 __all__ = ["find_benchmarks", "register"]
 
-_ROOM_OF_STAGE = {"chains": "sampling", "reconstruction": "projections"}
+_ROOM_OF_STAGE = {"chains": "sampling", "projections": "reconstruction"}
 """Stages whose benchmarks go by the name of a part of the science."""
 
 

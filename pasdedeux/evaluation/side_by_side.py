@@ -7,16 +7,18 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.drawing import PERSON_COLOURS, TRUTH_COLOUR
 from pasdedeux.evaluation.overlay import overlay_clip
+from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["side_by_side_clip"]
+__all__ = ["side_by_side_clip", "turn_to_camera"]
 
 Array = npt.NDArray[np.float64]
 
 _PANEL_PX = 240
 _PEOPLE_SHARE = 0.78
 """Part of a panel's height or width that people take."""
+_LEAST_DISTANCE_M = 0.5
 _TITLES = ("image", "3D, camera's view", "3D, from its side")
 
 
@@ -61,6 +63,25 @@ def side_by_side_clip(
         titles=_TITLES,
         max_width_px=3 * _PANEL_PX,
     )
+
+
+def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
+    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
+
+    A camera sees somebody at the edge of its image from another side than somebody in the middle.
+
+    Args:
+        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
+        place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
+            is nearer than half a metre, as without a known place, are left as they are.
+    """
+    places = place_m.reshape(len(place_m), -1, 3)
+    is_there = np.isfinite(places).all(axis=-1, keepdims=True)
+    middle = np.where(is_there, places, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1)
+    distance = np.linalg.norm(middle, axis=-1, keepdims=True)
+    to_camera = np.where(distance > _LEAST_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
+    turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
+    return np.asarray(rotate(turn[:, None, None], motion_m))
 
 
 def _colours(num_people: int) -> list[str]:

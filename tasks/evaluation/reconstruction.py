@@ -134,7 +134,8 @@ def _rate_of(table: TableData) -> float:
 
 def _clip(people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], Any], *, rate_hz: float) -> bytes:
     """Draw some seconds of what the last method made of everybody beside the image."""
-    from pasdedeux.evaluation.side_by_side import side_by_side_clip  # here: planning does not need OpenCV
+    # here: planning does not need OpenCV
+    from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
 
     step = max(1, round(rate_hz / _CLIP_HZ))
     frames = np.unique(np.concatenate([person.frames for person in people]))[::step][: round(_CLIP_S * rate_hz / step)]
@@ -147,7 +148,8 @@ def _clip(people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], A
         truth[at, number] = person.truth_m[rows]
         for index in at:
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
-    return side_by_side_clip(px, found, rate_hz=rate_hz / step, truth_m=truth)
+    shown, true = turn_to_camera(found, found), turn_to_camera(truth, found)
+    return side_by_side_clip(px, shown, rate_hz=rate_hz / step, truth_m=true)
 
 
 def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:

@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.evaluation.side_by_side import side_by_side_clip
+from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
 from pasdedeux.evaluation.unseen_views import (
     Condition,
     Setting,
@@ -190,3 +190,18 @@ def test_a_height_that_cannot_be_true_changes_no_size(searcher: Searcher) -> Non
     assert sized_by_height(found, camera, 9.0) is found
     with pytest.raises(InputError, match="must be positive"):
         sized_by_height(found, camera, 0.0)
+
+
+def test_a_person_at_the_edge_of_the_image_is_shown_from_the_side_that_the_camera_sees() -> None:
+    """Somebody 45 degrees off the axis whose shoulders lie along the ray: the image has them in one place."""
+    person = np.zeros((3, 1, 14, 3))
+    person[..., 1] = np.linspace(-0.1, 0.1, 14)
+    person[..., 2, :] = np.array([0.15, 0.0, -0.15])
+    person[..., 5, :] = np.array([-0.15, 0.0, 0.15])
+    place = person - person.mean(axis=2, keepdims=True) + np.array([3.0, 0.0, -3.0])
+    place[1] = np.nan
+    place[2] -= np.array([3.0, 0.0, -3.0])
+    turned = turn_to_camera(person, place)
+    np.testing.assert_allclose(turned[0, 0, [2, 5], :2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(turned[0, 0, [2, 5], 2]), 0.15 * np.sqrt(2.0))
+    np.testing.assert_array_equal(turned[1:], person[1:])

@@ -93,7 +93,9 @@ def run(shard: Shard, store: Store) -> TopicResult:
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
     clip_name = f"reconstruction-{shard.name.replace('/', '-')}.webp"
     keypoints = _read_keypoints(store, annotations, shard.name)
-    pictures[clip_name] = _clip(people, keypoints, rate_hz=_rate_of(table))
+    camera = cameras[str(table["sequence_id"][0])]
+    camera_m = camera.camera_from_world_rotmat @ camera.position_m
+    pictures[clip_name] = _clip(people, keypoints, camera_m=camera_m, rate_hz=_rate_of(table))
     captions[clip_name] = (
         f"{shard.name}: the image (left), what {list(people[0].found_m)[-1]} made of it as the camera sees it (middle) "
         "and from its side (right), everybody in their place to each other; truth in grey."
@@ -132,8 +134,14 @@ def _rate_of(table: TableData) -> float:
     return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
 
 
-def _clip(people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], Any], *, rate_hz: float) -> bytes:
-    """Draw some seconds of what the last method made of everybody beside the image."""
+def _clip(
+    people: Sequence[Reconstructed],
+    keypoints: Mapping[tuple[int, int], Any],
+    *,
+    camera_m: np.ndarray,
+    rate_hz: float,
+) -> bytes:
+    """Draw some seconds of what the last method made of everybody beside the image; the truth's camera is at (3,)."""
     # here: planning does not need OpenCV
     from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
 
@@ -148,7 +156,7 @@ def _clip(people: Sequence[Reconstructed], keypoints: Mapping[tuple[int, int], A
         truth[at, number] = person.truth_m[rows]
         for index in at:
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
-    shown, true = turn_to_camera(found, found), turn_to_camera(truth, found)
+    shown, true = (turn_to_camera(motion, truth - camera_m) for motion in (found, truth))
     return side_by_side_clip(px, shown, rate_hz=rate_hz / step, truth_m=true)
 
 

@@ -59,6 +59,7 @@ class WindowFitOptions:
         equal_noise_m: Noise of the image at which the followed motion and the frame's candidates count the same.
         depth: How candidates vote on depth.
         most_solves: Newton steps of a frame, at most.
+        most_solves_missing: The same where a joint of the window is not seen: nothing but the other terms moves it.
         tolerance: A fit ends when a step lowers its energy by less than this share.
     """
 
@@ -70,11 +71,12 @@ class WindowFitOptions:
     equal_noise_m: float = 0.03
     depth: DepthSettings = field(default_factory=DepthSettings)
     most_solves: int = 1
+    most_solves_missing: int = 4
     tolerance: float = 3e-3
 
     def __post_init__(self) -> None:
         """Refuse values without meaning."""
-        if self.most_ahead < 0 or self.most_solves < 1:
+        if self.most_ahead < 0 or min(self.most_solves, self.most_solves_missing) < 1:
             raise InputError(f"live fit: frames ahead must not be negative and steps at least 1: {self}")
         if min(self.least_noise_m, self.acceleration_m_s2, self.trust_per_misfit, *self.trust_m) <= 0:
             raise InputError(f"live fit: standard deviations must be positive: {self}")
@@ -217,6 +219,7 @@ class WindowFit:
         time_deviation = options.acceleration_m_s2 / self._rate_hz**2
         time_weight = np.zeros(len(frames))
         time_weight[2:] = (frames[2:] == frames[:-2] + 2) / time_deviation**2
+        is_whole = bool((self._weight[slots] > 0).all())
         fitted = fit_window(
             np.concatenate([self._fixed_m[fixed], start]),
             count,
@@ -228,7 +231,7 @@ class WindowFit:
             time_weight,
             _behind(self._distance_m[slots], count, 1.0),
             options.tolerance,
-            options.most_solves,
+            options.most_solves if is_whole else options.most_solves_missing,
         )
         self._fitted_m[slots] = fitted[count:]
         slot = int(slots[0])

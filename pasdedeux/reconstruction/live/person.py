@@ -63,7 +63,7 @@ class LiveOptions:
         lag: A pose leaves this many frames after its image.
         num_candidates: Projections kept per frame.
         min_joints: Frames with fewer joints of a person give no pose.
-        window_s: Scale is taken from the frames of this time.
+        window_s: Scale is taken from the frames of this time; longer ones lag behind who walks away, and never catch up.
         proportions_every: Frames between two estimates of a person's proportions.
         temporal: Costs of the choice over time.
         smoothing: The 1-euro filter of rotations.
@@ -82,7 +82,7 @@ class LiveOptions:
     lag: int = 6
     num_candidates: int = 20
     min_joints: int = 4
-    window_s: float = 1.0
+    window_s: float = 0.3
     proportions_every: int = 15
     temporal: TemporalWeights = field(default_factory=TemporalWeights)
     smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=6.0, beta=2.0))

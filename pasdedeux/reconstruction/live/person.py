@@ -63,7 +63,7 @@ class LiveOptions:
         lag: A pose leaves this many frames after its image.
         num_candidates: Projections kept per frame.
         min_joints: Frames with fewer joints of a person give no pose.
-        window_s: Scale is taken from the frames of this time; longer ones lag behind who walks away, and never catch up.
+        window_s: Scale is taken from the frames of this time; with longer ones it lags behind people who walk away.
         proportions_every: Frames between two estimates of a person's proportions.
         temporal: Costs of the choice over time.
         smoothing: The 1-euro filter of rotations.

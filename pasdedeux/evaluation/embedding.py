@@ -85,7 +85,13 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     """
     from matplotlib.figure import Figure  # here: planning does not draw
 
-    colours = {"ic": "#c2188f", "prior_only": "#2a9d3a", "grown_seeds": "#e0861a"}
+    colours = {
+        "ic": "#c2188f",
+        "cartesian": "#12a4b5",
+        "shape_context": "#7d4f2a",
+        "prior_only": "#2a9d3a",
+        "grown_seeds": "#e0861a",
+    }
     figure = Figure(figsize=(2.9 * max(len(panels), 1), 3.1), dpi=110)
     axes = figure.subplots(1, max(len(panels), 1), squeeze=False, sharex=True, sharey=True)[0]
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):

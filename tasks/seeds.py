@@ -27,7 +27,6 @@ __all__ = [
     "SeedsParameters",
     "check",
     "plan",
-    "read_limits",
     "run_shard",
     "start_indices",
 ]

@@ -21,8 +21,7 @@ from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
 from tasks.evaluation.truth import read_takes
-from tasks.priors import read_occupancy
-from tasks.seeds import read_limits
+from tasks.priors import read_limits, read_occupancy
 from tasks.stage import Shard, StageInputs, stream
 
 __all__ = ["TOPIC", "run", "shards"]

@@ -103,7 +103,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
     name = f"coverage-{split}.png"
     pictures = {name: coverage_figure(curves, levels, split=split)}
     captions = {name: f"Coverage of {words} frames by the draws of each density and by grown seeds."}
-    shown = _map(truth, draws, _seed(store, seed_refs), split)
+    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, seed_refs), split)
     if shown is not None:
         name = f"coverage-map-{split}.png"
         pictures[name] = shown

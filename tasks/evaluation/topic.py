@@ -16,7 +16,7 @@ from tasks.stage import Shard, commit, merge_takes
 __all__ = ["STAGE_NAME", "VERSION", "TopicResult", "commit_topic", "make_shard", "read_people", "refuse_overlap"]
 
 STAGE_NAME = "evaluation"
-VERSION = 14
+VERSION = 15
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
     truth = truth[generator.permutation(len(truth))[: parameters["num_truth_pairs"]]]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
+    mapped = list(draws)
     draws |= draws_from_first_seeds(store, draw_refs)
     # In random order, so that every seed counts from the start.
     draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}

@@ -188,7 +188,7 @@ def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[ob
 
 @contextmanager
 def _workers(run: Run, settings: ClusterSettings) -> Iterator[Workers]:
-    """Give the workers for this block."""
+    """Return the workers for this block."""
     Path(run.store.root).mkdir(parents=True, exist_ok=True)
     if settings.scheduler is None and settings.num_workers == 0:
         os.environ.update(worker_environment())

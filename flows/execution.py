@@ -68,7 +68,7 @@ class StageOutcome:
     artifacts: tuple[ArtifactRef, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Give it as JSON values."""
+        """Return it as JSON values."""
         return {
             "stage": self.name,
             "num_shards": self.num_shards,
@@ -89,11 +89,11 @@ class Outcome:
 
     @property
     def num_computed(self) -> int:
-        """Give the number of shards computed."""
+        """Return the number of shards computed."""
         return sum(stage.num_computed for stage in self.stages)
 
     def to_json(self) -> dict[str, Any]:
-        """Give it as JSON values."""
+        """Return it as JSON values."""
         return {
             "run_id": self.run_id,
             "num_computed": self.num_computed,
@@ -142,7 +142,7 @@ def begin(run: Run, plan: Plan) -> RunFolder:
 
 
 def settle(run: Run, plan: Plan) -> Outcome:
-    """Give the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
+    """Return the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
     last = read_last_run(run.store, run.study.name)
     is_on_record = last is not None and all(
         last.refs(stage.stage.name) == [m.ref for m in stage.manifests] for stage in plan.stages if stage.is_selected
@@ -160,7 +160,7 @@ def settle(run: Run, plan: Plan) -> Outcome:
 
 
 def partitions_to_run(plan: StagePlan) -> list[Partition]:
-    """Give the shards that are not fresh by partition, each partition after those whose shards it reads.
+    """Return the shards that are not fresh by partition, each partition after those whose shards it reads.
 
     Partitions that read each other's shards crosswise become one.
     """
@@ -220,5 +220,5 @@ def _no_work(run: Run, plan: StagePlan) -> None:
 
 
 def _reporting(run: Run, outcomes: Sequence[StageOutcome]) -> list[ArtifactRef]:
-    """Give the artifacts of the stage that writes `scores`: the report is attached to them."""
+    """Return the artifacts of the stage that writes `scores`: the report is attached to them."""
     return [ref for o in outcomes if "scores" in run.graph.stage(o.name).writes for ref in o.artifacts]

@@ -58,7 +58,7 @@ class Selection:
     force: tuple[str, ...] = ()
 
     def stages(self, graph: Graph) -> frozenset[str]:
-        """Give the names of the selected stages; PlanError for a name that is not in the graph."""
+        """Return the names of the selected stages; PlanError for a name that is not in the graph."""
         try:
             for name in (*self.only, *self.force, *filter(None, (self.start, self.until))):
                 graph.stage(name)
@@ -106,25 +106,25 @@ class StagePlan:
 
     @property
     def pending_reason(self) -> str:
-        """Give what the stage waits for, in words."""
+        """Return what the stage waits for, in words."""
         return f"depends on {', '.join(self.pending_on)}; rebuilt only if its bytes change"
 
     @property
     def todo(self) -> tuple[Shard, ...]:
-        """Give the shards that have to be computed."""
+        """Return the shards that have to be computed."""
         return tuple(item.shard for item in self.shards if item.state is not State.FRESH)
 
     @property
     def manifests(self) -> tuple[Manifest, ...]:
-        """Give the artifacts that are there, in the order of the plan."""
+        """Return the artifacts that are there, in the order of the plan."""
         return tuple(item.manifest for item in self.shards if item.manifest is not None)
 
     def count(self, state: State) -> int:
-        """Give the number of shards in a state."""
+        """Return the number of shards in a state."""
         return sum(item.state is state for item in self.shards)
 
     def to_json(self) -> dict[str, Any]:
-        """Give the stage's plan as JSON values."""
+        """Return the stage's plan as JSON values."""
         described: dict[str, Any] = {"stage": self.stage.name, "is_selected": self.is_selected}
         if self.is_pending:
             partitions = [{"partition": name, "num_shards": count} for name, count in self.last_partitions]
@@ -142,7 +142,7 @@ class StagePlan:
         return {**described, "state": "fresh" if self.is_fresh else "unfinished", "shards": shards}
 
     def partitions(self) -> dict[str, list[ShardPlan]]:
-        """Give the shards by partition, both in the order of the plan."""
+        """Return the shards by partition, both in the order of the plan."""
         found: dict[str, list[ShardPlan]] = {}
         for item in self.shards:
             found.setdefault(item.shard.partition, []).append(item)
@@ -174,7 +174,7 @@ class Plan:
         return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
 
     def to_json(self) -> dict[str, Any]:
-        """Give the plan as JSON values, for programs and for the record."""
+        """Return the plan as JSON values, for programs and for the record."""
         return {
             "study": self.study,
             "is_fresh": self.is_fresh,
@@ -183,7 +183,7 @@ class Plan:
         }
 
     def stage(self, name: str) -> StagePlan:
-        """Give the plan of one stage."""
+        """Return the plan of one stage."""
         return next(item for item in self.stages if item.stage.name == name)
 
 
@@ -226,7 +226,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
 
 
 def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manifest]]) -> StageInputs:
-    """Give what a stage may read: for each table it declares, the upstream artifacts that hold a part of it."""
+    """Return what a stage may read: for each table it declares, the upstream artifacts that hold a part of it."""
     return StageInputs(
         manifests={
             table: tuple(m for artifacts in manifests.values() for m in artifacts if table in m.tables)

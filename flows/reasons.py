@@ -26,7 +26,7 @@ class Past:
 
 
 def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
-    """Give for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
+    """Return for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
     described = {}
     for manifest in manifests:
         place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)

@@ -42,7 +42,7 @@ _RUN, _STUDY, _PLAN, _ENVIRONMENT = "run.json", "study.json", "plan.json", "envi
 
 
 def read_last_run(store: Store, study: str) -> LatestRun | None:
-    """Give what the last run of a study made; None when there was none or its record is damaged.
+    """Return what the last run of a study made; None when there was none or its record is damaged.
 
     The record only serves to explain: what is fresh is decided by keys. So a damaged one costs words, not work.
     """
@@ -53,7 +53,7 @@ def read_last_run(store: Store, study: str) -> LatestRun | None:
 
 
 def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
-    """Give the resolved study of the last run, section by section; empty when it is gone."""
+    """Return the resolved study of the last run, section by section; empty when it is gone."""
     if last is None:
         return {}
     try:
@@ -85,7 +85,7 @@ def end_record(folder: RunFolder, study: str, status: str, stages: Sequence[Mapp
 
 
 def describe_runs(store: Store) -> list[dict[str, str]]:
-    """Give the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
+    """Return the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
     found = []
     for folder in list_runs(store):
         try:
@@ -100,7 +100,7 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
 
 
 def report_folder(store: Store, run_id: str) -> Path | None:
-    """Give the folder of a run's report, None when it has none."""
+    """Return the folder of a run's report, None when it has none."""
     folder = store.root / "runs" / run_id / "report"
     return folder if run_id and folder.is_dir() else None
 
@@ -120,7 +120,7 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, Any]:
-    """Give what the run ran on, for the record; nothing of it enters a key."""
+    """Return what the run ran on, for the record; nothing of it enters a key."""
     versions = {}
     for package in _PACKAGES:
         try:

@@ -33,7 +33,7 @@ class StudyError(Exception):
         self.problems = list(problems)
 
     def __str__(self) -> str:
-        """Give the problems, one a line."""
+        """Return the problems, one a line."""
         return "\n".join(self.problems)
 
 
@@ -67,17 +67,17 @@ class Study(BaseModel):
 
     @property
     def name(self) -> str:
-        """Give the study's name."""
+        """Return the study's name."""
         return self.head.name
 
     def resolved(self) -> dict[str, Any]:
-        """Give the whole study as JSON values, as it could have been written in its file."""
+        """Return the whole study as JSON values, as it could have been written in its file."""
         sections = {name: model.model_dump(mode="json") for name, model in self.parameters.items()}
         return {_HEAD: self.head.model_dump(mode="json"), **sections}
 
 
 def shipped_studies() -> dict[str, str]:
-    """Give the text of every study that comes with the package, by name."""
+    """Return the text of every study that comes with the package, by name."""
     folder = resources.files("flows").joinpath("studies")
     files = sorted((item for item in folder.iterdir() if item.name.endswith(".toml")), key=lambda item: item.name)
     return {item.name.removesuffix(".toml"): item.read_text(encoding="utf-8") for item in files}
@@ -159,7 +159,7 @@ def study_from_tree(
 
 
 def _find(name_or_path: str, here: Path) -> tuple[str, Path, str]:
-    """Give a study's text, the folder its relative paths start from, and what to call it in messages."""
+    """Return a study's text, the folder its relative paths start from, and what to call it in messages."""
     shipped = shipped_studies()
     if name_or_path in shipped:
         return shipped[name_or_path], here, name_or_path
@@ -178,7 +178,7 @@ def _find(name_or_path: str, here: Path) -> tuple[str, Path, str]:
 def _overrides(
     settings: Sequence[str], environment: Mapping[str, str], problems: list[str]
 ) -> Iterable[tuple[tuple[str, ...], Any, str]]:
-    """Give the overrides, weakest first, as (path, value, where it was said)."""
+    """Return the overrides, weakest first, as (path, value, where it was said)."""
     for variable in sorted(environment):
         if variable.startswith(ENVIRONMENT_PREFIX):
             path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))
@@ -259,7 +259,7 @@ def _unknown(path: str, known: Sequence[str], name: str | None = None) -> str:
 
 
 def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple[str, ...]:
-    """Give the field names allowed at a place inside a model, through lists, tables and unions."""
+    """Return the field names allowed at a place inside a model, through lists, tables and unions."""
     models = [model]
     for step in location:
         inner = [m for m in models if str(step) in m.model_fields]
@@ -269,7 +269,7 @@ def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    """Give every model class that an annotation mentions."""
+    """Return every model class that an annotation mentions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [found for argument in get_args(annotation) for found in _models_in(argument)]
@@ -278,7 +278,7 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
 def _with_absolute_paths(
     value: V, path: tuple[str, ...], base: Path, here: Path, overridden: list[tuple[str, ...]]
 ) -> V:
-    """Give a validated value with every relative path in it made absolute."""
+    """Return a validated value with every relative path in it made absolute."""
     if isinstance(value, Path):
         start = here if any(path[: len(other)] == other for other in overridden) else base
         return start / value.expanduser()

@@ -51,7 +51,7 @@ class BenchmarkResult:
 
 
 def measure_rate(work: Callable[[], object], *, count: int = 1, least_s: float = 0.3, repeats: int = 3) -> float:
-    """Give the work done per second of processor time, the best of some repeats.
+    """Return the work done per second of processor time, the best of some repeats.
 
     The first call, which may compile, is not timed.  Time that the process waited for a busy machine does not count.
 

@@ -30,7 +30,7 @@ class SourceFileUse:
 
 
 def lineage(store: Store, ref: ArtifactRef) -> list[LineageStep]:
-    """Give the artifact and everything it was computed from, each once, by distance.
+    """Return the artifact and everything it was computed from, each once, by distance.
 
     An input that is no longer in the store is listed without a manifest and ends its branch.
 
@@ -52,7 +52,7 @@ def lineage(store: Store, ref: ArtifactRef) -> list[LineageStep]:
 
 
 def source_files(store: Store, ref: ArtifactRef) -> list[SourceFileUse]:
-    """Give every outside file that the artifact was computed from, sorted by name; raises what `lineage` raises."""
+    """Return every outside file that the artifact was computed from, sorted by name; raises what `lineage` raises."""
     return sorted(
         {
             SourceFileUse(name, sha256, step.ref.stage)

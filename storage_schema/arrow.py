@@ -43,13 +43,13 @@ def column_kind(column: Column) -> Kind:
 
 
 def value_type(column: Column) -> pa.DataType:
-    """Give the type of a column's single numbers or texts."""
+    """Return the type of a column's single numbers or texts."""
     return column.type.value_type if pa.types.is_nested(column.type) else column.type
 
 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
-    """Give the Arrow schema of a table: what every file of it is written with and read with.
+    """Return the Arrow schema of a table: what every file of it is written with and read with.
 
     Field metadata: `meaning`, `unit`, and for arrays `shape` and `axes` (JSON lists), `joints` (name of the skeleton)
     and `joint_names` (JSON list).  Schema metadata: `table`, `meaning`, `sorted_by` (JSON list) and `schema_version`.
@@ -65,7 +65,7 @@ def arrow_schema(table: Table) -> pa.Schema:
 
 @cache
 def schema_digest(table: Table) -> str:
-    """Give a short digest of a table's columns, without the words: files written with other columns are told by it."""
+    """Return short digest of a table's columns, without the words: files written with other columns are told by it."""
     described = [
         [c.name, str(c.type), c.unit, c.shape, c.axes, c.joints, list(JOINT_NAMES.get(c.joints, ())), c.is_nullable]
         for c in table.columns
@@ -84,7 +84,7 @@ def _field(column: Column) -> pa.Field:
 
 
 def _stored_type(column: Column) -> pa.DataType:
-    """Give the column's type with elements that are never null: NaN is how a number is missing inside an array."""
+    """Return the column's type with elements that are never null: NaN is how a number is missing inside an array."""
     kind = column_kind(column)
     if kind is Kind.FIXED:
         return pa.list_(pa.field("element", column.type.value_type, nullable=False), column.type.list_size)

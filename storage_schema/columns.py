@@ -51,7 +51,7 @@ class Table:
             raise ValueError(f"table '{self.name}': sorted by unknown columns {sorted(unknown)}")
 
     def column(self, name: str) -> Column:
-        """Give the column of this name, or a KeyError that lists the known ones."""
+        """Return the column of this name, or a KeyError that lists the known ones."""
         for column in self.columns:
             if column.name == name:
                 return column

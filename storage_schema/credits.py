@@ -18,5 +18,5 @@ class SourceCredit:
 
 
 def merge_credits(*groups: Iterable[SourceCredit]) -> tuple[SourceCredit, ...]:
-    """Give every source of these groups once, sorted by name; sources that differ in any field stay apart."""
+    """Return every source of these groups once, sorted by name; sources that differ in any field stay apart."""
     return tuple(sorted({credit for group in groups for credit in group}))

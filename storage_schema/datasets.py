@@ -49,7 +49,7 @@ class Dataset:
 
     @property
     def label(self) -> str:
-        """Give `name@version`."""
+        """Return `name@version`."""
         return f"{self.name}@{self.version}"
 
 
@@ -62,7 +62,7 @@ def create_dataset(
     note: str = "",
     attachments: Mapping[str, bytes] | None = None,
 ) -> Dataset:
-    """Give a list of artifacts a name and a version that never change.
+    """Return a list of artifacts a name and a version that never change.
 
     Args:
         store: Store that holds the artifacts.
@@ -97,12 +97,12 @@ def create_dataset(
 
 
 def list_datasets(store: Store) -> list[Dataset]:
-    """Give all datasets of a store, by name and version."""
+    """Return all datasets of a store, by name and version."""
     return sorted((_read(path) for path in (store.root / "datasets").glob("*@*")), key=_order)
 
 
 def open_dataset(store: Store, label: str) -> Dataset:
-    """Give the dataset `name@version`, or the newest version of `name`.
+    """Return the dataset `name@version`, or the newest version of `name`.
 
     Raises:
         UnknownReference: There is no such dataset; says which there are.

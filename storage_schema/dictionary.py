@@ -31,7 +31,7 @@ is missing inside an array is NaN.
 
 
 def data_dictionary() -> str:
-    """Give the data dictionary of all tables as Markdown."""
+    """Return the data dictionary of all tables as Markdown."""
     contents = "\n".join(f"- [`{table.name}`](#{table.name}): {table.meaning}" for table in TABLES.values())
     tables = "\n".join(_table(table) for table in TABLES.values())
     joints = "\n".join(f"- `{name}`: {', '.join(names)}" for name, names in JOINT_NAMES.items())

@@ -69,7 +69,7 @@ class HashingFile(io.RawIOBase):
         return num_bytes
 
     def tell(self) -> int:
-        """Give the number of bytes written."""
+        """Return the number of bytes written."""
         return self.num_bytes
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ _EXACT_BELOW = 2.0**53
 
 
 def encode(table: Table, columns: Mapping[str, Any]) -> pa.Table:
-    """Give the rows of a table as Arrow, in the order given.
+    """Return the rows of a table as Arrow, in the order given.
 
     Args:
         table: Definition of the table.

@@ -17,7 +17,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 def canonical_json(value: Any, where: str = "value") -> bytes:
-    """Give the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
+    """Return the one spelling of a JSON value: sorted keys, no spaces, UTF-8, no NaN or infinity.
 
     `where` names the value in messages.
 
@@ -29,7 +29,7 @@ def canonical_json(value: Any, where: str = "value") -> bytes:
 
 
 def plain_json(value: Any, where: str = "value") -> Any:
-    """Give a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
+    """Return a JSON value as it reads back from a file: mappings as dicts, sequences as lists, a copy all through."""
     return json.loads(canonical_json(value, where))
 
 
@@ -42,7 +42,7 @@ def artifact_key(
     after: Sequence[str] = (),
     seed: int,
 ) -> str:
-    """Give the sha256 that names an artifact by everything that decides its content.
+    """Return the sha256 that names an artifact by everything that decides its content.
 
     Paths, times, hosts, study names and worker counts are never part of it.
 
@@ -70,7 +70,7 @@ def artifact_key(
 
 
 def content_digest(file_digests: Mapping[str, str]) -> str:
-    """Give the digest of an artifact's content from its data files' sha256 by name; nothing else enters it.
+    """Return the digest of an artifact's content from its data files' sha256 by name; nothing else enters it.
 
     The manifest is no data file, so times, versions and timings leave the digest alone.
     """
@@ -79,7 +79,7 @@ def content_digest(file_digests: Mapping[str, str]) -> str:
 
 
 def file_sha256(path: str | Path) -> str:
-    """Give the sha256 of a file's bytes, read in blocks.
+    """Return the sha256 of a file's bytes, read in blocks.
 
     Raises:
         OSError: The file cannot be read.

@@ -111,7 +111,7 @@ class Manifest:
         return sum(entry.bytes for entry in self.data_files.values())
 
     def to_json(self) -> str:
-        """Give the text of the manifest file."""
+        """Return the text of the manifest file."""
         return json.dumps(asdict(self), indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
     @classmethod

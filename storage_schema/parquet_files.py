@@ -120,7 +120,7 @@ def iter_table(path: Path, table: Table, *, columns: Sequence[str] | None = None
 
 
 def _options(table: Table) -> dict[str, Any]:
-    """Give the writer's options: what decides bytes is stated, so a moving default does not move a digest."""
+    """Return the writer's options: what decides bytes is stated, so a moving default does not move a digest."""
     return {
         "version": "2.6",
         "data_page_version": "1.0",
@@ -136,7 +136,7 @@ def _options(table: Table) -> dict[str, Any]:
 
 
 def _path(column: Column) -> str:
-    """Give the Parquet path of a column's leaf."""
+    """Return the Parquet path of a column's leaf."""
     return f"{column.name}.list.element" if pa.types.is_nested(column.type) else column.name
 
 
@@ -168,7 +168,7 @@ def _guarded(path: Path, read: Any) -> Any:
 
 
 def _groups_of(file: pq.ParquetFile, start: int, stop: int) -> tuple[list[int], int]:
-    """Give the row groups that hold the rows start..stop, and the number of the first row of the first of them."""
+    """Return the row groups that hold the rows start..stop, and the number of the first row of the first of them."""
     groups: list[int] = []
     first = position = 0
     for group in range(file.num_row_groups):

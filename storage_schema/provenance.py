@@ -29,20 +29,20 @@ _PACKAGES = (
 
 @cache
 def code_version() -> str:
-    """Give the version of the installed program, 'unknown' when it runs from sources that are not installed."""
+    """Return the version of the installed program, 'unknown' when it runs from sources that are not installed."""
     return _version("pasdedeux") or "unknown"
 
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Give the versions of Python and of the installed packages that can change a result."""
+    """Return the versions of Python and of the installed packages that can change a result."""
     found = {name: version for name in _PACKAGES if (version := _version(name))}
     return {"python": platform.python_version(), **found}
 
 
 @cache
 def source_digest() -> str:
-    """Give the sha256 over the Python files of the science, the storage and the tasks: their paths and bytes.
+    """Return the sha256 over the Python files of the science, the storage and the tasks: their paths and bytes.
 
     The flows are left out: they decide when things run, not what comes out.
     """
@@ -63,6 +63,6 @@ def _version(package: str) -> str | None:
 
 
 def _folders(package: str) -> list[Path]:
-    """Give the folders of a package without importing it."""
+    """Return the folders of a package without importing it."""
     spec = importlib.util.find_spec(package)
     return [Path(folder) for folder in (spec.submodule_search_locations or [])] if spec else []

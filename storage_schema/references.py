@@ -64,7 +64,7 @@ def parse_reference(text: str) -> Reference:
 
 
 def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
-    """Give the artifacts whose parts of the table the reference names, in order.
+    """Return the artifacts whose parts of the table the reference names, in order.
 
     Raises:
         UnknownReference: It names nothing, or a key prefix names more than one artifact; says what is there.
@@ -136,7 +136,7 @@ def iter_rows(
 
 
 def default_store(root: str | Path | None = None) -> Store:
-    """Give the store in this folder; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
+    """Return the store in this folder; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
     return Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
 
 

@@ -69,7 +69,7 @@ class ShardRecord:
 
     @classmethod
     def of(cls, manifest: Manifest, store: Store) -> ShardRecord:
-        """Give the record of an artifact; its inputs are named by their own manifests.
+        """Return the record of an artifact; its inputs are named by their own manifests.
 
         Raises:
             MissingArtifact: An input is not in the store.
@@ -97,7 +97,7 @@ class LatestRun:
     stages: dict[str, tuple[ShardRecord, ...]] = field(default_factory=dict)
 
     def refs(self, stage: str, partition: str | None = None) -> list[ArtifactRef]:
-        """Give the artifacts of a stage, or of one partition of it; none when the stage has not run."""
+        """Return the artifacts of a stage, or of one partition of it; none when the stage has not run."""
         return [
             ArtifactRef(stage, shard.key, shard.content_digest)
             for shard in self.stages.get(stage, ())
@@ -129,7 +129,7 @@ class RunFolder:
         return self.path / name
 
     def read(self, name: str) -> bytes:
-        """Give the bytes of a file of the folder.
+        """Return the bytes of a file of the folder.
 
         Raises:
             MissingArtifact: There is no such file.
@@ -140,7 +140,7 @@ class RunFolder:
             raise MissingArtifact(f"run {self.run_id} has no file '{name}'") from None
 
     def files(self) -> list[str]:
-        """Give the names of the folder's files."""
+        """Return the names of the folder's files."""
         return sorted(path.name for path in self.path.iterdir() if not path.name.startswith("."))
 
 
@@ -154,7 +154,7 @@ def new_run(store: Store, study: str) -> RunFolder:
 
 
 def open_run(store: Store, run_id: str) -> RunFolder:
-    """Give the folder of a run.
+    """Return the folder of a run.
 
     Raises:
         MissingArtifact: There is no such run.
@@ -166,21 +166,21 @@ def open_run(store: Store, run_id: str) -> RunFolder:
 
 
 def list_runs(store: Store) -> list[RunFolder]:
-    """Give the folders of all runs, oldest first."""
+    """Return the folders of all runs, oldest first."""
     folder = store.root / "runs"
     paths = sorted(folder.iterdir()) if folder.is_dir() else []
     return [RunFolder(path.name, path) for path in paths if path.is_dir() and path.name != "latest"]
 
 
 def latest_studies(store: Store) -> list[str]:
-    """Give the names of the studies that have run in this store."""
+    """Return the names of the studies that have run in this store."""
     return sorted(
         path.stem for path in (store.root / "runs" / "latest").glob("*.json") if not path.name.startswith(".")
     )
 
 
 def read_latest(store: Store, study: str) -> LatestRun | None:
-    """Give what the last run of a study made, None when it has not run in this store.
+    """Return what the last run of a study made, None when it has not run in this store.
 
     Raises:
         CorruptArtifact: The record cannot be read.

@@ -190,7 +190,7 @@ class Store(StoreReader):
         clean_leftovers(self.staging_root)
 
     def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
-        """Give the staged folder its name in one rename; gives the artifact that stands there in the end."""
+        """Return the staged folder its name in one rename; gives the artifact that stands there in the end."""
         target = self.folder(ref.stage, ref.key)
         make_folder(target.parent)
         while True:

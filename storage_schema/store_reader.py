@@ -50,11 +50,11 @@ class StoreReader:
         return self.root / "tmp"
 
     def folder(self, stage: str, key: str) -> Path:
-        """Give the folder that holds, or would hold, the artifact of this key."""
+        """Return the folder that holds, or would hold, the artifact of this key."""
         return self.root / stage / key[:2] / key
 
     def find(self, stage: str, key: str) -> Manifest | None:
-        """Give the artifact's manifest when it is valid and its files are there with the right size, else None.
+        """Return the artifact's manifest when it is valid and its files are there with the right size, else None.
 
         An artifact whose tables have other columns than this program declares is not valid either.
 
@@ -69,7 +69,7 @@ class StoreReader:
         return manifest if self._is_whole(manifest) else None
 
     def manifest(self, ref: ArtifactRef) -> Manifest:
-        """Give the manifest of an artifact.
+        """Return the manifest of an artifact.
 
         Raises:
             MissingArtifact: It is not in the store.
@@ -86,14 +86,14 @@ class StoreReader:
         return manifest
 
     def artifacts(self, stage: str | None = None) -> Iterator[Manifest]:
-        """Give the manifests of all valid artifacts, of one stage or of all, in the order of stage and key."""
+        """Return the manifests of all valid artifacts, of one stage or of all, in the order of stage and key."""
         for folder in self.folders(stage):
             manifest = self.find(folder.parent.parent.name, folder.name)
             if manifest is not None:
                 yield manifest
 
     def folders(self, stage: str | None = None, key_prefix: str = "") -> list[Path]:
-        """Give the folders that stand under a key, valid or not, in the order of stage and key."""
+        """Return the folders that stand under a key, valid or not, in the order of stage and key."""
         found = self.root.glob(
             f"{stage or '*'}/{key_prefix[:2] or '*'}{'*' if len(key_prefix) == 1 else ''}/{key_prefix}*"
         )
@@ -118,7 +118,7 @@ class StoreReader:
         return iter_table(self._table_path(ref, table), TABLES[table], columns=columns)
 
     def attachment(self, ref: ArtifactRef, name: str) -> bytes:
-        """Give the bytes of an attached file.
+        """Return the bytes of an attached file.
 
         Raises:
             MissingArtifact: The artifact, or this attachment of it, is not in the store.
@@ -127,7 +127,7 @@ class StoreReader:
         return self.attachment_path(ref, name).read_bytes()
 
     def attachment_path(self, ref: ArtifactRef, name: str) -> Path:
-        """Give the path of an attached file, for reading only; raises what `attachment` raises."""
+        """Return the path of an attached file, for reading only; raises what `attachment` raises."""
         manifest = self.manifest(ref)
         if name not in manifest.attachments:
             there = ", ".join(manifest.attachments) or "none"
@@ -138,7 +138,7 @@ class StoreReader:
         return path
 
     def load(self, stage: str, key: str) -> Manifest:
-        """Give the manifest that stands under a key, whether or not its files are there.
+        """Return the manifest that stands under a key, whether or not its files are there.
 
         Raises:
             MissingArtifact: There is none.

@@ -58,7 +58,7 @@ class TableData:
         return iter(self.column_names)
 
     def __getitem__(self, name: str) -> Any:
-        """Give a column's values.
+        """Return a column's values.
 
         Raises:
             SchemaError: The column is not in the table, or was not read.
@@ -77,12 +77,12 @@ class TableData:
         return np.array(self.rows.column(name).is_null().to_numpy(), dtype=bool)
 
     def slice(self, start: int, stop: int | None = None) -> TableData:
-        """Give the rows from `start` up to, not including, `stop`; negative numbers count from the end."""
+        """Return the rows from `start` up to, not including, `stop`; negative numbers count from the end."""
         first, last, _ = slice(start, stop).indices(self.num_rows)
         return TableData(self.table, self.rows.slice(first, max(last - first, 0)))
 
     def row(self, index: int) -> dict[str, Any]:
-        """Give one row as a dict of its columns' values.
+        """Return one row as a dict of its columns' values.
 
         Raises:
             IndexError: There is no such row.
@@ -93,12 +93,12 @@ class TableData:
         return {name: one[name][0] for name in one}
 
     def to_arrow(self) -> pa.Table:
-        """Give the rows as an Arrow table with the declared schema and its metadata."""
+        """Return the rows as an Arrow table with the declared schema and its metadata."""
         return self.rows
 
 
 def concatenate(table: Table, parts: Iterable[TableData]) -> TableData:
-    """Give the rows of all parts as one; no parts give no rows of the whole table."""
+    """Return the rows of all parts as one; no parts give no rows of the whole table."""
     listed = [part.rows for part in parts]
     return TableData(table, pa.concat_tables(listed) if listed else arrow_schema(table).empty_table())
 
@@ -124,5 +124,5 @@ def _decode(column: Column, chunks: pa.ChunkedArray) -> Any:
 
 
 def _numpy(values: pa.Array) -> np.ndarray:
-    """Give a writable copy: Arrow's own memory is read-only, which numba and torch treat as another type."""
+    """Return a writable copy: Arrow's own memory is read-only, which numba and torch treat as another type."""
     return np.array(values.to_numpy(zero_copy_only=False))

@@ -27,7 +27,7 @@ class PlacedPairs:
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
-    """Give the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
+    """Return the annotations of pairs that may be learned from: single pairs from random views and given ones first."""
     usable = [
         manifest
         for manifest in inputs.of("annotations")
@@ -38,13 +38,13 @@ def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
 
 
 def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifest]:
-    """Give the views that were estimated from these annotations."""
+    """Return the views that were estimated from these annotations."""
     seen = {manifest.ref for manifest in annotated}
     return [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
 
 
 def gather(shard: Shard, store: Store) -> PlacedPairs:
-    """Give every annotated pair among the inputs with its view hypotheses; annotations without both are left out.
+    """Return every annotated pair among the inputs with its view hypotheses; annotations without both are left out.
 
     Raises:
         InputError: No annotated pair has a view.
@@ -97,7 +97,7 @@ def gather(shard: Shard, store: Store) -> PlacedPairs:
 
 
 def gather_tracks(shard: Shard, store: Store, placed: PlacedPairs) -> np.ndarray:
-    """Give the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
+    """Return the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
 
     Frames without either of the two people are NaN.
     """

@@ -209,7 +209,7 @@ class AugmentationParameters(VariationSet):
 
 
 def variations_of(parameters: AugmentationParameters, seed: int, take_id: str) -> list[Variation]:
-    """Give the variations asked for, each once; those drawn come from the take's own stream."""
+    """Return the variations asked for, each once; those drawn come from the take's own stream."""
     grid = parameters.grid
     scales: Sequence[float] = scale_grid(grid.start, grid.stop, grid.step) if grid else parameters.scales
     found: list[Variation] = []
@@ -241,7 +241,7 @@ def variations_of(parameters: AugmentationParameters, seed: int, take_id: str) -
 
 
 def settings_of(parameters: AugmentationParameters, take_id: str) -> AugmentationSettings:
-    """Give the settings of the numerics for a take."""
+    """Return the settings of the numerics for a take."""
     limits, frame_limits = parameters.limits.model_dump(), parameters.frame_limits.model_dump()
     settings = AugmentationSettings(
         weights=Weights(**parameters.weights.model_dump()),

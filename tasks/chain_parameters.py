@@ -47,7 +47,7 @@ LIKELIHOOD_PARAMETERS = (
 
 
 def segment_parameters(parameters: ChainsParameters, density: str) -> dict[str, Any]:
-    """Give the settings that decide the draws of a density: only these enter a segment's key."""
+    """Return the settings that decide the draws of a density: only these enter a segment's key."""
     names = _PRIOR_PARAMETERS + _STEP_PARAMETERS + (LIKELIHOOD_PARAMETERS if density in IMAGE_DENSITIES else ())
     asked = parameters.model_dump(mode="json")
     return {"density": density, **{name: asked[name] for name in names}}
@@ -156,7 +156,7 @@ class ChainsParameters(Parameters):
         return self
 
     def variant(self, name: str) -> ChainsParameters:
-        """Give the settings of a variant, with its one density.
+        """Return the settings of a variant, with its one density.
 
         Raises:
             ValueError: One of its settings cannot be.

@@ -98,7 +98,7 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
 
 
 def _limits(shard: Shard, store: Store) -> JointLimits | LearnedLimits:
-    """Give the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
+    """Return the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
     table = read_limits(shard, store)
     return table if shard.parameters["joint_limits"] == "table" else LearnedLimits(table, read_occupancy(shard, store))
 
@@ -113,7 +113,7 @@ class SeedRow:
 
 
 def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
-    """Give a seed of an artifact by its index in the study."""
+    """Return a seed of an artifact by its index in the study."""
     names = ["seed_index", "pair17_m", "origin", "take_id", "take_frame", "sequence_id", "sequence_frame", "made_from"]
     table = store.read(ref, "seeds", columns=names)
     row = int(np.flatnonzero(np.asarray(table["seed_index"]) == seed_index)[0])
@@ -145,13 +145,13 @@ class Seen:
     num_swapped: int
 
     def bias(self, chart: PairChart) -> VelocityBias | None:
-        """Give what the velocity-biased kernel looks round with; None for the unbiased one."""
+        """Return what the velocity-biased kernel looks round with; None for the unbiased one."""
         if self.speeds is None:
             return None
         return VelocityBias(self.speeds, lambda parameters: self.likelihood.nearest(chart.positions_fast(parameters)))
 
     def guided(self, propose: GaussianBlocks, chart: PairChart, options: Mapping[str, Any]) -> GaussianBlocks | Guided:
-        """Give a proposal with the share of steps guided by annotations that is asked for."""
+        """Return a proposal with the share of steps guided by annotations that is asked for."""
         if not options["guided_share"]:
             return propose
         guides = Guides(self.guides, chart, width_m=options["guided_width_m"])
@@ -181,7 +181,7 @@ _MOST_KEPT = 2
 
 
 def look_at_annotations(shard: Shard, store: Store) -> Seen:
-    """Give what the annotations say about pairs near a seed."""
+    """Return what the annotations say about pairs near a seed."""
     options = {name: shard.parameters[name] for name in LIKELIHOOD_PARAMETERS}
     seed_index = int(shard.parameters["seed_index"])
     identity = json.dumps(
@@ -220,14 +220,14 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
 
 
 def _some(pairs: AnnotatedPairs, entries: np.ndarray) -> AnnotatedPairs:
-    """Give some of these entries, evenly spread, that may guide steps."""
+    """Return some of these entries, evenly spread, that may guide steps."""
     count = min(NUM_GUIDES, len(entries))
     chosen = entries[np.linspace(0, len(entries) - 1, count).round().astype(int)]
     return AnnotatedPairs(pairs.points_m[chosen], pairs.directions[chosen], pairs.annotation_index[chosen])
 
 
 def _left_out(pairs: AnnotatedPairs, options: Mapping[str, Any], rng: np.random.Generator) -> float | None:
-    """Give the log likelihood of a real pair that is not annotated, where the truncation refers to it too."""
+    """Return the log likelihood of a real pair that is not annotated, where the truncation refers to it too."""
     if options["reference"] == "seed":
         return None
     least = left_out_dissimilarity(pairs, view_bandwidth_rad=options["sigma_v_rad"], beta_m=options["beta_m"])

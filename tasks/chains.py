@@ -68,7 +68,7 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
 
 
 def _starts(inputs: StageInputs, which: str) -> list[tuple[ArtifactRef, int]]:
-    """Give the seeds that chains start from, each with the artifact it is in."""
+    """Return the seeds that chains start from, each with the artifact it is in."""
     return [
         (seed.ref, index)
         for seed in inputs.of("seeds")
@@ -121,7 +121,7 @@ def _plan_seed(
 
 
 def _name(options: Mapping[str, Any]) -> str:
-    """Give the name under which draws are kept: the variant's, or the density's."""
+    """Return the name under which draws are kept: the variant's, or the density's."""
     return str(options.get("variant", options["density"]))
 
 
@@ -197,7 +197,7 @@ def _run_segment(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
-    """Give generator, state and learned scales as the previous segment left them."""
+    """Return generator, state and learned scales as the previous segment left them."""
     table = store.read(_done(shard.after[0], store).ref, "chain_states")
     evaluation = Evaluation(
         log_density=float(table["log_density"][0]),

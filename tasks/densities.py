@@ -23,7 +23,7 @@ IMAGE_DENSITIES = ("ic", "cartesian", "shape_context")
 
 
 def density_inputs(density: str, inputs: StageInputs, seen: Sequence[Manifest]) -> list[Manifest] | None:
-    """Give what a density reads beside seeds and joint limits, None where a study has not got it.
+    """Return what a density reads beside seeds and joint limits, None where a study has not got it.
 
     Args:
         density: Its name.
@@ -40,7 +40,7 @@ def density_inputs(density: str, inputs: StageInputs, seen: Sequence[Manifest]) 
 def image_likelihood(
     density: str, pairs: AnnotatedPairs, bank: ViewBank, options: dict[str, Any]
 ) -> InteractionLikelihood | MeasuredLikelihood:
-    """Give the likelihood of a density that compares images."""
+    """Return the likelihood of a density that compares images."""
     if density == "ic":
         return InteractionLikelihood(pairs, bank, sigma_l=options["sigma_l"], beta_m=options["beta_m"])
     return MeasuredLikelihood(
@@ -49,7 +49,7 @@ def image_likelihood(
 
 
 def agreement_of(shard: Shard, store: Store, pair_m: np.ndarray) -> Agreement:
-    """Give agreement with the grown seeds among a shard's inputs that are posed most like a pair (2, 17, 3).
+    """Return agreement with the grown seeds among a shard's inputs that are posed most like a pair (2, 17, 3).
 
     Raises:
         InputError: Nothing has grown.

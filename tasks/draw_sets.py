@@ -35,17 +35,17 @@ class DrawSet:
     refs: tuple[str, ...]
 
     def reference(self, draw: int) -> str:
-        """Give the reference of a draw as the command line takes it."""
+        """Return the reference of a draw as the command line takes it."""
         return f"{self.refs[int(self.artifacts[draw])]}#{int(self.rows[draw])}"
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
-    """Give the artifacts with draws, and those with grown seeds, which count as draws."""
+    """Return the artifacts with draws, and those with grown seeds, which count as draws."""
     return [*inputs.of("draws"), *(seed for seed in inputs.of("seeds") if seed.facts["kind"] == GROWN)]
 
 
 def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
-    """Give the draws of each density, all seeds and chains, and the grown seeds, by name in order."""
+    """Return the draws of each density, all seeds and chains, and the grown seeds, by name in order."""
     found: dict[str, list[tuple[str, np.ndarray]]] = {}
     for ref in refs:
         table = "seeds" if "seeds" in store.manifest(ref).tables else "draws"
@@ -57,7 +57,7 @@ def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawS
 
 
 def join_draws(name: str, parts: Sequence[tuple[str, np.ndarray]]) -> DrawSet:
-    """Give the draws of several artifacts, each with its reference, as one set."""
+    """Return the draws of several artifacts, each with its reference, as one set."""
     counts = [len(pairs) for _, pairs in parts]
     return DrawSet(
         name=name,

@@ -60,18 +60,18 @@ class Graph:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Give the stages' names in the order they run."""
+        """Return the stages' names in the order they run."""
         return tuple(stage.name for stage in self.stages)
 
     def stage(self, name: str) -> Stage:
-        """Give the stage of this name, or a GraphError that lists the known ones."""
+        """Return the stage of this name, or a GraphError that lists the known ones."""
         for stage in self.stages:
             if stage.name == name:
                 return stage
         raise GraphError(f"unknown stage '{name}'; known stages: {', '.join(self.names)}")
 
     def above(self, name: str) -> frozenset[str]:
-        """Give the names of every stage whose results can reach this one."""
+        """Return the names of every stage whose results can reach this one."""
         self.stage(name)
         found: set[str] = set()
         todo = list(self.upstream[name])
@@ -83,11 +83,11 @@ class Graph:
         return frozenset(found)
 
     def below(self, name: str) -> frozenset[str]:
-        """Give the names of every stage that this one's results can reach."""
+        """Return the names of every stage that this one's results can reach."""
         return frozenset(other for other in self.names if name in self.above(other))
 
     def only(self, names: Iterable[str]) -> Graph:
-        """Give the graph of these stages alone; what the others write is then simply not there to be read."""
+        """Return the graph of these stages alone; what the others write is then simply not there to be read."""
         wanted = set(names)
         for name in sorted(wanted):
             self.stage(name)

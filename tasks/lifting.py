@@ -155,7 +155,7 @@ def _index(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet, DrawIn
 def _read(
     store: Store, annotation_ref: ArtifactRef, view_ref: ArtifactRef, num_hypotheses: int
 ) -> tuple[dict[tuple[str, int], _Annotated], int]:
-    """Give the annotated pairs with enough joints and a view, by sequence and frame, and how many had not."""
+    """Return the annotated pairs with enough joints and a view, by sequence and frame, and how many had not."""
     table = store.read(
         annotation_ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "pair17_px"]
     )
@@ -201,7 +201,7 @@ def _spread(every: dict[tuple[str, int], _Annotated], count: int) -> list[tuple[
 def _spans(
     every: dict[tuple[str, int], _Annotated], num_spans: int, gap: int
 ) -> list[tuple[tuple[str, int], tuple[str, int]]]:
-    """Give pairs of places of one sequence that are `gap` frames apart, spread over all, not overlapping."""
+    """Return pairs of places of one sequence that are `gap` frames apart, spread over all, not overlapping."""
     starts = [place for place in every if (place[0], place[1] + gap) in every]
     if not starts or not num_spans:
         return []
@@ -225,7 +225,7 @@ def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> dict[
 
 
 def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, options: Any) -> tuple[list[dict[str, Any]], np.ndarray]:
-    """Give the rows of one annotation, and its last pair in place."""
+    """Return the rows of one annotation, and its last pair in place."""
     found: Retrieval = retrieve(
         index,
         one.image_m,
@@ -293,7 +293,7 @@ def _baselines(
 def _fill(
     span: tuple[tuple[str, int], tuple[str, int]], fitted: dict[tuple[str, int], np.ndarray], draws: DrawSet
 ) -> list[dict[str, Any]]:
-    """Give the rows between two lifted pairs of a sequence."""
+    """Return the rows between two lifted pairs of a sequence."""
     (sequence_id, first), (_, last) = span
     ends = [fitted[end] - fitted[end].reshape(-1, 3).mean(axis=0) for end in span]
     count = last - first - 1
@@ -318,7 +318,7 @@ def _fill(
 
 
 def _columns(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
-    """Give rows as columns, in the order of the table."""
+    """Return rows as columns, in the order of the table."""
     ordered = sorted(rows, key=lambda row: (row["sequence_id"], row["frame"], row["method"], row.get("first_frame", 0)))
     return {name: [row[name] for row in ordered] for name in ordered[0]}
 

@@ -87,7 +87,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def read_occupancy(shard: Shard, store: Store) -> Occupancy:
-    """Give the pose prior among a shard's inputs; the empty one where no stage wrote any."""
+    """Return the pose prior among a shard's inputs; the empty one where no stage wrote any."""
     counts = Occupancy.empty().counts
     for ref in shard.inputs:
         if "pose_prior" in store.manifest(ref).tables:
@@ -98,7 +98,7 @@ def read_occupancy(shard: Shard, store: Store) -> Occupancy:
 
 
 def read_limits(shard: Shard, store: Store) -> JointLimits:
-    """Give the joint limits among a shard's inputs; the published ones where no stage wrote any."""
+    """Return the joint limits among a shard's inputs; the published ones where no stage wrote any."""
     for ref in shard.inputs:
         if "joint_limits" in store.manifest(ref).tables:
             table = store.read(ref, "joint_limits")
@@ -112,7 +112,7 @@ def read_limits(shard: Shard, store: Store) -> JointLimits:
 
 
 def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:
-    """Give poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
+    """Return poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
     poses = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
     frames = np.unique(np.asarray(poses["frame"]))
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))]

@@ -112,7 +112,7 @@ class Views:
 
     @classmethod
     def of(cls, facts: dict[str, Any]) -> Views:
-        """Give the views that the facts of a part tell."""
+        """Return the views that the facts of a part tell."""
         cameras = cameras_of(
             facts["camera"],
             pitches_deg=facts["pitches_deg"],
@@ -247,7 +247,7 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
 
 
 def read_views(parts: Sequence[Manifest]) -> Views:
-    """Give how the poses of a database's parts are seen.
+    """Return how the poses of a database's parts are seen.
 
     Raises:
         InputError: Parts do not tell, or differ.
@@ -261,7 +261,7 @@ def read_views(parts: Sequence[Manifest]) -> Views:
 
 
 def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, most: int | None = None) -> np.ndarray:
-    """Give the pairs (row, person, 14, 3) of all parts, for `pairs.PairDatabase`; people who were alone are left out.
+    """Return the pairs (row, person, 14, 3) of all parts, for `pairs.PairDatabase`; people who were alone are left out.
 
     The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
     pairs than `most` an even choice is given.
@@ -282,7 +282,7 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, most: int | None = 
 
 
 def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
-    """Give the poses of every person of a take at the database's rate."""
+    """Return the poses of every person of a take at the database's rate."""
     poses = store.read(ref, "poses", columns=["take_id", "person", "frame", "time_s", "op14_m"])
     person, take_ids = np.asarray(poses["person"]), list(poses["take_id"])
     from_hz = shard.parameters["source_rate_hz"] or _rate_of(np.asarray(poses["time_s"])[person == person[0]])
@@ -299,7 +299,7 @@ def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
 
 
 def _draw_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
-    """Give both people of every draw; draws have no past, so each is a motion of its own."""
+    """Return both people of every draw; draws have no past, so each is a motion of its own."""
     draws = store.read(ref, "draws", columns=["density", "pair17_m", "take_id"])
     is_wanted = np.isin(np.array(list(draws["density"]), dtype=object), list(shard.parameters["densities"]))
     rows = np.flatnonzero(is_wanted)
@@ -321,7 +321,7 @@ def _draw_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
 
 
 def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
-    """Give both people of every variant at the database's rate."""
+    """Return both people of every variant at the database's rate."""
     table = store.read(ref, "variants", columns=["take_id", "variant_id", "frame", "time_s", "body22_m"])
     variant = np.array(list(table["variant_id"]), dtype=object)
     take_ids = list(table["take_id"])

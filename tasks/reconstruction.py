@@ -147,7 +147,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _read_tracks(
     store: Store, ref: ArtifactRef, sequence_id: str, parameters: ReconstructionParameters, facts: dict[str, Any]
 ) -> list[PersonTrack]:
-    """Give the tracks of the sequence, by person; what was merged and dropped on the way is put into the facts."""
+    """Return the tracks of the sequence, by person; what was merged and dropped on the way is put into the facts."""
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "op14_confidence"]
     table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
     rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
@@ -188,7 +188,7 @@ def _reconstruct(
     facts: dict[str, Any],
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
-    """Give the rows of `motions` of every method and person, and a BVH file a person."""
+    """Return the rows of `motions` of every method and person, and a BVH file a person."""
     options = ReconstructionOptions(
         num_candidates=parameters.num_candidates,
         min_joints=parameters.min_joints,
@@ -241,7 +241,7 @@ def _reconstruct(
 
 
 def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Give poses, sequence starts, take ids and frames of all parts, in the order of the plan."""
+    """Return poses, sequence starts, take ids and frames of all parts, in the order of the plan."""
     parts = [
         store.read(ref, "projections", columns=["op14_m", "is_sequence_start", "take_id", "frame"]) for ref in refs
     ]

@@ -101,7 +101,7 @@ def _parsed(options: Mapping[str, Any], data: Sequence[bytes]) -> PairFile:
 
 
 def credits_of(pair: PairFile) -> list[SourceCredit]:
-    """Give the licences and credits of a seed from a file; a file that says nothing of them is named as such."""
+    """Return the licences and credits of a seed from a file; a file that says nothing of them is named as such."""
     if not pair.sources:
         return [SourceCredit(name="seed files given in the study", licence=NOT_STATED, credit=NOT_STATED)]
     return [SourceCredit(one.name, one.licence, one.credit) for one in pair.sources]
@@ -118,7 +118,7 @@ class DrawSeed:
 
 
 def pair_of_draw(store: Store, text: str) -> DrawSeed:
-    """Give a stored draw, in float64 as the chain had it, with its lineage.
+    """Return a stored draw, in float64 as the chain had it, with its lineage.
 
     Args:
         store: Store that holds it.
@@ -157,7 +157,7 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
 
 
 def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
-    """Give the seeds that a reference names, each with its index, as `export` writes them.
+    """Return the seeds that a reference names, each with its index, as `export` writes them.
 
     Raises:
         UnknownReference: The reference names nothing.

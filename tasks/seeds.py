@@ -126,7 +126,7 @@ def _shared_shard(
 
 
 def start_indices(manifest: Manifest) -> list[int]:
-    """Give the indices of the seeds in an artifact from which chains start, from its facts."""
+    """Return the indices of the seeds in an artifact from which chains start, from its facts."""
     facts = manifest.facts
     return [int(index) for index in facts["starts"]] if "starts" in facts else [int(facts["seed_index"])]
 
@@ -179,7 +179,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _columns(
     origin: str, indices: Sequence[int] | np.ndarray, pairs_m: np.ndarray, log_prior: np.ndarray, **known: Any
 ) -> dict[str, Any]:
-    """Give the table of seeds of one origin; what is not known of them is empty."""
+    """Return the table of seeds of one origin; what is not known of them is empty."""
     count = len(pairs_m)
     unknown = ("take_id", "take_frame", "sequence_id", "sequence_frame", "parent_seed_index", "made_from", "gap_m")
     return {
@@ -300,7 +300,7 @@ def _done(key: str, store: Store) -> Manifest:
 
 
 def _choose(shard: Shard, store: Store, poses: list[ArtifactRef], index: int) -> tuple[np.ndarray, str, int]:
-    """Give the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
+    """Return the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(poses):
         facts = store.manifest(ref).facts
@@ -318,7 +318,7 @@ def _choose(shard: Shard, store: Store, poses: list[ArtifactRef], index: int) ->
 
 
 def _read_pairs(store: Store, ref: ArtifactRef, frames: np.ndarray) -> np.ndarray:
-    """Give the pairs (frame, 2, 17, 3) of some frames of a take."""
+    """Return the pairs (frame, 2, 17, 3) of some frames of a take."""
     table = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
     person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
     positions = np.asarray(table["pair17_m"], dtype=np.float64)

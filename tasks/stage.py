@@ -49,7 +49,7 @@ class StageInputs:
     seed: int
 
     def of(self, table: str) -> Sequence[Manifest]:
-        """Give the manifests of the artifacts that hold a part of `table`; none when no stage wrote it."""
+        """Return the manifests of the artifacts that hold a part of `table`; none when no stage wrote it."""
         return self.manifests.get(table, ())
 
 
@@ -81,7 +81,7 @@ class Shard:
 
     @cached_property
     def key(self) -> str:
-        """Give the sha256 that names the shard's artifact."""
+        """Return the sha256 that names the shard's artifact."""
         return artifact_key(
             stage=self.stage,
             version=self.version,
@@ -121,12 +121,12 @@ class Stage:
 
 
 def merge_takes(*manifests: Manifest) -> list[str]:
-    """Give the takes that any of these artifacts learned from or shows, sorted."""
+    """Return the takes that any of these artifacts learned from or shows, sorted."""
     return sorted({take for manifest in manifests for take in manifest.facts.get("takes", [])})
 
 
 def artifact_fields(shard: Shard, store: Store) -> dict[str, Any]:
-    """Give what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
+    """Return what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
     return {
         "stage": shard.stage,
         "key": shard.key,
@@ -163,13 +163,13 @@ def commit(
 
 
 def _committed(shard: Shard, store: Store) -> list[ArtifactRef]:
-    """Give the artifacts of the shards that this one follows, so that lineage and credits pass through them."""
+    """Return the artifacts of the shards that this one follows, so that lineage and credits pass through them."""
     found = [store.find(shard.stage, key) for key in shard.after]
     return [manifest.ref for manifest in found if manifest is not None]
 
 
 def stream(seed: int, *labels: str | int) -> np.random.Generator:
-    """Give the random generator of (seed, labels...): the labels say what it is for, never who runs it.
+    """Return the random generator of (seed, labels...): the labels say what it is for, never who runs it.
 
     Text labels enter by their sha256, so streams of different labels are independent.
     """

@@ -30,7 +30,7 @@ def shares_takes(one: Manifest, other: Manifest) -> bool:
 
 
 def default_origin(shown: Iterable[Manifest]) -> str:
-    """Give what the default basis is learned from: the built-in duets, where these artifacts show none of them.
+    """Return what the default basis is learned from: the built-in duets, where these artifacts show none of them.
 
     On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
     from.
@@ -39,13 +39,13 @@ def default_origin(shown: Iterable[Manifest]) -> str:
 
 
 def default_torso_basis(origin: str, *, num_components: int = 4) -> TorsoBasis:
-    """Give the torso basis of studies that name no prior takes, learned from what `default_origin` gave."""
+    """Return the torso basis of studies that name no prior takes, learned from what `default_origin` gave."""
     make = duet_torso_basis if origin == BUILT_IN_DUETS else proportions_torso_basis
     return make(num_components=num_components)
 
 
 def read_torso_basis(store: Store, refs: Iterable[ArtifactRef]) -> TorsoBasis:
-    """Give the torso basis among these artifacts; the default for what they show where there is none."""
+    """Return the torso basis among these artifacts; the default for what they show where there is none."""
     manifests = [store.manifest(ref) for ref in refs]
     for manifest in manifests:
         if "torso_basis" in manifest.tables:

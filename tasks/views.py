@@ -39,7 +39,7 @@ class ViewsParameters(Parameters):
     least_weight: float = Field(1e-3, ge=0, lt=0.05, description="Hypotheses of less weight are dropped")
 
     def options(self) -> ViewOptions:
-        """Give them in radians, as the numerics take them."""
+        """Return them in radians, as the numerics take them."""
         return ViewOptions(
             distance_m=self.distance_m,
             calibrate_sizes=self.calibrate_sizes,

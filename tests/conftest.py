@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from tests.real_study import BuiltStudy
+    from tests.builders.real_study import BuiltStudy
 
 # No example has a deadline: the first one of a kernel compiles it.
 settings.register_profile("pasdedeux", deadline=None)
@@ -29,7 +29,7 @@ def pytest_configure() -> None:
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """Give the folder of real motion data, named by PASDEDEUX_DATA or beside the checkout."""
+    """Return the folder of real motion data, named by PASDEDEUX_DATA or beside the checkout."""
     root = Path(__file__).resolve().parents[1]
     path = Path(os.environ.get("PASDEDEUX_DATA", root.parent / "shared" / "data"))
     if not (path / "cmu_salsa_bvh").is_dir():
@@ -39,14 +39,14 @@ def data_dir() -> Path:
 
 @pytest.fixture(scope="session")
 def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give a folder in which Prefect keeps its database: one cold start of its server for all tests."""
+    """Return a folder in which Prefect keeps its database: one cold start of its server for all tests."""
     return tmp_path_factory.mktemp("prefect")
 
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory: pytest.TempPathFactory, prefect_home: Path) -> BuiltStudy:
-    """Give the small study as two workers built it with one command; nothing may be computed in its store again."""
-    from tests.real_study import SMALL, BuiltStudy, RealRun
+    """Return the small study as two workers built it with one command; nothing may be computed in its store again."""
+    from tests.builders.real_study import SMALL, BuiltStudy, RealRun
 
     folder = tmp_path_factory.mktemp("small")
     study, store = folder / "small.toml", folder / "store"

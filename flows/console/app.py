@@ -66,7 +66,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
 
 
 def exit_code_of(error: BaseException) -> int:
-    """Give 2 for what the user can put right in what was given, 1 for work that failed."""
+    """Return 2 for what the user can put right in what was given, 1 for work that failed."""
     if isinstance(error, StudyError | PlanError | GraphError | InputError | FileNotFoundError | PermissionError):
         return _BAD_INPUT
     if isinstance(error, StorageError) and error.is_input:

@@ -65,7 +65,7 @@ def bench(
 
 
 def find_benchmarks(*, large: int | None = None) -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Give the benchmarks of every part of the science that has a module `benchmarks`, by its name.
+    """Return the benchmarks of every part of the science that has a module `benchmarks`, by its name.
 
     Those of its `LARGE_BENCHMARKS`, which take a size, are among them when a size is given.
     """

@@ -199,7 +199,7 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
 
 
 def _num_workers(asked: int | None, worker_bytes: int) -> int:
-    """Give the number of workers asked for, else one per usable core as far as the memory reaches."""
+    """Return the number of workers asked for, else one per usable core as far as the memory reaches."""
     if asked is not None:
         return asked
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -39,12 +39,12 @@ class Context:
 
     @cached_property
     def graph(self) -> Graph:
-        """Give the graph of all stages."""
+        """Return the graph of all stages."""
         return self.given_graph if self.given_graph is not None else load_graph()
 
 
 def open_store(folder: Path) -> Store:
-    """Give the store in a folder, which need not be there yet; NewerSchema or NotAStore where it cannot be one."""
+    """Return the store in a folder, which need not be there yet; NewerSchema or NotAStore where it cannot be one."""
     store = Store(folder)
     store.check_version()
     return store

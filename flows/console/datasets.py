@@ -14,7 +14,7 @@ from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_dat
 
 __all__ = ["register"]
 
-_CREATE = """Give what the last run of a study built a name and a version that never change.
+_CREATE = """Return what the last run of a study built a name and a version that never change.
 
 \b
   pasdedeux dataset create salsa --study cmu_salsa
@@ -72,7 +72,7 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:
-    """Give the artifacts of a study's last run and its dataset card, if it has one."""
+    """Return the artifacts of a study's last run and its dataset card, if it has one."""
     last = read_last_run(store, study)
     if last is None:
         raise PlanError(f"study '{study}' was not built in the store {store.root} yet; run it first")

@@ -21,7 +21,7 @@ _BETWEEN_LINES_S = 5.0
 
 
 def make_listener(*, is_quiet: bool = False) -> Listener:
-    """Give bars at a terminal, lines elsewhere, nothing when asked to be quiet; all on standard error."""
+    """Return bars at a terminal, lines elsewhere, nothing when asked to be quiet; all on standard error."""
     if is_quiet:
         return Listener()
     return BarListener() if sys.stderr.isatty() else LineListener()
@@ -107,12 +107,12 @@ class BarListener(Listener):
         self._progress.stop_task(self._bar)
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Return the terminal back."""
         self._progress.stop()
 
 
 def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
-    """Give a plan as lines: a stage a line, then its partitions that need work (`is_long`: all), with the reason."""
+    """Return a plan as lines: a stage a line, then its partitions that need work (`is_long`: all), with the reason."""
     lines: list[str] = []
     for stage in plan.stages:
         lines.append(f"{stage.stage.name:<16}{_stage_words(stage)}")
@@ -139,7 +139,7 @@ def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
 
 
 def outcome_lines(outcome: Outcome) -> list[str]:
-    """Give what a run did as a short table."""
+    """Return what a run did as a short table."""
     rows = [
         (
             stage.name,
@@ -154,7 +154,7 @@ def outcome_lines(outcome: Outcome) -> list[str]:
 
 
 def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Give rows as aligned lines under a header; the first column to the left, the others to the right."""
+    """Return rows as aligned lines under a header; the first column to the left, the others to the right."""
     rows = [tuple(row) for row in rows]
     widths = [max(len(row[i]) for row in [tuple(header), *rows]) for i in range(len(header))]
 

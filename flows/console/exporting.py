@@ -85,7 +85,7 @@ def _write_pairs(store: Store, text: str, reference: Reference, file_format: Exp
 
 
 def _motions(store: Store, reference: Reference, refs: list[ArtifactRef]) -> Iterator[tuple[str, Motion]]:
-    """Give the motions of one table by the name of their file."""
+    """Return the motions of one table by the name of their file."""
     for ref in refs:
         if reference.table == "poses":
             yield from _pose_motions(store, ref)
@@ -110,7 +110,7 @@ def _motions(store: Store, reference: Reference, refs: list[ArtifactRef]) -> Ite
 
 
 def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
-    """Give a take's motions on the skeleton they came with."""
+    """Return a take's motions on the skeleton they came with."""
     takes, poses = store.read(ref, "takes"), store.read(ref, "poses")
     for index in range(takes.num_rows):
         take = takes.row(index)
@@ -137,7 +137,7 @@ def _from_positions(skeleton: Skeleton, positions_m: Any, time_s: Any) -> Motion
 
 
 def _groups(rows: TableData, *columns: str) -> list[tuple[Any, ...]]:
-    """Give the distinct values of some columns, in the order in which they come."""
+    """Return the distinct values of some columns, in the order in which they come."""
     return list(dict.fromkeys(zip(*(rows[name].tolist() for name in columns), strict=True)))
 
 
@@ -195,7 +195,7 @@ def _csv_cells(column: Column, batch: TableData) -> list[list[Any]]:
 
 
 def _credits(store: Store, text: str, refs: list[ArtifactRef]) -> str:
-    """Give the licence and credit lines of every source, as text to keep with the files."""
+    """Return the licence and credit lines of every source, as text to keep with the files."""
     sources = sorted({source for ref in refs for source in store.manifest(ref).sources}, key=lambda s: s.name)
     lines = [f"Exported from {text} by pasdedeux.", "", "Sources, their licences and credits:", ""]
     lines.extend(f"{source.name}\n  licence: {source.licence}\n  credit:  {source.credit}\n" for source in sources)

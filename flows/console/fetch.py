@@ -113,7 +113,7 @@ def fetch_cmu(
 
 
 def _numbers(text: str, what: str) -> list[str]:
-    """Give the numbers of a list such as 1,60,61 as the site writes them: with at least two digits."""
+    """Return the numbers of a list such as 1,60,61 as the site writes them: with at least two digits."""
     numbers = [item.strip() for item in text.split(",") if item.strip()]
     for number in numbers:
         if not re.fullmatch(r"\d{1,3}", number):

@@ -37,7 +37,7 @@ class FollowedFile:
 
 
 def list_frames(folder: Path) -> list[tuple[int, Path]]:
-    """Give the files of a folder that have a frame number, by it; several of one number are taken by name."""
+    """Return the files of a folder that have a frame number, by it; several of one number are taken by name."""
     with os.scandir(folder) as entries:
         paths = sorted(entry.path for entry in entries if entry.name.endswith(".json"))
     numbered = [(openpose_frame_number(Path(path).name), Path(path)) for path in paths]
@@ -52,7 +52,7 @@ def follow_folder(
     sleep: Callable[[float], object] = time.sleep,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[FollowedFile]:
-    """Give frames as their files become whole; ends with a file `STOP` or when nothing new came for `idle_s`.
+    """Return frames as their files become whole; ends with a file `STOP` or when nothing new came for `idle_s`.
 
     A file that is not whole yet (it cannot be read as OpenPose) holds up those after it until a later file is there
     that is whole: the writer is past it then, and it is given without people.  Files that come late, with a number

@@ -30,7 +30,7 @@ _CHECKED_ROWS = 30
 
 @contextmanager
 def lines_into(path: Path | None) -> Iterator[TextIO | None]:
-    """Give the file that lines go to, None for standard output."""
+    """Return the file that lines go to, None for standard output."""
     if path is None:
         yield None
         return
@@ -41,7 +41,7 @@ def lines_into(path: Path | None) -> Iterator[TextIO | None]:
 
 @contextmanager
 def told_to_stop() -> Iterator[Callable[[], bool]]:
-    """Give a function that tells whether Ctrl-C was pressed, which ends the video; a second one ends everything."""
+    """Return a function that tells whether Ctrl-C was pressed, which ends the video; a second one ends everything."""
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
@@ -132,7 +132,7 @@ class _Times:
         self._work_s.append(time.perf_counter() - self._started)
 
     def delay_s(self, pose: LivePose) -> float:
-        """Give how long ago the file of a pose's own image was written."""
+        """Return how long ago the file of a pose's own image was written."""
         self._num_poses += 1
         return time.time() - self._arrived.get(pose.frame, self._began)
 

@@ -167,7 +167,7 @@ def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:
 
 
 def _short(value: Any) -> Any:
-    """Give a value a person can look at: a long array as its shape."""
+    """Return a value a person can look at: a long array as its shape."""
     if hasattr(value, "shape") and value.shape:
         return f"array{list(value.shape)}" if value.size > 4 else [round(float(x), 4) for x in value.ravel()]
     if hasattr(value, "item"):

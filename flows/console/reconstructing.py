@@ -143,7 +143,7 @@ def _image_size(text: str | None) -> tuple[int, int] | None:
 
 
 def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef]]:
-    """Give the store and the artifacts that a reference names, or those of the only study of a store's folder."""
+    """Return the store and the artifacts that a reference names, or those of the only study of a store's folder."""
     if not Path(text).is_dir():
         store = open_store(store_folder)
         refs = resolve(text, store)
@@ -167,7 +167,7 @@ def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef
 
 
 def _searchers(store: Store, refs: list[ArtifactRef], pitch_deg: float | None) -> list[Searcher]:
-    """Give the database as each of its cameras sees it, or as one of this pitch does."""
+    """Return the database as each of its cameras sees it, or as one of this pitch does."""
     parts = [store.manifest(ref) for ref in refs]
     views = read_views(parts)
     cameras = views.cameras

@@ -89,7 +89,7 @@ def restart(
 
 
 def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
-    """Give the study that a draw is from, with its settings as they were."""
+    """Return the study that a draw is from, with its settings as they were."""
     for study in latest_studies(store):
         last = read_last_run(store, study)
         if last is None or all(record.key != chosen.key for record in last.stages.get("chains", ())):
@@ -105,7 +105,7 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
 
 
 def _restarted(sections: dict[str, Any], chosen: DrawSeed, name: str, path: Path) -> dict[str, Any]:
-    """Give a study's settings with the draw as its only seed."""
+    """Return a study's settings with the draw as its only seed."""
     tree: dict[str, Any] = {section: dict(values) for section, values in sections.items()}
     tree["study"] |= {"name": name, "title": f"Restart from draws@{chosen.key[:12]}#{chosen.row}"}
     if tree["study"].get("stages") is None:

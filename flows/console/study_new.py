@@ -59,7 +59,7 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
 
 
 def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> str:
-    """Give the text of a study over these files; over the built-in duets without any.
+    """Return the text of a study over these files; over the built-in duets without any.
 
     Two motion files are a pair; of more, those whose take and length match are (60_01 with 61_01).  ASF files serve
     the AMC files beside them; folders are looked through.
@@ -115,7 +115,7 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
 
 
 def _spread(files: Sequence[Path]) -> list[Path]:
-    """Give the files, folders of motion files replaced by what lies in them; a folder of JSON stays one source."""
+    """Return the files, folders of motion files replaced by what lies in them; a folder of JSON stays one source."""
     found: list[Path] = []
     for path in files:
         if not path.exists():
@@ -170,7 +170,7 @@ def _read_motion(kind: str, path: Path, data: bytes) -> SourceMotion:
 
 
 def _pair_up(motions: Sequence[_Source]) -> dict[str, list[_Source]]:
-    """Give takes of one or two files: two files in all, or equally long ones of one take."""
+    """Return takes of one or two files: two files in all, or equally long ones of one take."""
     if len(motions) == 2:
         return {_identifier(motions[0].path.stem): list(motions)}
     takes: dict[str, list[_Source]] = {}
@@ -266,7 +266,7 @@ def _words(sureness: float) -> str:
 
 
 def _shown(path: Path, base: Path | None) -> str:
-    """Give a path as the study should say it: relative inside its folder, else absolute."""
+    """Return a path as the study should say it: relative inside its folder, else absolute."""
     resolved = path.resolve()
     folder = (base or Path()).resolve()
     return resolved.relative_to(folder).as_posix() if resolved.is_relative_to(folder) else resolved.as_posix()
@@ -277,6 +277,6 @@ def _identifier(text: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Give a TOML basic string."""
+    """Return a TOML basic string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'

@@ -32,7 +32,7 @@ _RATE_HZ = 30.0
 
 
 def benchmark_source(num_frames: int = _FRAMES) -> Source:
-    """Give two invented people, half a metre apart, whose bones all swing; a benchmark needs no beauty."""
+    """Return two invented people, half a metre apart, whose bones all swing; a benchmark needs no beauty."""
     generator = np.random.default_rng(0)
     time_s = np.arange(num_frames) / _RATE_HZ
     people = []
@@ -137,7 +137,7 @@ def shared_factor() -> BenchmarkResult:
 
 
 def _banded(problem: Problem) -> Array:
-    """Give the horizontal matrix in LAPACK's lower banded form (2 * 44 + 1, T * 44)."""
+    """Return the horizontal matrix in LAPACK's lower banded form (2 * 44 + 1, T * 44)."""
     frames, n = problem.num_frames, NUM_POINTS
     banded = np.zeros((2 * n + 1, frames * n))
     for shift in range(n):

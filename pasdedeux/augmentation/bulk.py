@@ -209,7 +209,7 @@ class _Iteration:
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
-    """Give the points (variant, T, 44, 3) with their bone directions and exactly these lengths (variant, 44).
+    """Return the points (variant, T, 44, 3) with their bone directions and exactly these lengths (variant, 44).
 
     The pelvis stays; a bone without direction takes none, which only a bone of length zero has.
     """
@@ -229,7 +229,7 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
 
 
 def _penalties(problem: Problem, settings: BulkSettings) -> Array:
-    """Give the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
+    """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
     return np.asarray(settings.penalty * problem.weights.laplacian + settings.contact_penalty * stiffness)

@@ -94,7 +94,7 @@ def assemble(
     penalties: AnyFloat,
     rhs: AnyFloat,
 ) -> None:
-    """Give b + penalty S^T (z - u - S r) in `rhs`; `reference` holds S r."""
+    """Return b + penalty S^T (z - u - S r) in `rhs`; `reference` holds S r."""
     frames, num_edges, count = aim.shape[1:]
     rhs[:] = linear
     pull = np.empty(count, aim.dtype)

@@ -127,7 +127,7 @@ def find_clearance(
 
 
 def separations(clearance: Clearance, points_m: Array) -> Array:
-    """Give n . w (*batch, T, M), metres, of points (*batch, T, 44, 3)."""
+    """Return n . w (*batch, T, M), metres, of points (*batch, T, 44, 3)."""
     batch = points_m.shape[:-3]
     flat = np.ascontiguousarray(points_m).reshape(-1, *points_m.shape[-3:])
     return np.asarray(
@@ -136,7 +136,7 @@ def separations(clearance: Clearance, points_m: Array) -> Array:
 
 
 def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
-    """Give the least n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, 44, 3).
+    """Return the least n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, 44, 3).
 
     Bones of one person are allowed what the new proportions do by themselves: limbs that shrink keep their girth.
     """
@@ -147,7 +147,7 @@ def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _nearest(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
-    """Give where on their bones (T, pair, 2; 0 at the parent) the nearest points are, and the surfaces' gap (T, pair).
+    """Return where on their bones (T, pair, 2; 0 at the parent) the nearest points are and the surfaces' gap (T, pair).
 
     Closest points of segments as in Ericson (2004), section 5.1.9; see `plausibility.segment_distance`.
     """

@@ -86,19 +86,19 @@ class UserContact:
     weight: float
 
     def within(self, start: int, stop: int) -> UserContact | None:
-        """Give the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
+        """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
         first, last = max(self.start_frame, start), min(self.stop_frame, stop)
         return replace(self, start_frame=first - start, stop_frame=last - start) if first < last else None
 
 
 def fade(value: Array, full: float, none: float) -> Array:
-    """Give 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
+    """Return 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
     t = np.clip((none - value) / (none - full), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 def body_parts() -> npt.NDArray[np.int64]:
-    """Give the body part (22,) of each joint of body22."""
+    """Return the body part (22,) of each joint of body22."""
     parts = np.full(BODY22.num_joints, int(BodyPart.TORSO))
     parts[_LIMBS] = int(BodyPart.LIMB)
     parts[_EXTREMITIES] = int(BodyPart.EXTREMITY)
@@ -106,13 +106,13 @@ def body_parts() -> npt.NDArray[np.int64]:
 
 
 def contact_class() -> npt.NDArray[np.int64]:
-    """Give the class of each joint pair (22, 22): 2 both are hands or feet, 1 one of them is, 0 body on body."""
+    """Return the class of each joint pair (22, 22): 2 both are hands or feet, 1 one of them is, 0 body on body."""
     is_extremity = body_parts() == BodyPart.EXTREMITY
     return np.asarray(is_extremity[:, None].astype(np.int64) + is_extremity[None, :])
 
 
 def contact_distances(positions_m: Array) -> Array:
-    """Give the distance of every joint of A from every joint of B (*batch, 22, 22) of pairs (*batch, 2, 22, 3)."""
+    """Return the distance of every joint of A from every joint of B (*batch, 22, 22) of pairs (*batch, 2, 22, 3)."""
     difference = positions_m[..., 0, :, None, :] - positions_m[..., 1, None, :, :]
     return np.asarray(np.sqrt((difference**2).sum(axis=-1)))
 
@@ -134,7 +134,7 @@ def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
 
 
 def contact_weights(source: Source, settings: ContactSettings, user: Sequence[UserContact] = ()) -> Array:
-    """Give how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
+    """Return how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
 
     Raises:
         InputError: See `check_contacts`.
@@ -148,7 +148,7 @@ def contact_weights(source: Source, settings: ContactSettings, user: Sequence[Us
 
 
 def joint_radii_m(source: Source) -> Array:
-    """Give how thick each person is at each joint (2, 22), metres: radius of the thickest capsule that ends there."""
+    """Return how thick each person is at each joint (2, 22), metres: radius of the thickest capsule that ends there."""
     model = capsule_model(BODY22)
     bones = model.radii_m(body_height_m(BODY22, source.lengths_m))
     radii = np.array(bones)
@@ -158,7 +158,7 @@ def joint_radii_m(source: Source) -> Array:
 
 
 def stance_weights(source: Source, settings: ContactSettings) -> Array:
-    """Give how much each joint of the feet stands (frame, 2, 4), 1 standing: slow and low in the source."""
+    """Return how much each joint of the feet stands (frame, 2, 4), 1 standing: slow and low in the source."""
     feet = source.positions_m[:, :, FEET]
     velocity = np.gradient(feet, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(feet.shape)
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
@@ -167,7 +167,7 @@ def stance_weights(source: Source, settings: ContactSettings) -> Array:
 
 
 def floor_weights(source: Source, settings: ContactSettings) -> Array:
-    """Give how near the floor each joint is in the source (frame, 2, 22), 1 on it."""
+    """Return how near the floor each joint is in the source (frame, 2, 22), 1 on it."""
     return _smooth(fade(_height(source), *settings.floor_height_m), source, settings)
 
 

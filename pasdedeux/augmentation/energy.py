@@ -17,13 +17,13 @@ Array = npt.NDArray[np.float64]
 
 
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
-    """Give L x - L_c d (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
+    """Return L x - L_c d (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
     return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
 
 
 def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str, Array]:
-    """Give each term's energy (variant,) for offsets x = p - r (variant, T, 44, 3); see `terms` for the formulas."""
+    """Return each term's energy (variant,) for offsets x = p - r (variant, T, 44, 3); see `terms` for the formulas."""
     weights, half = problem.weights, BODY22.num_joints
     apart = offsets - targets.difference
     terms = {
@@ -53,5 +53,5 @@ def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str
 
 
 def total_energy(problem: Problem, targets: Targets, offsets: Array) -> Array:
-    """Give the energy (variant,) of offsets x = p - r (variant, T, 44, 3)."""
+    """Return the energy (variant,) of offsets x = p - r (variant, T, 44, 3)."""
     return np.asarray(sum(energy_terms(problem, targets, offsets).values()))

@@ -47,7 +47,7 @@ class Factor:
         return len(self.inverse)
 
     def astype(self, dtype: npt.DTypeLike) -> Factor:
-        """Give the factor in another precision."""
+        """Return the factor in another precision."""
         return Factor(*(np.ascontiguousarray(part, dtype=dtype) for part in (self.inverse, self.lag1, self.lag2)))
 
 
@@ -95,7 +95,7 @@ def _complement(
     is_first: bool,
     schur: Array,
 ) -> None:
-    """Give A - B S^-1 B^T of a block: A has two frames coupled by `inner`, B the diagonals `outer` and `same`."""
+    """Return A - B S^-1 B^T of a block: A has two frames coupled by `inner`, B the diagonals `outer` and `same`."""
     size, n = len(schur), len(first)
     for i in range(n):
         for j in range(n):

@@ -53,7 +53,7 @@ class InteractionMesh:
 
 
 def delaunay_edges(points: Array) -> tuple[npt.NDArray[np.bool_], bool]:
-    """Give which of the points (n, 3) share a Delaunay tetrahedron (n, n), and whether they had to be displaced.
+    """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n), and whether they had to be displaced.
 
     Points that lie in a plane have no tetrahedra, and of points that coincide all but one are left out; such sets are
     meshed again after a fixed pseudo-random displacement of a micrometre.

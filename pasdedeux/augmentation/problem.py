@@ -147,11 +147,11 @@ class Targets:
         return len(self.bone_scale)
 
     def select(self, variants: Sequence[int]) -> Targets:
-        """Give the targets of some of the variants."""
+        """Return the targets of some of the variants."""
         return Targets(**{name.name: getattr(self, name.name)[list(variants)] for name in fields(self)})
 
 
 def added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
-    """Give what the new girth adds to the distance of each joint pair (22, 22), metres."""
+    """Return what the new girth adds to the distance of each joint pair (22, 22), metres."""
     radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
     return np.asarray(radii[0, :, None] + radii[1, None, :])

@@ -111,7 +111,7 @@ class Quality:
     invalid_angles: float | None = None
 
     def judge(self, limits: QualityLimits) -> tuple[str, str]:
-        """Give the verdict and what was not passed, in words."""
+        """Return the verdict and what was not passed, in words."""
         verdict, reasons = Verdict.PASS, []
         for field in fields(limits):
             value, limit = getattr(self, field.name), getattr(limits, field.name)
@@ -167,7 +167,7 @@ class FrameQuality:
     jerk_ratio: Array
 
     def judge(self, limits: FrameLimits) -> npt.NDArray[np.int64]:
-        """Give the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
+        """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
         for field in fields(limits):
             values, limit = getattr(self, field.name), getattr(limits, field.name)
@@ -303,14 +303,14 @@ class Judge:
 
 
 def root_mean_square_jerk(points: Array) -> float:
-    """Give the root mean square third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
+    """Return the root mean square third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
     if len(points) < 4:
         return 0.0
     return float(np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean()))
 
 
 def _frame_jerk(points: Array) -> Array:
-    """Give the root mean square third difference at each frame (T,), metres; ends repeat, 0 below 4 frames."""
+    """Return the root mean square third difference at each frame (T,), metres; ends repeat, 0 below 4 frames."""
     if len(points) < 4:
         return np.zeros(len(points))
     jerk = np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=-1))
@@ -318,7 +318,7 @@ def _frame_jerk(points: Array) -> Array:
 
 
 def _spine_bends(points: Array) -> Array:
-    """Give the angle between neighbouring spine bones (frame, 8), radians, both people."""
+    """Return the angle between neighbouring spine bones (frame, 8), radians, both people."""
     vectors = np.diff(points[:, _SPINES], axis=2)
     units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     cosines = (units[:, :, 1:] * units[:, :, :-1]).sum(axis=-1)

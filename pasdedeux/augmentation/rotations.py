@@ -15,7 +15,7 @@ Array = npt.NDArray[np.float64]
 
 
 def scaled_rest(rest_m: Array, bone_scale: Array) -> Array:
-    """Give the rest pose with scaled bones: positions and scales (*batch, 22, 3) and (*batch, 22); the root stays."""
+    """Return the rest pose with scaled bones: positions and scales (*batch, 22, 3) and (*batch, 22); the root stays."""
     scaled = np.array(np.broadcast_to(rest_m, np.broadcast_shapes(rest_m.shape, (*bone_scale.shape, 3))))
     for joint in BODY22.order:
         parent = BODY22.parents[joint]
@@ -26,7 +26,7 @@ def scaled_rest(rest_m: Array, bone_scale: Array) -> Array:
 
 
 def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:
-    """Give local rotations (T, 2, 22, 4) that play a variant on its own scaled skeleton.
+    """Return local rotations (T, 2, 22, 4) that play a variant on its own scaled skeleton.
 
     Joints with several children (pelvis, upper spine) take the rotation that fits all of them best, so a hip or collar
     may miss by what the girdle bends; every other bone is met exactly.

@@ -97,7 +97,7 @@ class Source:
         return np.maximum(np.percentile(lower, _ANKLE_PERCENTILE, axis=0), 0.0)
 
     def slice(self, start: int, stop: int) -> Source:
-        """Give frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
+        """Return frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
         part = Source(self.positions_m[start:stop], self.rate_hz, self.name)
         # What is measured over the whole take takes the place of the part's own cached properties.
         part.__dict__.update(lengths_m=self.lengths_m, floor_m=self.floor_m, flat_ankle_m=self.flat_ankle_m)
@@ -110,7 +110,7 @@ def points_of(pair: Array) -> Array:
 
 
 def complete_scales(source: Source, bone_scale: Array) -> Array:
-    """Give scales (variant, 2, 22) whose root entries are the leg ratios of the source's own legs.
+    """Return scales (variant, 2, 22) whose root entries are the leg ratios of the source's own legs.
 
     Raises:
         InputError: Wrong shape, or a scale that is not positive.
@@ -122,7 +122,7 @@ def complete_scales(source: Source, bone_scale: Array) -> Array:
 
 
 def reference_motion(source: Source, bone_scale: Array) -> Array:
-    """Give r, the source's bone directions with the new lengths, root height scaled by the leg ratio.
+    """Return r, the source's bone directions with the new lengths, root height scaled by the leg ratio.
 
     This is plain forward kinematics: what retargeting is without any thought of the partner, the baseline of the
     quality columns and the motion that the smoothness term follows.  The height is scaled above the level of the
@@ -143,7 +143,7 @@ def reference_motion(source: Source, bone_scale: Array) -> Array:
 
 
 def scaled_lengths(source: Source, bone_scale: Array) -> Array:
-    """Give the new bone lengths (variant, 44), metres, of scales (variant, 2, 22); 0 for the roots."""
+    """Return the new bone lengths (variant, 44), metres, of scales (variant, 2, 22); 0 for the roots."""
     lengths = source.lengths_m * bone_scale
     lengths[..., BODY22.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), NUM_POINTS))

@@ -78,7 +78,7 @@ def find_spans(source: Source, weights: Array, added_m: Array) -> Spans:
 
 
 def span_vectors(spans: Spans, points_m: Array) -> Array:
-    """Give the vectors of the pairs (*batch, T, M, 3) of points (*batch, T, 44, 3)."""
+    """Return the vectors of the pairs (*batch, T, M, 3) of points (*batch, T, 44, 3)."""
     frames = np.arange(len(spans.weights))[:, None]
     return np.asarray(points_m[..., frames, spans.points[..., 0], :] - points_m[..., frames, spans.points[..., 1], :])
 
@@ -97,7 +97,7 @@ class SpanTerm(Term):
         return vectors / np.maximum(lengths, _SHORTEST_M)[..., None], lengths
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         _, lengths = self._units(positions_m)
         return float((self.spans.weights * (lengths - self.spans.lengths_m) ** 2).sum())
 

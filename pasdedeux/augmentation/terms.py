@@ -164,7 +164,7 @@ def build_problem(
 
 
 def build_targets(problem: Problem, bone_scale: Array) -> Targets:
-    """Give the reference motion and the targets of a batch of variants (variant, 2, 22).
+    """Return the reference motion and the targets of a batch of variants (variant, 2, 22).
 
     Raises:
         InputError: Scales of the wrong shape, or not positive.
@@ -187,7 +187,7 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
-    """Give b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
+    """Return b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
     difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
     rhs = np.matmul(problem.coupling[None], difference)
     if problem.num_frames > 1:
@@ -215,7 +215,7 @@ def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array
 
 
 def bending_rows(source: Source) -> Array:
-    """Give for each pair of neighbouring spine bones the difference of their vectors over lengths, as rows (m, 44)."""
+    """Return for each pair of neighbouring spine bones difference of their vectors over lengths, as rows (m, 44)."""
     rows = []
     for person in (0, 1):
         for first, second in pairwise(BODY22.indices(_SPINE)):

@@ -83,7 +83,7 @@ class Variation:
         check_bone_scales(self.bone_scale, what=f"variant '{self.variant_id}'")
 
     def uniform_scale(self, person: int) -> float:
-        """Give the one scale of all of a person's bones, or NaN where they differ."""
+        """Return the one scale of all of a person's bones, or NaN where they differ."""
         scales = self.bone_scale[person]
         return float(scales[0]) if np.ptp(scales) < 1e-9 else float("nan")
 
@@ -109,7 +109,7 @@ def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
 
 
 def scale_grid(start: float, stop: float, step: float) -> tuple[float, ...]:
-    """Give the scales from `start` to `stop` (inclusive) by `step`, without 1, which is the template itself.
+    """Return the scales from `start` to `stop` (inclusive) by `step`, without 1, which is the template itself.
 
     >>> scale_grid(0.9, 1.1, 0.05)
     (0.9, 0.95, 1.05, 1.1)
@@ -124,7 +124,7 @@ def scale_grid(start: float, stop: float, step: float) -> tuple[float, ...]:
 
 
 def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
-    """Give new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,)."""
+    """Return new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,)."""
     bones = BODY22.indices(_LEG_BONES)
     old = lengths_m[..., bones].sum(axis=-1)
     new = (lengths_m[..., bones] * bone_scale[..., bones]).sum(axis=-1)

@@ -124,7 +124,7 @@ class WindowSolver:
         )
 
     def _measure(self, targets: Targets, positions: Array) -> tuple[Array, Array]:
-        """Give energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
+        """Return energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
         energies, residuals = [], []
         for variant, points in enumerate(positions):
             one = targets.select([variant])
@@ -135,14 +135,14 @@ class WindowSolver:
 
 
 def _farthest(positions: Array, before: Array) -> Array:
-    """Give how far the middle third of the shared frames is apart at most (variant,), metres."""
+    """Return how far the middle third of the shared frames is apart at most (variant,), metres."""
     third = before.shape[1] // 3
     middle = slice(third, before.shape[1] - third)
     return np.asarray(np.linalg.norm(positions[:, middle] - before[:, middle], axis=-1).max(axis=(1, 2)))
 
 
 def _tied(points: Array, before: Array) -> tuple[Array, list[Term]]:
-    """Give a start that leaves what the window before gave over the last third of the shared frames, and its pull."""
+    """Return a start that leaves what the window before gave over the last third of the shared frames, and its pull."""
     shared = len(before)
     t = np.clip((np.arange(shared) + 0.5) / shared * 3.0 - 2.0, 0.0, 1.0)
     hold = np.zeros((len(points), 1, 1))

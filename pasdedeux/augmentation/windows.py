@@ -66,7 +66,7 @@ def plan_windows(num_frames: int, rate_hz: float, settings: WindowSettings) -> l
 
 
 def blend_weights(windows: list[Window]) -> list[Array]:
-    """Give the share of each window in each of its frames; over all windows they add up to 1 in every frame.
+    """Return the share of each window in each of its frames; over all windows they add up to 1 in every frame.
 
     Shares rise by a quintic (6t^5 - 15t^4 + 10t^3), whose velocity and acceleration start and end at 0.
     """

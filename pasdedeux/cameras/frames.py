@@ -51,18 +51,18 @@ class LocalFrame:
     is_degenerate: npt.NDArray[np.bool_]
 
     def coordinates(self, direction: Array) -> Array:
-        """Give world directions (*batch, 3) as unit coordinates (a, b, c): the 3x3 system of Yin et al., scaled."""
+        """Return world directions (*batch, 3) as unit coordinates (a, b, c): the 3x3 system of Yin et al., scaled."""
         return normalise(
             np.asarray(np.linalg.solve(self.axes, np.asarray(direction)[..., None])[..., 0], dtype=np.float64)
         )
 
     def direction(self, coordinates: Array) -> Array:
-        """Give the unit world directions (*batch, 3) of coordinates (a, b, c) of any length."""
+        """Return the unit world directions (*batch, 3) of coordinates (a, b, c) of any length."""
         return normalise(np.einsum("...ij,...j->...i", self.axes, coordinates))
 
 
 def local_frame(roots: Array, backbones: Array) -> LocalFrame:
-    """Give the local frames of pairs, lift eq. 3 with its degenerate cases.
+    """Return the local frames of pairs, lift eq. 3 with its degenerate cases.
 
     Args:
         roots: Roots of the two people, (*batch, person=2, 3), metres.
@@ -98,7 +98,7 @@ def local_frame(roots: Array, backbones: Array) -> LocalFrame:
 
 
 def pair_frame(pair17_m: Array) -> LocalFrame:
-    """Give the local frames of 3D pairs (*batch, person=2, joint=17, 3), metres."""
+    """Return the local frames of 3D pairs (*batch, person=2, joint=17, 3), metres."""
     roots = pair17_m[..., _PELVIS, :]
     return local_frame(roots, pair17_m[..., _NECK, :] - roots)
 
@@ -125,7 +125,7 @@ def project_pair(pair17_m: Array, direction: Array) -> Array:
 
 
 def true_direction(pair17_m: Array, camera: PinholeCamera) -> Array:
-    """Give the true views (*batch, 3) of pairs (*batch, person=2, joint=17, 3) seen by a camera.
+    """Return the true views (*batch, 3) of pairs (*batch, person=2, joint=17, 3) seen by a camera.
 
     A pinhole sees the pair along the line from the middle of the two roots to the camera, not along its optical axis.
     """
@@ -134,12 +134,12 @@ def true_direction(pair17_m: Array, camera: PinholeCamera) -> Array:
 
 
 def swap_people(direction: Array) -> Array:
-    """Give the views (*batch, 3) of the same scene when person A is called B and B is called A: i and k turn round."""
+    """Return views (*batch, 3) of the same scene when person A is called B and B is called A: i and k turn round."""
     return np.asarray(direction) * np.array([-1.0, 1.0, -1.0])
 
 
 def angles_of_direction(direction: Array) -> tuple[Array, Array]:
-    """Give (psi, phi) of views (*batch, 3), radians: lift eq. 4 with atan2, so psi covers the full circle.
+    """Return (psi, phi) of views (*batch, 3), radians: lift eq. 4 with atan2, so psi covers the full circle.
 
     psi is the azimuth in the plane of i and k, from i, in (-pi, pi]; phi the polar angle from j, in [0, pi].  Straight
     along j psi is 0.
@@ -151,13 +151,13 @@ def angles_of_direction(direction: Array) -> tuple[Array, Array]:
 
 
 def direction_of_angles(psi_rad: Array | float, phi_rad: Array | float) -> Array:
-    """Give views (*batch, 3) of (psi, phi), the inverse of `angles_of_direction`."""
+    """Return views (*batch, 3) of (psi, phi), the inverse of `angles_of_direction`."""
     psi, phi = np.broadcast_arrays(np.asarray(psi_rad, dtype=np.float64), np.asarray(phi_rad, dtype=np.float64))
     return np.stack([np.sin(phi) * np.cos(psi), np.cos(phi), np.sin(phi) * np.sin(psi)], axis=-1)
 
 
 def angle_between_directions(left: Array, right: Array) -> Array:
-    """Give the angle (*batch,) in radians between directions (*batch, 3), accurate near 0 and pi."""
+    """Return the angle (*batch,) in radians between directions (*batch, 3), accurate near 0 and pi."""
     a, b = normalise(left), normalise(right)
     cross = np.linalg.norm(np.cross(a, b), axis=-1)
     return np.asarray(np.arctan2(cross, np.sum(a * b, axis=-1)))

@@ -15,7 +15,7 @@ _FLIP_Y = np.array([1.0, -1.0])
 
 
 def view_rotmat(direction: Array, up: Array) -> Array:
-    """Give the rotations (*batch, 3, 3) from world to the axes of a view: x right, y up, z towards the camera.
+    """Return the rotations (*batch, 3, 3) from world to the axes of a view: x right, y up, z towards the camera.
 
     Args:
         direction: World direction towards the camera, (*batch, 3), of any length.
@@ -37,7 +37,7 @@ def project_orthographic(points: Array, rotmat: Array) -> Array:
 
 
 def metres_from_pixels(px: Array, metres_per_pixel: Array | float, origin_px: Array | None = None) -> Array:
-    """Give image points (*batch, n, 2) in metres, x right and y up, of pixels, x right and y down.
+    """Return image points (*batch, n, 2) in metres, x right and y up, of pixels, x right and y down.
 
     Args:
         px: Pixels, (*batch, n, 2); NaN stays NaN.
@@ -50,7 +50,7 @@ def metres_from_pixels(px: Array, metres_per_pixel: Array | float, origin_px: Ar
 
 
 def pixels_from_metres(image_m: Array, metres_per_pixel: Array | float, origin_px: Array | None = None) -> Array:
-    """Give pixels (*batch, n, 2), x right and y down, of image points in metres: `metres_from_pixels` inverted."""
+    """Return pixels (*batch, n, 2), x right and y down, of image points in metres: `metres_from_pixels` inverted."""
     scale = np.asarray(metres_per_pixel, dtype=np.float64)[..., None, None]
     origin = np.zeros(2) if origin_px is None else np.asarray(origin_px, dtype=np.float64)
     return np.asarray(image_m * _FLIP_Y / scale + origin[..., None, :])

@@ -70,7 +70,7 @@ class PinholeCamera:
         return np.asarray(self.camera_from_world_rotmat[2])
 
     def camera_from_world(self, points: Array) -> Array:
-        """Give world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""
+        """Return world points (*batch, 3) in camera axes, metres; z is negative in front of the camera."""
         return np.asarray((points - self.position_m) @ self.camera_from_world_rotmat.T)
 
     def project(self, points: Array) -> Projection:
@@ -84,7 +84,7 @@ class PinholeCamera:
         return Projection(px=np.stack([x, y], axis=-1), depth_m=depth)
 
     def unproject(self, px: Array, depth_m: Array | float) -> Array:
-        """Give the world points (*batch, 3) that are seen at pixels (*batch, 2) at depths (*batch,) in metres."""
+        """Return the world points (*batch, 3) that are seen at pixels (*batch, 2) at depths (*batch,) in metres."""
         depth = np.asarray(depth_m, dtype=np.float64)
         offset = (np.asarray(px, dtype=np.float64) - self.principal_point_px) * np.array([1.0, -1.0]) / self.focal_px
         seen = np.concatenate([offset, -np.ones_like(offset[..., :1])], axis=-1) * depth[..., None]

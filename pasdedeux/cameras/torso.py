@@ -317,7 +317,7 @@ class _Fit:
 
 
 def _own_axes(torsos: Array) -> Array:
-    """Give the axes of torsos (n, 6, 3) as columns: x to the left, y from pelvis to neck, z forward."""
+    """Return the axes of torsos (n, 6, 3) as columns: x to the left, y from pelvis to neck, z forward."""
     y = normalise(torsos[:, 1] - torsos[:, 0])
     left = torsos[:, 2] - torsos[:, 3] + torsos[:, 4] - torsos[:, 5]
     x = normalise(left - (left * y).sum(-1, keepdims=True) * y)

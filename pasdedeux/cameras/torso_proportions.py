@@ -29,7 +29,7 @@ _DEVIATION_DEG = {"flexion": 15.0, "lateral": 8.0, "torsion": 14.0, "shrug": 8.0
 
 
 def proportions_torso_basis(*, num_components: int = 4) -> TorsoBasis:
-    """Give a torso basis of an average body that bends, twists and moves its shoulders; it has seen no take.
+    """Return a torso basis of an average body that bends, twists and moves its shoulders; it has seen no take.
 
     The torsos are drawn once from a fixed stream, so the basis is always the same.
     """

@@ -66,7 +66,7 @@ class ViewDensity:
         return 1.0 / self.deviation_rad**2
 
     def density(self, directions: Array) -> Array:
-        """Give the density at views (*batch, 3), per steradian; per square radian of (psi, phi) in the planar form."""
+        """Return density at views (*batch, 3), per steradian; per square radian of (psi, phi) in the planar form."""
         queries = normalise(np.asarray(directions, dtype=np.float64))
         flat = queries.reshape(-1, 3)
         out = np.empty(len(flat))

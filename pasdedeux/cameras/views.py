@@ -135,11 +135,11 @@ class ViewEstimates:
     size_ratio: float
 
     def best(self) -> Indices:
-        """Give the rows of the likeliest hypotheses, one per annotation that has any."""
+        """Return the rows of the likeliest hypotheses, one per annotation that has any."""
         return np.flatnonzero(self.hypothesis == 0)
 
     def angles(self) -> tuple[Array, Array]:
-        """Give (psi, phi) of every hypothesis, lift eq. 4, radians."""
+        """Return (psi, phi) of every hypothesis, lift eq. 4, radians."""
         return angles_of_direction(self.direction)
 
 
@@ -226,7 +226,7 @@ def estimate_views(
 
 
 def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
-    """Give annotated pairs (*batch, person=2, joint, 2) in metres, x right, y up, the middle of the roots at (0, 0).
+    """Return annotated pairs (*batch, person=2, joint, 2) in metres, x right, y up, the middle of the roots at (0, 0).
 
     Each person is scaled about the own pelvis by the own scale (*batch, person=2); the distance of the pelvises is
     scaled by the mean of the two, as a pinhole does with people at two depths.  Where a pelvis is missing its person is

@@ -65,7 +65,7 @@ class ViewAngles:
     pitch_rad: Array
 
     def directions(self) -> Array:
-        """Give the world directions (n, 3) from the scene towards the cameras."""
+        """Return the world directions (n, 3) from the scene towards the cameras."""
         level = np.cos(self.pitch_rad)
         return np.stack([level * np.sin(self.yaw_rad), np.sin(self.pitch_rad), level * np.cos(self.yaw_rad)], axis=-1)
 
@@ -114,7 +114,7 @@ def look_at_camera(
     focal_px: float,
     image_size_px: tuple[int, int] = (1920, 1080),
 ) -> PinholeCamera:
-    """Give the upright camera that looks at `target_m` (3,) from a distance; the target is at the image's centre.
+    """Return the upright camera that looks at `target_m` (3,) from a distance; the target is at the image's centre.
 
     At yaw 0 and pitch 0 the camera stands on +Z of the target and looks along -Z; yaw turns it towards +X, a positive
     pitch lifts it.  Straight above (pitch 90 degrees) the image's up is where the camera came from, so nothing jumps.
@@ -144,7 +144,7 @@ def frame_take(
     image_size_px: tuple[int, int] | None = None,
     least_depth_m: float = 1.0,
 ) -> VirtualView:
-    """Give a camera that looks at the mean root and sees a person of `person_height_m` about `person_height_px` tall.
+    """Return a camera that looks at the mean root and sees a person of `person_height_m` about `person_height_px` tall.
 
     Args:
         positions: Every joint of every person and frame to be seen, (*batch, 3), metres.

@@ -76,21 +76,21 @@ class Body:
     radii_m: Array
 
     def length_m(self, joint_name: str) -> float:
-        """Give the length of the bone that ends in a joint."""
+        """Return the length of the bone that ends in a joint."""
         return float(np.linalg.norm(self.rest_offsets_m[BODY22.index(joint_name)]))
 
     def radius_m(self, joint_name: str) -> float:
-        """Give the radius of the bone that ends in a joint."""
+        """Return the radius of the bone that ends in a joint."""
         return float(self.radii_m[BODY22.index(joint_name)])
 
     def standing_m(self, joint_name: str) -> float:
-        """Give a joint's height over the floor when the body stands upright at rest."""
+        """Return a joint's height over the floor when the body stands upright at rest."""
         side, _, part = joint_name.partition("_")
         return self.height_m * _FRACTIONS[f"left_{part}" if side == "right" else joint_name][1]
 
 
 def make_body(height_m: float) -> Body:
-    """Give a body of a height, with the proportions of Drillis and Contini.
+    """Return a body of a height, with the proportions of Drillis and Contini.
 
     Raises:
         InputError: The height is outside `HEIGHT_LIMITS_M`.

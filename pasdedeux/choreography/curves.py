@@ -77,7 +77,7 @@ def saturate(value: Array, knee: float | Array, width: float | Array) -> Array:
 
 
 def soft_minimum(values: Sequence[Array], softness: float) -> Array:
-    """Give a smooth value below the least of several arrays: -s log sum exp(-v / s)."""
+    """Return a smooth value below the least of several arrays: -s log sum exp(-v / s)."""
     stack = np.stack(np.broadcast_arrays(*values))
     least = stack.min(axis=0)
     return np.asarray(least - softness * np.log(np.exp(-(stack - least) / softness).sum(axis=0)))

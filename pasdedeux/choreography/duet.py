@@ -57,7 +57,7 @@ class Setting:
         return np.arange(max(1, round(self.duration_s * self.rate_hz))) / self.rate_hz
 
     def vary(self, count: int) -> Array:
-        """Give `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
+        """Return `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
         if self.variation == 0:
             return np.zeros(count)
         return np.random.default_rng(np.random.SeedSequence(self.variation)).uniform(-1.0, 1.0, count)
@@ -78,7 +78,7 @@ class BonePoint:
     fraction: float = 1.0
 
     def position_m(self, positions_m: Array) -> Array:
-        """Give the point (frame, 3) from positions of the pair (frame, person, 22, 3)."""
+        """Return the point (frame, 3) from positions of the pair (frame, person, 22, 3)."""
         child = BODY22.index(self.bone)
         end = positions_m[:, self.person, child]
         start = positions_m[:, self.person, BODY22.parents[child]]
@@ -106,7 +106,7 @@ class Contact:
     distance_m: float
 
     def distances_m(self, positions_m: Array) -> Array:
-        """Give the distance of the points in every frame (frame,), whether the contact holds or not."""
+        """Return the distance of the points in every frame (frame,), whether the contact holds or not."""
         apart = self.point_a.position_m(positions_m) - self.point_b.position_m(positions_m)
         return np.asarray(np.linalg.norm(apart, axis=-1))
 
@@ -152,18 +152,18 @@ class Duet:
         return self.motions[0].rate_hz
 
     def positions_m(self) -> Array:
-        """Give world positions of the pair (frame, person, 22, 3)."""
+        """Return world positions of the pair (frame, person, 22, 3)."""
         return np.stack([motion.world()[0] for motion in self.motions], axis=1)
 
     def frames(self, interval: Contact | Stance) -> npt.NDArray[np.intp]:
-        """Give the frames (n,) in which a contact or stance holds."""
+        """Return the frames (n,) in which a contact or stance holds."""
         time_s = np.arange(self.num_frames) / self.rate_hz
         holds = (time_s >= interval.start_s - 1e-9) & (time_s < interval.stop_s - 1e-9)
         return np.flatnonzero(holds)
 
 
 def check_style(name: str, style: Mapping[str, tuple[float, float, float]]) -> dict[str, object]:
-    """Give the values of style parameters (value, least, greatest) by name.
+    """Return the values of style parameters (value, least, greatest) by name.
 
     Raises:
         InputError: A value is outside its range, or not a number.

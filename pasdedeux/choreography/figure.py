@@ -34,14 +34,14 @@ _PELVIS_SOFTNESS_M = 0.010
 
 
 def facing(yaw_rad: Array | float, left_m: Array | float, up_m: Array | float, forward_m: Array | float) -> Array:
-    """Give the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
+    """Return the world vector (*batch, 3) of left, up and forward parts of somebody who faces `yaw_rad`."""
     yaw, left, up, forward = np.broadcast_arrays(yaw_rad, left_m, up_m, forward_m)
     c, s = np.cos(yaw), np.sin(yaw)
     return np.stack([left * c + forward * s, up + 0.0 * c, -left * s + forward * c], axis=-1)
 
 
 def turn(yaw_rad: Array, pitch_rad: Array | float = 0.0, roll_rad: Array | float = 0.0) -> Array:
-    """Give the rotation (frame, 4): roll to the right, then pitch forward, then yaw to the left."""
+    """Return the rotation (frame, 4): roll to the right, then pitch forward, then yaw to the left."""
     yaw, pitch, roll = np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad)
     zero = np.zeros(yaw.shape)
     about_y = unitquat_from_rotvec(np.stack([zero, yaw, zero], axis=-1))
@@ -101,13 +101,13 @@ class Figure:
             self.reach_hand(side, shoulder + down, self.chest_vector(0.0, 0.0, -1.0))
 
     def joint(self, joint_name: str) -> Array:
-        """Give a joint's world positions (frame, 3)."""
+        """Return a joint's world positions (frame, 3)."""
         return np.asarray(self.positions_m[:, BODY22.index(joint_name)])
 
     def on_bone(
         self, bone_name: str, fraction: float, offset_m: Array | tuple[float, float, float] = (0, 0, 0)
     ) -> Array:
-        """Give a point (frame, 3) that is carried by a bone: a share of its length, and an offset in its rest axes.
+        """Return a point (frame, 3) that is carried by a bone: a share of its length, and an offset in its rest axes.
 
         The bone is named by its end; it is carried by the joint where it begins.  Left, up and forward of the rest pose
         are the axes of the offset.
@@ -119,7 +119,7 @@ class Figure:
         return np.asarray(self.positions_m[:, parent] + carried)
 
     def chest_vector(self, left: Array | float, up: Array | float, forward: Array | float) -> Array:
-        """Give the world vector (frame, 3) of a direction in the chest's axes."""
+        """Return the world vector (frame, 3) of a direction in the chest's axes."""
         frames = len(self.positions_m)
         parts = [np.broadcast_to(np.asarray(part, dtype=np.float64), (frames,)) for part in (left, up, forward)]
         return rotate(self.unitquat[:, BODY22.index("spine3")], np.stack(parts, axis=-1))
@@ -158,7 +158,7 @@ class Figure:
         self.positions_m[:, elbow], self.positions_m[:, wrist] = arm.middle_m, arm.end_m
 
     def motion(self, rate_hz: float) -> Motion:
-        """Give the motion: local rotations, continuous in sign, and the pelvis as root."""
+        """Return the motion: local rotations, continuous in sign, and the pelvis as root."""
         local = self.unitquat.copy()
         for parent, child in BODY22.bones:
             local[:, child] = multiply(conjugate(self.unitquat[:, parent]), self.unitquat[:, child])
@@ -222,7 +222,7 @@ class Figure:
         return np.asarray(self.body.rest_offsets_m[BODY22.index(joint_name)])
 
     def _pronation(self, elbow: int, palm: Array | None) -> Array:
-        """Give the turn about the forearm (frame, 4) that brings the palm, down at rest, towards a direction."""
+        """Return the turn about the forearm (frame, 4) that brings the palm, down at rest, towards a direction."""
         angle = np.zeros(len(self.positions_m))
         if palm is not None:
             seen = rotate(conjugate(self.unitquat[:, elbow]), normalise(palm))

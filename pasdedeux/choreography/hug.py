@@ -192,7 +192,7 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
 
 
 def _resting_place(body: Body, other: Body, is_over: bool) -> tuple[str, float, float]:
-    """Give the partner's bone, the share of it, and how far round the back (radians from the front) a wrist rests."""
+    """Return the partner's bone, the share of it, and how far round the back (radians from the front) a wrist rests."""
     if is_over:
         chest, neck = other.standing_m("spine3"), other.standing_m("neck")
         return "neck", (0.79 * other.height_m - chest) / (neck - chest), np.radians(150.0)

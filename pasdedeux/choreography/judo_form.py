@@ -59,20 +59,20 @@ class JudoForm:
     num_cycles: int
 
     def every_cycle(self, time_s: Array, rise_s: float, full_s: float, fade_s: float, stop_s: float) -> Array:
-        """Give a window (frame,) that comes once in every cycle."""
+        """Return a window (frame,) that comes once in every cycle."""
         starts = CYCLE_S * np.arange(self.num_cycles)
         return np.asarray(sum(window(time_s - start, rise_s, full_s, fade_s, stop_s) for start in starts))
 
     def inside(self, time_s: Array) -> Array:
-        """Give how far A is turned in (frame,), 0 to 1."""
+        """Return how far A is turned in (frame,), 0 to 1."""
         return self.every_cycle(time_s, IN_S, HELD_S, OUT_S, LEAVE_S)
 
     def loaded(self, time_s: Array) -> Array:
-        """Give how far B is taken onto the hip (frame,), 0 to 1."""
+        """Return how far B is taken onto the hip (frame,), 0 to 1."""
         return self.every_cycle(time_s, HELD_S - 0.7, HELD_S + 0.2, OUT_S - 0.2, OUT_S + 0.7)
 
     def place(self, person: int, time_s: Array) -> tuple[Array, Array]:
-        """Give where a person's pelvis is (frame, x and z) and which way it looks (frame,)."""
+        """Return where a person's pelvis is (frame, x and z) and which way it looks (frame,)."""
         walked = [
             (cycle * CYCLE_S + start_s, cycle * CYCLE_S + stop_s, share)
             for cycle in range(self.num_cycles)

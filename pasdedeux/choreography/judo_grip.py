@@ -105,7 +105,7 @@ def _to_back(
     held: Contact,
     hold: _Hold,
 ) -> tuple[Array, Array, list[Contact]]:
-    """Give target and elbow pole (frame, 3) of a hand that goes to the other's back and returns, and its contacts."""
+    """Return target and elbow pole (frame, 3) of a hand that goes to the other's back and returns, and its contacts."""
     uke = figures[1]
     lead_s = 0.0 if person == 0 else _LEAD_S
     away_s = (ON_BACK_S - hold.haste_s, BACK_S + hold.haste_s)
@@ -121,7 +121,7 @@ def _to_back(
 
 
 def _lapel(body: Body, other: Body) -> tuple[str, float]:
-    """Give the partner's bone and the share of it where the lapel is held: level with the own shoulder if possible."""
+    """Return partner's bone and the share of it where the lapel is held: level with the own shoulder if possible."""
     low, chest, neck = (other.standing_m(joint) for joint in ("spine2", "spine3", "neck"))
     wanted = body.standing_m("left_shoulder") - 0.03 * body.height_m
     wanted = float(np.clip(wanted, 0.70 * other.height_m, 0.785 * other.height_m))
@@ -131,7 +131,7 @@ def _lapel(body: Body, other: Body) -> tuple[str, float]:
 def _on_trunk(
     person: int, side: str, figures: tuple[Figure, Figure], bone: str, share: float, angle_deg: float, name: str
 ) -> tuple[Array, Contact]:
-    """Give where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
+    """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
     figure, other = figures[person], figures[1 - person]
     rest_m = max(other.body.radius_m(bone), other.body.radius_m("spine3")) + figure.body.radius_m("left_wrist") + _GAP_M
     angle = np.radians(angle_deg)
@@ -142,7 +142,7 @@ def _on_trunk(
 
 
 def _sleeve(person: int, figures: tuple[Figure, Figure]) -> tuple[Array, Array, Contact]:
-    """Give where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
+    """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
     figure, other = figures[person], figures[1 - person]
     distance_m = other.body.radius_m("left_elbow") + figure.body.radius_m("left_wrist") + _GAP_M
     share = _SLEEVE_SHARE + 0.5 * max(0.0, other.body.height_m / figure.body.height_m - 1.0)

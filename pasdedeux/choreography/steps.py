@@ -145,7 +145,7 @@ def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]
 
 
 def _bow(before: Plant, after: Plant, standing: Plant, gap_m: float) -> float:
-    """Give the bow that keeps a straight swing off a standing foot; the swing passes on the side where it begins."""
+    """Return the bow that keeps a straight swing off a standing foot; the swing passes on the side where it begins."""
     start, stop = np.array([before.x_m, before.z_m]), np.array([after.x_m, after.z_m])
     way = stop - start
     length = float(np.linalg.norm(way))

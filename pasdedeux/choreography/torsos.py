@@ -19,7 +19,7 @@ _RATE_HZ = 6.0
 
 @lru_cache
 def duet_torso_basis(*, num_components: int = 4) -> TorsoBasis:
-    """Give the torso basis learned from both people of every built-in duet, 10 s each at 6 Hz.
+    """Return the torso basis learned from both people of every built-in duet, 10 s each at 6 Hz.
 
     It has seen those duets: what is evaluated on them takes `proportions_torso_basis` instead.
     """

@@ -122,7 +122,7 @@ class _PairPath:
     aside_m: float
 
     def place(self, person: int, beat: npt.NDArray[np.int_]) -> tuple[Array, Array]:
-        """Give where a person stands (beat, x and z) and which way it faces (beat,)."""
+        """Return where a person stands (beat, x and z) and which way it faces (beat,)."""
         bar, step = np.divmod(beat, 3)
         angle = self.phase_rad + (bar + _TRAVEL[step]) * self.way_m / self.radius_m
         yaw = np.pi + angle - self.turn_rad * (bar + _TURN[step] - 0.15)
@@ -250,7 +250,7 @@ def _hold(figures: tuple[Figure, Figure], path: _PairPath, span_s: tuple[float, 
 
 
 def _back_height(leader: Body, follower: Body) -> tuple[str, float]:
-    """Give the follower's bone and the share of it where the leader's wrist rests: under her arm, not far below his."""
+    """Return follower's bone and the share of it where the leader's wrist rests: under her arm, not far below his."""
     wanted = leader.standing_m("left_shoulder") - 0.21 * leader.height_m
     wanted = min(wanted, follower.standing_m("left_shoulder") - 0.045 * follower.height_m)
     low, chest, neck = (follower.standing_m(joint) for joint in ("spine2", "spine3", "neck"))
@@ -261,7 +261,7 @@ def _back_height(leader: Body, follower: Body) -> tuple[str, float]:
 
 
 def _round_the_back(leader: Body, follower: Body, path: _PairPath, bone: str, share: float, rest_m: float) -> float:
-    """Give how far round the follower's back the leader's wrist goes, radians from her front over her left side.
+    """Return how far round the follower's back the leader's wrist goes, radians from her front over her left side.
 
     As far as 92 % of the leader's arm reaches when both stand upright, at most to the shoulder blade.
     """

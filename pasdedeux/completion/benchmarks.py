@@ -19,7 +19,7 @@ NUM_DRAWS, NUM_PLACES = 100_000, 4_000
 
 
 def retrieval_problem(num_draws: int = NUM_DRAWS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give draws (n, 2, 17, 3) as chains leave them, close together round many places, images of others, and views.
+    """Return draws (n, 2, 17, 3) as chains leave them, close together round many places, images of others, and views.
 
     The images (64, 2, 17, 2) are of pairs that are no draws, with 2 cm of noise.
     """

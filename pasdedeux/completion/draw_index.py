@@ -83,7 +83,7 @@ class DrawIndex:
             raise InputError("an index needs draws with finite coordinates")
 
     def nearest(self, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
-        """Give the draws nearest to an image under any of some views; a draw comes once, under its best view.
+        """Return the draws nearest to an image under any of some views; a draw comes once, under its best view.
 
         Args:
             image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
@@ -121,7 +121,7 @@ class DrawIndex:
         )
 
     def placed(self, draws: Indices, directions: Array, image_m: Array) -> Array:
-        """Give draws as a camera with the image saw them, (n, person=2, joint=17, 3), metres.
+        """Return draws as a camera with the image saw them, (n, person=2, joint=17, 3), metres.
 
         Args:
             draws: Which draws, (n,).
@@ -136,7 +136,7 @@ class DrawIndex:
         return self._seen_as(self._rows[draws].astype(np.float64), tilt, directions, image_m)
 
     def placed_mean(self, direction: Array, image_m: Array) -> Array:
-        """Give the mean of all draws, in their local frames, as a camera with the image saw it, (2, 17, 3), metres."""
+        """Return mean of all draws, in their local frames, as a camera with the image saw it, (2, 17, 3), metres."""
         if self._mean is None:
             tilts = self._tilt.transpose(0, 2, 1).reshape(-1, 2)[: self.num_draws]
             self._mean = (self._rows.mean(axis=0, dtype=np.float64), tilts.mean(axis=0, dtype=np.float64))
@@ -163,7 +163,7 @@ class DrawIndex:
         return out.reshape(len(points), 2, PAIR17.num_joints, 3)
 
     def _seen(self, image_m: Array) -> tuple[Indices, Array]:
-        """Give the joints seen, by their place in the index, and their centred image points."""
+        """Return the joints seen, by their place in the index, and their centred image points."""
         points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order]
         joints = np.flatnonzero(np.isfinite(points).all(axis=1))
         if len(joints) < LEAST_SEEN:
@@ -174,7 +174,7 @@ class DrawIndex:
     def _measured(
         self, draws: Indices, views: Array, image: Array, joints: Indices, *, ceiling_m2: float = np.inf
     ) -> Array:
-        """Give squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
+        """Return squared distances (draw, view) in double precision; inf where a draw is surely beyond a ceiling."""
         tilt = self._tilt[draws // LANES, :, draws % LANES].astype(np.float64)
         squared = np.empty((len(draws), len(views)))
         for view, direction in enumerate(views):
@@ -186,7 +186,7 @@ class DrawIndex:
 
 
 def plain_nearest(pairs_m: Array, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
-    """Give the same straight from the definition, draw by draw and view by view: the oracle of `DrawIndex.nearest`."""
+    """Return same straight from the definition, draw by draw and view by view: the oracle of `DrawIndex.nearest`."""
     is_seen = np.isfinite(image_m).all(axis=-1).ravel()
     image = image_m.reshape(-1, 2)[is_seen]
     squared = np.stack(
@@ -206,21 +206,21 @@ def plain_nearest(pairs_m: Array, image_m: Array, directions: Array, *, count: i
 
 
 def _comparison_order() -> Indices:
-    """Give the joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
+    """Return the joints of both people (34,) in the order of comparison: those that move farthest apart come first."""
     first = [person * PAIR17.num_joints + PAIR17.index(name) for name in _FAR_APART for person in range(2)]
     rest = [joint for joint in range(_NUM_JOINTS) if joint not in first]
     return np.array([*first, *rest], dtype=np.int64)
 
 
 def _towards(tilt: Array, direction: Array) -> Array:
-    """Give the unit directions (n, 3) towards the camera, in the frames of draws with these tilts (n, 2), of a view."""
+    """Return unit directions (n, 3) towards the camera, in the frames of draws with these tilts (n, 2), of a view."""
     a, b, c = np.moveaxis(np.asarray(direction, dtype=np.float64), -1, 0)
     sine, cosine = tilt[:, 0], tilt[:, 1]
     return normalise(np.stack([sine * a, cosine * a + b, sine * c], axis=-1))
 
 
 def _own_frames(pairs_m: Array) -> tuple[Array, Array]:
-    """Give pairs (n, 34, 3) in their local frames with j along y and i in the plane of x and y, and the tilt of i.
+    """Return pairs (n, 34, 3) in their local frames with j along y and i in the plane of x and y, and the tilt of i.
 
     The published frame is not square: i and j stand at an angle whose sine and cosine are the tilt (n, 2).
     """

@@ -30,7 +30,7 @@ _TOUCHING_M = 0.01
 
 
 def lift_by_ik(image_m: Array, pair_m: Array, lengths_m: Array, limits: JointLimits) -> Array:
-    """Give the pair (person=2, joint=17, 3), metres, that minimises E_2D + E_isvalid from a lifted one.
+    """Return the pair (person=2, joint=17, 3), metres, that minimises E_2D + E_isvalid from a lifted one.
 
     Args:
         image_m: Image points (2, 17, 2), metres; NaN where not seen.

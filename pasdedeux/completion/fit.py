@@ -49,7 +49,7 @@ class FitOptions:
 
 
 def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None) -> Array:
-    """Give the pair (person=2, joint=17, 3), metres, that fits the joints seen, with exact bone lengths.
+    """Return the pair (person=2, joint=17, 3), metres, that fits the joints seen, with exact bone lengths.
 
     Args:
         image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
@@ -69,7 +69,7 @@ def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array, options: FitOption
 def fit_people(
     targets_m: Array, deviation_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None
 ) -> Array:
-    """Give the pair (person=2, joint=17, 3), metres, nearest to targets and to the bone vectors of a pair.
+    """Return the pair (person=2, joint=17, 3), metres, nearest to targets and to the bone vectors of a pair.
 
     Args:
         targets_m: Where joints should be, (2, 17, 3), metres; NaN leaves a coordinate free.
@@ -98,6 +98,6 @@ def fit_people(
 
 
 def pooled_lengths(pairs_m: Array, weight: Array) -> Array:
-    """Give the bone lengths (person=2, joint=17), metres, of pairs (k, 2, 17, 3): their weighted mean, sides tied."""
+    """Return the bone lengths (person=2, joint=17), metres, of pairs (k, 2, 17, 3): their weighted mean, sides tied."""
     lengths = np.tensordot(weight, bone_lengths(PAIR17, pairs_m), axes=1)
     return np.asarray(0.5 * (lengths + lengths[..., list(PAIR17.mirror)]))

@@ -51,7 +51,7 @@ class InBetweenOptions:
 
 
 def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:
-    """Give the pairs on the straight lines between two pairs (person=2, joint=17, 3), ends not among them.
+    """Return the pairs on the straight lines between two pairs (person=2, joint=17, 3), ends not among them.
 
     Returns:
         Pairs (num_between, 2, 17, 3), metres, evenly spaced in time.
@@ -72,7 +72,7 @@ def fill_between(
     draws_m: npt.NDArray[np.floating],
     options: InBetweenOptions | None = None,
 ) -> Array:
-    """Give the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
+    """Return the pairs between two pairs (person=2, joint=17, 3) of one scene, ends not among them.
 
     Args:
         first_m: Pair before, metres.
@@ -106,7 +106,7 @@ def fill_between(
 
 
 def _local_mean(draws_m: npt.NDArray[np.floating], pair_m: Array, count: int) -> Array:
-    """Give the mean of the draws nearest to a pair, moved onto it, weighted by how much farther than the nearest."""
+    """Return the mean of the draws nearest to a pair, moved onto it, weighted by how much farther than the nearest."""
     near = nearest_rigid(draws_m, pair_m, count=count)
     squared = near.distance_m**2
     scale = max(float(squared[0]), 1e-8)
@@ -117,7 +117,7 @@ def _local_mean(draws_m: npt.NDArray[np.floating], pair_m: Array, count: int) ->
 def _lead(
     ends_m: Array, line_m: Array, shown_m: Array, line_weight: Array, lengths_m: Array, options: InBetweenOptions
 ) -> Array:
-    """Give one person's path (frame, joint, 3) between two poses: near line and draws, smooth, bone lengths exact."""
+    """Return one person's path (frame, joint, 3) between two poses: near line and draws, smooth, bone lengths exact."""
     draw_weight = options.draw_deviation_m**-2
     total = line_weight + draw_weight
     middle = (line_weight[:, None, None] * line_m + draw_weight * shown_m) / total[:, None, None]

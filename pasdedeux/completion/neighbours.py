@@ -37,7 +37,7 @@ class Neighbours:
 
 
 def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int) -> Neighbours:
-    """Give the draws nearest over the known joints: root mean square after the best proper rigid motion.
+    """Return the draws nearest over the known joints: root mean square after the best proper rigid motion.
 
     Args:
         draws_m: Draws (draw, person=2, joint=17, 3), metres; single precision costs least.
@@ -72,7 +72,7 @@ def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: in
 def nearest_by_interaction(
     draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: int, num_ranked: int
 ) -> Neighbours:
-    """Give the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
+    """Return the draws nearest in D_I (eq. 8 of Yin et al. 2018 over tetrahedra) taken over the known joints alone.
 
     D_I is measured for the `num_ranked` draws nearest by `nearest_rigid`; with `num_ranked` as large as the number of
     draws the answer is exact.

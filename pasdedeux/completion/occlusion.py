@@ -96,7 +96,7 @@ def blend_onto(median_m: Array, pair_m: Array, *, deviation_m: float = BLEND_DEV
 
 
 def known_lengths(pair_m: Array, pairs_m: Array) -> Array:
-    """Give bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others.
+    """Return bone lengths (person=2, joint=17), metres: the pair's own, its other side's, or the median of others.
 
     Args:
         pair_m: Pair (2, 17, 3), metres; NaN where not known.

@@ -52,7 +52,7 @@ def retrieve(
     count: int = 8,
     deviation_m: float = NEIGHBOUR_DEVIATION_M,
 ) -> Retrieval:
-    """Give the draws nearest to an image, moved to where it saw them.
+    """Return the draws nearest to an image, moved to where it saw them.
 
     Args:
         index: Draws.
@@ -74,7 +74,7 @@ def retrieve(
 
 
 def image_residual(pair_m: Array, image_m: Array) -> float:
-    """Give how far a pair (person=2, joint=17, 3), camera axes, is from an image (2, 17, 2) where joints are seen.
+    """Return how far a pair (person=2, joint=17, 3), camera axes, is from an image (2, 17, 2) where joints are seen.
 
     Root mean square distance in the image plane, metres, after the best turn and shift in it; NaN where nothing is
     seen.

@@ -45,7 +45,7 @@ class DatasetCard:
 
 
 def render_card(card: DatasetCard) -> str:
-    """Give the card as Markdown; the same card always gives the same text."""
+    """Return the card as Markdown; the same card always gives the same text."""
     lines = [f"# {card.title}", "", card.description, "", "## Contents", "", "| table | rows |", "|---|---|"]
     lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
     lines += ["", "## Takes", ""]
@@ -60,7 +60,7 @@ def render_card(card: DatasetCard) -> str:
 
 
 def card_tables(card: DatasetCard) -> tuple[TextTable, ...]:
-    """Give the card as tables for the report: sources, takes, contents, cautions; what was left out is not repeated."""
+    """Return card as tables for the report: sources, takes, contents, cautions; what was left out is not repeated."""
     return (
         TextTable(
             caption="Dataset card: sources, licences and credits",

@@ -30,12 +30,12 @@ _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 
 
 def curve_points(num_draws: int, num_points: int) -> list[int]:
-    """Give the numbers of draws at which coverage is measured: even on a log scale from 1 to all."""
+    """Return the numbers of draws at which coverage is measured: even on a log scale from 1 to all."""
     return sorted({round(float(n)) for n in np.geomspace(1, max(num_draws, 1), num_points)})
 
 
 def real_frame_levels(truth_m: Array, real_m: Array, generator: np.random.Generator) -> CoverageCurve:
-    """Give the coverage of real pairs by growing random sets of other real pairs.
+    """Return the coverage of real pairs by growing random sets of other real pairs.
 
     Args:
         truth_m: Pairs to be covered (truth, 2, joint, 3), metres.
@@ -48,7 +48,7 @@ def real_frame_levels(truth_m: Array, real_m: Array, generator: np.random.Genera
 
 
 def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[np.int64]) -> float:
-    """Give N so that N real frames cover as well, by log-linear interpolation.
+    """Return N so that N real frames cover as well, by log-linear interpolation.
 
     Args:
         coverage: C(G, S) of the draws.
@@ -65,7 +65,7 @@ def as_good_as_real_frames(coverage: float, levels: Array, counts: npt.NDArray[n
 def coverage_scores(
     curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str, num_truth: int
 ) -> list[Score]:
-    """Give the curves and their ends as scores; prior-only and the real frames are baselines."""
+    """Return the curves and their ends as scores; prior-only and the real frames are baselines."""
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
         is_baseline = method.startswith(("prior_only", "real_frames", "seeds"))
@@ -94,12 +94,12 @@ def coverage_scores(
 
 
 def _measures(curve: CoverageCurve) -> list[tuple[str, Array, str]]:
-    """Give the three measures with their values along the curve and their unit."""
+    """Return the three measures with their values along the curve and their unit."""
     return [("D_I", curve.interaction_m, "m"), ("D_C", curve.cartesian_m, "m"), ("D_S", curve.shape, "")]
 
 
 def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, grown: str, *, split: str) -> list[Score]:
-    """Give the coverage in D_C of the draws of each method together with the grown seeds they started from."""
+    """Return the coverage in D_C of the draws of each method together with the grown seeds they started from."""
     if grown not in curves:
         return []
     scores = []
@@ -120,7 +120,7 @@ def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, gro
 def realism_scores(
     draws: Mapping[str, npt.NDArray[np.floating]], real_m: Array, generator: np.random.Generator, *, split: str
 ) -> list[Score]:
-    """Give how far draws are from their nearest real pair, in D_C: the other direction of coverage.
+    """Return how far draws are from their nearest real pair, in D_C: the other direction of coverage.
 
     Args:
         draws: Draws (draw, person=2, joint=17, 3), metres, by method; at most 200 of each are looked at.

@@ -39,7 +39,7 @@ class Detections:
     rate_hz: float
 
     def rows(self, chosen: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Detections:
-        """Give some of the rows."""
+        """Return some of the rows."""
         return Detections(
             self.frame[chosen], self.true_id[chosen], self.keypoints_px[chosen], self.confidence[chosen], self.rate_hz
         )
@@ -81,7 +81,7 @@ def film(
 
 
 def people_of(seen: Detections) -> tuple[Array, Array]:
-    """Give keypoints (person, frame, 14, 2) and confidences in true order."""
+    """Return keypoints (person, frame, 14, 2) and confidences in true order."""
     order = np.lexsort([seen.frame, seen.true_id])
     people = int(seen.true_id.max()) + 1
     return seen.keypoints_px[order].reshape(people, -1, 14, 2), seen.confidence[order].reshape(people, -1, 14)

@@ -50,7 +50,7 @@ class Panel:
 
 
 def pair_panel(title: str, skeleton: Skeleton, pair_m: Array, links_m: Array | None = None) -> Panel:
-    """Give the panel of a pair (2, joint, 3) in the two persons' colours."""
+    """Return the panel of a pair (2, joint, 3) in the two persons' colours."""
     poses = tuple(
         Pose(skeleton=skeleton, positions_m=positions, colour=colour)
         for positions, colour in zip(pair_m, PERSON_COLOURS, strict=True)

@@ -67,7 +67,7 @@ class PairMap:
         )
 
     def place(self, pairs_m: Array) -> Array:
-        """Give where other pairs (m, person=2, joint, 3) lie, (m, 2), metres."""
+        """Return where other pairs (m, person=2, joint, 3) lie, (m, 2), metres."""
         if not len(pairs_m):
             return np.empty((0, 2))
         squared = interaction_distances(pairs_m, self.landmarks_m) ** 2

@@ -67,7 +67,7 @@ class LiftedErrors:
 
 
 def lifted_errors(lifted_m: Array, truth_m: Array) -> LiftedErrors:
-    """Give the errors of lifted pairs (n, person=2, joint=17, 3) against the truth in the same camera axes, metres."""
+    """Return errors of lifted pairs (n, person=2, joint=17, 3) against the truth in the same camera axes, metres."""
     flat, true = (pairs.reshape(len(pairs), -1, 3) for pairs in (lifted_m, truth_m))
     centred, centred_truth = flat - flat.mean(axis=1, keepdims=True), true - true.mean(axis=1, keepdims=True)
     own = lifted_m - lifted_m[:, :, _ROOT : _ROOT + 1]

@@ -37,7 +37,7 @@ class ModelErrors:
 
 
 def key_joint_pairs(source_m: Array, *, most: int = 3) -> Pairs:
-    """Give the joint pairs (pair, 2: joint of A, joint of B) in the most continuous contact in the source.
+    """Return the joint pairs (pair, 2: joint of A, joint of B) in the most continuous contact in the source.
 
     Pairs are ordered by the share of frames in which they are closer than 0.2 m, then by their mean distance; at most
     `most` of them, none that is never in contact.

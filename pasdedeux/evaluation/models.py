@@ -18,7 +18,7 @@ _METRICS = {"E_r": ("e_r_cm", "cm"), "E_b": ("e_b_mm", "mm"), "JPD": ("jpd_cm", 
 def model_scores(
     errors: Mapping[str, Sequence[ModelErrors]], *, baselines: Sequence[str], split: str, item: str
 ) -> list[Score]:
-    """Give the mean E_r, E_b and JPD of each model over the test variants; a JPD that is NaN everywhere is left out."""
+    """Return mean E_r, E_b and JPD of each model over the test variants; a JPD that is NaN everywhere is left out."""
     scores = []
     for model, found in errors.items():
         for metric, (name, unit) in _METRICS.items():

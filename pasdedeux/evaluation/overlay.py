@@ -76,7 +76,7 @@ def overlay_clip(
 
 
 def floor_grid(camera: PinholeCamera, *, reach_m: float = 4.0, step_m: float = 1.0) -> npt.NDArray[np.float64]:
-    """Give the lines of a square grid on the floor under what a camera looks at, in pixels.
+    """Return the lines of a square grid on the floor under what a camera looks at, in pixels.
 
     Args:
         camera: The camera.

@@ -28,12 +28,12 @@ def _without_root_rotation(centred_m: Array) -> Array:
 
 
 def root_centred_error_m(found_m: Array, true_m: Array) -> Array:
-    """Give the mean joint distance (*batch,) of op14 poses (*batch, 14, 3): mid-hips together, root rotation kept."""
+    """Return the mean joint distance (*batch,) of op14 poses (*batch, 14, 3): mid-hips together, root rotation kept."""
     return np.asarray(np.linalg.norm(_centred(found_m) - _centred(true_m), axis=-1).mean(axis=-1))
 
 
 def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
-    """Give the same with the rotation of the root removed too, as Yiannakides et al. (2019, section 6.2) do.
+    """Return the same with the rotation of the root removed too, as Yiannakides et al. (2019, section 6.2) do.
 
     The root's rotation is the frame of the body: up from mid-hip to neck, left from hips and shoulders.
     """
@@ -42,7 +42,7 @@ def root_removed_error_m(found_m: Array, true_m: Array) -> Array:
 
 
 def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
-    """Give the root-centred error (frame,) after one scale for the whole track that fits best, in metres of the truth.
+    """Return root-centred error (frame,) after one scale for the whole track that fits best, in metres of the truth.
 
     One camera does not see how large a person is, so the size of a body is no part of this error.
     """
@@ -53,7 +53,7 @@ def scale_free_error_m(found_m: Array, true_m: Array) -> Array:
 
 
 def jitter_m(positions_m: Array) -> float:
-    """Give the mean length of the second difference of joints (frame, joint, 3) over time; 0 below three frames."""
+    """Return the mean length of the second difference of joints (frame, joint, 3) over time; 0 below three frames."""
     if len(positions_m) < 3:
         return 0.0
     second = positions_m[2:] - 2.0 * positions_m[1:-1] + positions_m[:-2]
@@ -69,7 +69,7 @@ def foot_slide_m(
     height_m: float = 0.05,
     speed_m_s: float = 0.2,
 ) -> float:
-    """Give the mean horizontal way per frame of the ankles while they stand in the truth; 0 where they never do.
+    """Return the mean horizontal way per frame of the ankles while they stand in the truth; 0 where they never do.
 
     The truth says when, so that all methods are judged in the same frames: a motion that wobbles or sinks would
     otherwise choose its own.

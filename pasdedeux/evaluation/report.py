@@ -63,7 +63,7 @@ class Report:
 
 
 def render_report(report: Report) -> str:
-    """Give the report as one HTML page; the same report always gives the same text."""
+    """Return the report as one HTML page; the same report always gives the same text."""
     environment = Environment(
         loader=PackageLoader("pasdedeux.evaluation"),
         autoescape=select_autoescape(("html",)),

@@ -20,7 +20,7 @@ _LEAST_LENGTH_M = 1e-9
 
 
 def format_value(value: float, unit: str) -> str:
-    """Give a figure with its unit, three significant digits, lengths in cm."""
+    """Return a figure with its unit, three significant digits, lengths in cm."""
     shown_unit, factor = _HUNDREDTHS.get(unit, (unit, 1.0))
     scaled = 0.0 if unit == "m" and abs(value) < _LEAST_LENGTH_M else value * factor
     text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
@@ -89,7 +89,7 @@ def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
 
 
 def _words(metric: str) -> str:
-    """Give a metric's name as words; symbols such as E_r and D_C stay as they are."""
+    """Return a metric's name as words; symbols such as E_r and D_C stay as they are."""
     return re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", metric)
 
 
@@ -99,5 +99,5 @@ def _all_first(key: tuple[str, str, str]) -> tuple[str, bool, str, bool, list[tu
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """Give a key that sorts clip_2 before clip_10."""
+    """Return a key that sorts clip_2 before clip_10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]

@@ -41,7 +41,7 @@ class Score:
 
 
 def columns_of(scores: Iterable[Score]) -> dict[str, list[object]]:
-    """Give the scores as columns of the `scores` table, sorted so that the same figures always give the same bytes."""
+    """Return scores as columns of the `scores` table, sorted so that the same figures always give the same bytes."""
     rows = sorted(scores, key=lambda s: (s.topic, s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
     names = ("topic", "metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
     return {name: [getattr(row, name) for row in rows] for name in names}
@@ -58,7 +58,7 @@ def summarise(
     split: str = "all",
     item: str = "all",
 ) -> list[Score]:
-    """Give mean, median and 90th percentile of `values` (n,) as scores `<metric>_mean`, `_median`, `_p90`.
+    """Return mean, median and 90th percentile of `values` (n,) as scores `<metric>_mean`, `_median`, `_p90`.
 
     Values that are not finite are left out; none left gives no score.
     """

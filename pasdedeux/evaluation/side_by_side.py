@@ -89,7 +89,7 @@ def _colours(num_people: int) -> list[str]:
 
 
 def _extent(points: Array) -> float:
-    """Give the greater of height and width that all people of a frame take, its median over the frames."""
+    """Return the greater of height and width that all people of a frame take, its median over the frames."""
     flat = points.reshape(len(points), -1, points.shape[-1])
     flat = flat[np.asarray(np.isfinite(flat).all(axis=-1)).any(axis=1)]
     if not len(flat):
@@ -98,7 +98,7 @@ def _extent(points: Array) -> float:
 
 
 def _middle_of(seen: Array) -> Array:
-    """Give the middle of all seen joints (frame, 1, 1, 2); frames that show nobody have the frame's before."""
+    """Return the middle of all seen joints (frame, 1, 1, 2); frames that show nobody have the frame's before."""
     middle = np.zeros((len(seen), 1, 1, 2))
     for frame, points in enumerate(seen):
         known = points[np.isfinite(points).all(axis=-1)]
@@ -108,7 +108,7 @@ def _middle_of(seen: Array) -> Array:
 
 
 def _about_hips(positions_m: Array) -> Array:
-    """Give positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
     hips = mid_hip(positions_m)
     is_there = np.isfinite(hips).all(axis=-1, keepdims=True)
     total = np.where(is_there, hips, 0.0).sum(axis=1, keepdims=True)

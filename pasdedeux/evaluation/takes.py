@@ -17,7 +17,7 @@ _CLOSE_M = 0.15
 
 
 def closest_joint_distance(pairs_m: Array) -> Array:
-    """Give the least distance (frame,) between a joint of A and a joint of B; pairs_m is (frame, 2, joint, 3)."""
+    """Return the least distance (frame,) between a joint of A and a joint of B; pairs_m is (frame, 2, joint, 3)."""
     difference = pairs_m[:, 0, :, None, :] - pairs_m[:, 1, None, :, :]
     return np.asarray(np.linalg.norm(difference, axis=-1).min(axis=(1, 2)))
 

@@ -160,7 +160,7 @@ class Seen:
 def see(
     world_m: Array, setting: Setting, condition: Condition, *, yaw_deg: float, rate_hz: float, rng: np.random.Generator
 ) -> Seen:
-    """Give what a camera `yaw_deg` about +Y sees of a motion.
+    """Return what a camera `yaw_deg` about +Y sees of a motion.
 
     Args:
         world_m: The motion (frame, 14, 3), upright axes, floor at 0, its own proportions and way, metres.
@@ -204,7 +204,7 @@ def see(
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
-    """Give for each frame the candidate (frame, 14, 3) nearest to the truth (frame, 14, 3): a mark, not a method.
+    """Return for each frame the candidate (frame, 14, 3) nearest to the truth (frame, 14, 3): a mark, not a method.
 
     Candidates are on the reference body.  Frames without candidates have NaN.
     """
@@ -228,7 +228,7 @@ def reconstruct_seen(
     has_clean_up: bool = True,
     has_live: bool = False,
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Give a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
+    """Return a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
 
     Args:
         searcher: Database that has not seen the motion.
@@ -270,7 +270,7 @@ def reconstruct_seen(
 
 
 def live_motion(searcher: Searcher, seen: Seen, *, has_clean_up: bool) -> Array:
-    """Give a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
+    """Return a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
     options = seen.options
     fit = WindowFitOptions()
     if options.metres_per_pixel is not None:
@@ -420,7 +420,7 @@ def level_scores(
 
 
 def _figures(found: Array, truth: Array, *, way_hz: float | None) -> dict[str, float]:
-    """Give errors of a motion, and of feet where it has a way, at so many frames per second."""
+    """Return errors of a motion, and of feet where it has a way, at so many frames per second."""
     is_known = np.isfinite(found).all(axis=(1, 2))
     known = found[is_known]
     centred = known - mid_hip(known)[:, None]

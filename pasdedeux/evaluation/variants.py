@@ -65,7 +65,7 @@ class VariantQualities:
 
 
 def quality_scores(qualities: VariantQualities) -> list[Score]:
-    """Give mean and worst of every quality column over the variants of a take, contact drift beside its baseline."""
+    """Return mean and worst of every quality column over the variants of a take, contact drift beside its baseline."""
     scores = []
     columns = [(name, "interaction_mesh", values, False) for name, values in qualities.values.items()]
     columns.append(("contact_drift_m", "naive_fk", qualities.drift_fk_m, True))
@@ -105,7 +105,7 @@ def verdict_scores(qualities: VariantQualities) -> list[Score]:
 
 
 def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:
-    """Give the variants that are worst in some column, by index, with the columns they are worst in.
+    """Return the variants that are worst in some column, by index, with the columns they are worst in.
 
     A column in which no variant differs from another, or none has a value, has no worst.
     """

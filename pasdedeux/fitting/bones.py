@@ -110,7 +110,7 @@ class BoneForest:
         return BoneState(roots_m=np.array(positions_m[:, self.roots]), directions=directions)
 
     def positions(self, state: BoneState) -> Array:
-        """Give positions (frame, N, 3), metres."""
+        """Return positions (frame, N, 3), metres."""
         positions = np.empty(state.directions.shape)
         positions[:, self.roots] = state.roots_m
         for point in self.order:
@@ -120,7 +120,7 @@ class BoneForest:
         return positions
 
     def tangents(self, state: BoneState) -> Array:
-        """Give two unit vectors square to each direction and to each other (frame, N, 3, 2)."""
+        """Return two unit vectors square to each direction and to each other (frame, N, 3, 2)."""
         direction = state.directions
         helper = np.where(np.abs(direction[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
         first = normalise(np.cross(direction, helper))

@@ -163,7 +163,7 @@ def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
 def _reduce(
     forest: BoneForest, state: BoneState, tangents: Array, carried: tuple[Array, Array, Array], normal: Normal
 ) -> tuple[BlockMatrix, Array]:
-    """Give the normal equations in the unknowns of the step."""
+    """Return the normal equations in the unknowns of the step."""
     frames, points = state.directions.shape[:2]
     n = forest.num_unknowns
     carries = forest.carries
@@ -197,7 +197,7 @@ def _reduce(
 
 
 def _unknown_columns(forest: BoneForest) -> tuple[Indices, Indices]:
-    """Give for each unknown of a frame its column (0..2) and its point."""
+    """Return for each unknown of a frame its column (0..2) and its point."""
     widths = np.diff(forest.starts)
     generators = np.repeat(np.arange(forest.num_points), widths)
     columns = np.arange(forest.num_unknowns) - forest.starts[:-1][generators]

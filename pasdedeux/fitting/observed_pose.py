@@ -55,7 +55,7 @@ class BoneVectorTerm(Term):
         return np.asarray(positions_m - positions_m[:, parents] - self.targets_m)
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         return float((self.weights * self._residual(positions_m) ** 2).sum())
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
@@ -116,7 +116,7 @@ class ObservedFit:
 
 
 def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_], *, window: int = 5) -> float:
-    """Give the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
+    """Return the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
 
     The third difference of white noise has 20 times its variance, and little of a motion; the median of its size over
     all joints (0.6745 of the standard deviation) is not moved by outliers.
@@ -203,7 +203,7 @@ def _shrink(observed_m: Array, positions: Array, distance_m: Array | None) -> Ar
 
 
 def _joint_noise(residual: Array) -> Array:
-    """Give the standard deviation of each joint's residuals (N,), per axis, from their median; 0 where never seen."""
+    """Return the standard deviation of each joint's residuals (N,), per axis, from their median; 0 where never seen."""
     noise = np.zeros(residual.shape[1])
     for joint, column in enumerate(residual.T):
         seen = column[np.isfinite(column)]

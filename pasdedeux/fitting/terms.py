@@ -62,7 +62,7 @@ class Term(ABC):
 
     @abstractmethod
     def energy(self, positions_m: Array) -> float:
-        """Give E for positions (T, N, 3), metres."""
+        """Return E for positions (T, N, 3), metres."""
 
     @abstractmethod
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
@@ -95,7 +95,7 @@ class PointTerm(Term):
         object.__setattr__(self, "targets_m", np.where(is_seen, self.targets_m, 0.0))
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         return float((self.weights * (positions_m - self.targets_m) ** 2).sum())
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
@@ -133,7 +133,7 @@ class DifferenceTerm(Term):
         object.__setattr__(self, "weights", weights)
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         return float((self.weights * np.diff(positions_m - self.reference_m, n=self.order, axis=0) ** 2).sum())
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
@@ -187,7 +187,7 @@ class QuadraticTerm(Term):
         return np.asarray(product)
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         x = positions_m - self.origin_m
         return float((x * (self._apply(x) - 2.0 * self.linear)).sum() + self.constant)
 
@@ -228,7 +228,7 @@ class DistanceTerm(Term):
         return vector / np.maximum(distance, 1e-12)[..., None], distance
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         _, distance = self._vectors(positions_m)
         return float((self.weights * (distance - self.lengths_m) ** 2).sum())
 
@@ -275,7 +275,7 @@ class HalfSpaceTerm(Term):
         return np.asarray(np.maximum(self.limits_m - (self.shares * reach).sum(axis=-1), 0.0))
 
     def energy(self, positions_m: Array) -> float:
-        """Give E."""
+        """Return E."""
         return float((self.weights * self._shortfall(positions_m) ** 2).sum())
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:

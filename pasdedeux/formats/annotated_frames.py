@@ -122,14 +122,14 @@ class AnnotatedFrames:
 
 
 def get_keypoint_layout(name: str) -> KeypointLayout:
-    """Give the keypoint layout of this name, or an InputError that lists the known ones."""
+    """Return the keypoint layout of this name, or an InputError that lists the known ones."""
     if name not in KEYPOINT_LAYOUTS:
         raise InputError(f"keypoint layout '{name}' is not known; known layouts: {', '.join(KEYPOINT_LAYOUTS)}")
     return KEYPOINT_LAYOUTS[name]
 
 
 def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
-    """Give how long the body segments are against the longest they can be on a body: below 0.5 for people.
+    """Return how long the body segments are against the longest they can be on a body: below 0.5 for people.
 
     The mean over the kinds of segment of the median over the rows; NaN when too little is seen to tell.
 
@@ -160,7 +160,7 @@ def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
 
 
 def _off_middle(frames: AnnotatedFrames) -> float:
-    """Give the median distance of the mid-hip from the middle of the hips against the diagonal; NaN if not seen."""
+    """Return the median distance of the mid-hip from the middle of the hips against the diagonal; NaN if not seen."""
     names = get_keypoint_layout(frames.layout).keypoint_names
     if "mid_hip" not in names:
         return float("nan")

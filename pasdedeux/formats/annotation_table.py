@@ -181,7 +181,7 @@ def read_annotation_npz(data: bytes, *, sequence_id: str = "sequence", layout: s
 
 
 def write_annotation_csv(frames: AnnotatedFrames) -> str:
-    """Give annotations as our CSV; missing keypoints are left out, a person without any keeps one empty row."""
+    """Return annotations as our CSV; missing keypoints are left out, a person without any keeps one empty row."""
     names = get_keypoint_layout(frames.layout).keypoint_names
     out = io.StringIO()
     out.write(f"# layout: {frames.layout}\n")
@@ -205,7 +205,7 @@ def write_annotation_csv(frames: AnnotatedFrames) -> str:
 
 
 def write_annotation_npz(frames: AnnotatedFrames) -> bytes:
-    """Give annotations as our npz."""
+    """Return annotations as our npz."""
     arrays: dict[str, Any] = {
         "layout": np.array(frames.layout),
         "sequence": np.array(frames.sequence_id),
@@ -231,7 +231,7 @@ def _count(token: str, where: str) -> int:
 
 
 def _keypoint(row: dict[str, str], line: int) -> tuple[float, float, float]:
-    """Give x, y and confidence of a row; NaN and 0 where it says missing."""
+    """Return x, y and confidence of a row; NaN and 0 where it says missing."""
     token = row.get("confidence", "1")
     confidence = parse_number(token, f"line {line}: confidence") if token else 0.0
     if not 0 <= confidence <= 10:

@@ -137,7 +137,7 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
 
 
 def count_amc_frames(data: bytes | str, asf: AsfSkeleton) -> int:
-    """Give the number of frames of an AMC file after checking its structure, without the pose arithmetic.
+    """Return the number of frames of an AMC file after checking its structure, without the pose arithmetic.
 
     Raises:
         FormatError: As `read_amc`.
@@ -182,7 +182,7 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
 
 
 def _split_sections(lines: list[str]) -> dict[str, list[tuple[int, list[str]]]]:
-    """Give for each `:section` its lines as (line number, words), the words on the section's own line included."""
+    """Return for each `:section` its lines as (line number, words), the words on the section's own line included."""
     sections: dict[str, list[tuple[int, list[str]]]] = {}
     current: list[tuple[int, list[str]]] | None = None
     for number, line in enumerate(lines, start=1):
@@ -205,7 +205,7 @@ def _split_sections(lines: list[str]) -> dict[str, list[tuple[int, list[str]]]]:
 
 
 def _parse_units(rows: list[tuple[int, list[str]]]) -> tuple[float, bool]:
-    """Give the length unit in inches' multiples and whether angles are in degrees."""
+    """Return the length unit in inches' multiples and whether angles are in degrees."""
     length, is_degrees = 1.0, True
     for number, words in rows:
         key = words[0].lower()
@@ -223,7 +223,7 @@ def _parse_units(rows: list[tuple[int, list[str]]]) -> tuple[float, bool]:
 
 
 def _parse_root(rows: list[tuple[int, list[str]]]) -> _Bone:
-    """Give the root as a bone whose `direction` is its position and whose axis is its orientation."""
+    """Return the root as a bone whose `direction` is its position and whose axis is its orientation."""
     root = _Bone(line=rows[0][0] if rows else 0, name="root", direction=np.zeros(3), axis_angles=np.zeros(3))
     for number, words in rows:
         key = words[0].lower()
@@ -338,7 +338,7 @@ def _parse_hierarchy(rows: list[tuple[int, list[str]]], bones: dict[str, _Bone])
 
 
 def _outwards(children: dict[str, list[str]]) -> list[str]:
-    """Give all bones reached from the root, depth first, every parent before its children."""
+    """Return all bones reached from the root, depth first, every parent before its children."""
     order, stack = [], list(reversed(children["root"]))
     while stack:
         name = stack.pop()
@@ -374,7 +374,7 @@ def _parse_dof(words: list[str], allowed: dict[str, str], number: int, name: str
 
 
 def _parse_amc(data: bytes | str, asf: AsfSkeleton) -> tuple[Array, bool]:
-    """Give the numbers of all frames (frame, sum of dof), joint after joint, and whether angles are degrees."""
+    """Return the numbers of all frames (frame, sum of dof), joint after joint, and whether angles are degrees."""
     lines = split_lines(decode(data, "AMC file"))
     is_degrees = asf.is_degrees
     index = 0

@@ -149,7 +149,7 @@ def read_bvh(data: bytes | str) -> SourceMotion:
 
 
 def rate_from_frame_time(token: str) -> float:
-    """Give the frame rate that a frame time means as written.
+    """Return the frame rate that a frame time means as written.
 
     Files cut the time to a few digits: 0.0333 is 30 Hz and 0.008333 is 120 Hz.  If exactly one whole number of frames
     per second rounds or cuts to these digits it is meant; otherwise the inverse is (0.033367 is 29.97 Hz).
@@ -299,7 +299,7 @@ class _HierarchyParser:
 
 
 def _parse_hierarchy(lines: list[str]) -> tuple[BvhHierarchy, int]:
-    """Give the hierarchy and the number of lines up to MOTION, or all of them when there is none."""
+    """Return the hierarchy and the number of lines up to MOTION, or all of them when there is none."""
     parser = _HierarchyParser()
     num_lines = len(lines)
     for index, line in enumerate(lines):
@@ -363,7 +363,7 @@ def _parse_header(lines: list[str]) -> BvhHeader:
 
 
 def _next_line(lines: list[str], index: int, label: str) -> tuple[int, str]:
-    """Give the line number and the text after `label` of the next line that is not empty."""
+    """Return the line number and the text after `label` of the next line that is not empty."""
     while index < len(lines) and not lines[index].strip():
         index += 1
     text = " ".join(lines[index].split()) if index < len(lines) else ""
@@ -420,7 +420,7 @@ def _channel_name(header: BvhHeader, column: int) -> str:
 
 
 def _still_offset(name: str, place: Array, first_line: int) -> Array:
-    """Give the mean of a joint's own positions, or refuse a joint that moves against its parent."""
+    """Return the mean of a joint's own positions, or refuse a joint that moves against its parent."""
     mean = place.mean(axis=0)
     slide = np.linalg.norm(place - mean, axis=1)
     worst = int(np.argmax(slide))

@@ -12,7 +12,7 @@ __all__ = ["write_bvh"]
 
 
 def write_bvh(motion: Motion, *, units_per_metre: float = 100.0, rotation_order: str = "ZXY", decimals: int = 6) -> str:
-    """Give a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up, true rate.
+    """Return a motion as BVH text: lengths in file units (centimetres by default), angles in degrees, Y up, true rate.
 
     A leaf whose name ends in `_end` and that never turns is written as an End Site; every other leaf gets an End Site
     without offset.  `read_bvh` gives the same motion back, to half a unit of the last decimal.

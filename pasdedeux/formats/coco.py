@@ -91,7 +91,7 @@ def read_coco(data: bytes | str, *, sequence_id: str, rate_hz: float | None = No
 
 
 def _images(content: dict[str, Any]) -> dict[int | str, tuple[str, int]]:
-    """Give for each image id its video's name and its frame number there."""
+    """Return for each image id its video's name and its frame number there."""
     images = content.get("images")
     if not isinstance(images, list):
         raise FormatError("this is not a COCO file: it has no list 'images'")
@@ -118,7 +118,7 @@ def _images(content: dict[str, Any]) -> dict[int | str, tuple[str, int]]:
 
 
 def _common_size(content: dict[str, Any]) -> tuple[int, int] | None:
-    """Give the size that all images share, None where they differ or do not say."""
+    """Return the size that all images share, None where they differ or do not say."""
     sizes = {(image.get("width"), image.get("height")) for image in content["images"] if _has_size(image)}
     if len(sizes) != 1 or not all(_has_size(image) for image in content["images"]):
         return None

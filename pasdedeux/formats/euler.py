@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
-    """Give unit quaternions (*batch, 4) of the product R[axes[0]] R[axes[1]] ... of angles (*batch, len(axes)).
+    """Return unit quaternions (*batch, 4) of the product R[axes[0]] R[axes[1]] ... of angles (*batch, len(axes)).
 
     The first axis listed is the outermost, as in the CHANNELS of a BVH file; no axes give the identity.
     """
@@ -29,7 +29,7 @@ def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
 
 
 def euler_from_unitquat(unitquat: Array, axes: str) -> Array:
-    """Give angles (*batch, 3) in radians whose product R[axes[0]] R[axes[1]] R[axes[2]] is the rotation (*batch, 4).
+    """Return angles (*batch, 3) in radians whose product R[axes[0]] R[axes[1]] R[axes[2]] is the rotation (*batch, 4).
 
     The middle angle lies within a quarter turn.  Where it is a quarter turn the outer two share one axis: the last one
     is then 0.  `axes` is a permutation of XYZ.

@@ -19,7 +19,7 @@ RIGID_M = 1e-4
 
 
 def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
-    """Give a motion whose joints lie at positions (frame, J, 3), as far as those keep their bone lengths.
+    """Return a motion whose joints lie at positions (frame, J, 3), as far as those keep their bone lengths.
 
     A joint turns all its children together, so children that move against each other - hips against the spine - would
     be off by that much.  Between such a joint and each of its children stands one more joint, `<child>_base`, at
@@ -72,7 +72,7 @@ def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Moti
 
 
 def _slack(skeleton: Skeleton, joint: int, rigid: Motion, turn: Array, positions_m: Array) -> float:
-    """Give how far the children of a joint are off when its rotation carries them all, metres."""
+    """Return how far the children of a joint are off when its rotation carries them all, metres."""
     children = list(skeleton.children(joint))
     carried = rotate(turn[:, None], np.broadcast_to(rigid.rest_offsets_m[children], (len(turn), len(children), 3)))
     posed = positions_m[:, children] - positions_m[:, joint, None]
@@ -82,7 +82,7 @@ def _slack(skeleton: Skeleton, joint: int, rigid: Motion, turn: Array, positions
 def _turn(
     skeleton: Skeleton, joint: int, rigid: Motion, above: Array | None, fitted: Array, positions_m: Array
 ) -> Array:
-    """Give the world rotation (frame, 4) of a joint: fitted to several children, swung to one; else the one above."""
+    """Return the world rotation (frame, 4) of a joint: fitted to several children, swung to one; else the one above."""
     children = skeleton.children(joint)
     if len(children) > 1 or above is None:
         return fitted

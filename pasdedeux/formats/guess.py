@@ -71,7 +71,7 @@ class MotionGuess:
 
 
 def guess_format(data: bytes) -> str:
-    """Give the format of a file's content, one of `FORMATS`.
+    """Return the format of a file's content, one of `FORMATS`.
 
     Raises:
         FormatError: It is none of them.
@@ -112,7 +112,7 @@ def guess_format(data: bytes) -> str:
 
 
 def guess_up_axis(source: SourceMotion) -> tuple[str, float]:
-    """Give the axis along which the bodies stand, and how clearly: the mean cosine between them, 0 to 1.
+    """Return the axis along which the bodies stand, and how clearly: the mean cosine between them, 0 to 1.
 
     Bodies that lie as much as they stand give y, with little sureness: most files are y-up.
     """
@@ -141,7 +141,7 @@ def guess_up_axis(source: SourceMotion) -> tuple[str, float]:
 
 
 def guess_common_up_axis(sources: Sequence[SourceMotion]) -> str:
-    """Give the up axis of people who were captured together: that of the one for whom it is clearest, y among equals.
+    """Return the up axis of people who were captured together: that of the one for whom it is clearest, y among equals.
 
     One of two may lie on the floor all the time, as wrestlers do; alone that body would be taken to stand along it.
     Sureness that differs by less than a tenth decides nothing: most files are y-up.
@@ -158,7 +158,7 @@ def guess_common_up_axis(sources: Sequence[SourceMotion]) -> str:
 
 
 def guess_metres_per_unit(source: SourceMotion) -> tuple[float, float, str, float]:
-    """Give metres per unit, how sure it is, why, and the body height (in metres) that follows.
+    """Return metres per unit, how sure it is, why, and the body height (in metres) that follows.
 
     The unit is the file's own where it states one; else the known unit that makes an adult of the body.
     """
@@ -181,7 +181,7 @@ def guess_metres_per_unit(source: SourceMotion) -> tuple[float, float, str, floa
 
 
 def body_height(source: SourceMotion) -> float:
-    """Give about the stature in file units, from the chain ankle, hip, neck, ear; the rest pose's extent if unknown."""
+    """Return the stature in file units by the chain ankle, hip, neck, ear; else the extent of the rest pose."""
     layout = find_layout(source.skeleton.joint_names)
     rest, _ = forward_kinematics(
         source.skeleton,
@@ -210,7 +210,7 @@ def body_height(source: SourceMotion) -> float:
 
 
 def guess_motion(source: SourceMotion) -> MotionGuess:
-    """Give everything that can be told of a motion that its file does not say."""
+    """Return everything that can be told of a motion that its file does not say."""
     layout = find_layout(source.skeleton.joint_names)
     up_axis, up_sureness = guess_up_axis(source)
     metres_per_unit, unit_sureness, reason, height = guess_metres_per_unit(source)

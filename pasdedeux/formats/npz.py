@@ -25,7 +25,7 @@ def is_npz(data: bytes) -> bool:
 
 
 def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
-    """Give the arrays of an npz archive by name.
+    """Return the arrays of an npz archive by name.
 
     Raises:
         FormatError: The archive is damaged, holds Python objects, or states more data than it has.
@@ -46,7 +46,7 @@ def read_npz(data: bytes, what: str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _read_array(content: bytes, name: str) -> npt.NDArray[Any]:
-    """Give the array of one npy file after comparing what its header states with what is there."""
+    """Return the array of one npy file after comparing what its header states with what is there."""
     stream = io.BytesIO(content)
     try:
         version = np.lib.format.read_magic(stream)

@@ -42,7 +42,7 @@ class OpenPoseFrame:
 
 
 def openpose_frame_number(file_name: str) -> int | None:
-    """Give the frame number that OpenPose wrote into a file name such as `walk_000000000012_keypoints.json`."""
+    """Return the frame number that OpenPose wrote into a file name such as `walk_000000000012_keypoints.json`."""
     found = re.search(r"(\d{1,18})(?:_keypoints)?\.json$", file_name)
     return int(found.group(1)) if found else None
 

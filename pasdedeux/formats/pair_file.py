@@ -68,7 +68,7 @@ class PairFile:
 
 
 def write_pair_json(pair: PairFile) -> str:
-    """Give a pair as JSON text."""
+    """Return a pair as JSON text."""
     persons = {
         name: dict(zip(PAIR17.joint_names, positions, strict=True))
         for name, positions in zip(_PERSONS, np.asarray(pair.pair_m, dtype=np.float64).tolist(), strict=True)
@@ -115,7 +115,7 @@ def read_pair_json(data: bytes | str) -> PairFile:
 
 
 def write_pair_bvh(pair_m: Array) -> tuple[str, str]:
-    """Give a pair (2, 17, 3), metres, as the BVH texts of person A and person B, centimetres, one frame each."""
+    """Return a pair (2, 17, 3), metres, as the BVH texts of person A and person B, centimetres, one frame each."""
     first, second = (write_bvh(exact_motion(PAIR17, person[None], _POSE_RATE_HZ), decimals=8) for person in pair_m)
     return first, second
 

@@ -32,7 +32,7 @@ class PositionTake:
     rate_hz: float | None
 
     def to_source_motion(self) -> SourceMotion:
-        """Give the positions as a motion whose rotations are swings only, in metres."""
+        """Return the positions as a motion whose rotations are swings only, in metres."""
         motion = motion_from_positions(self.skeleton, self.positions, self.rate_hz or 1.0)
         return SourceMotion(
             skeleton=motion.skeleton,

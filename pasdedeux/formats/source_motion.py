@@ -48,7 +48,7 @@ class SourceMotion:
         return len(self.root_translation)
 
     def frames(self, start: int, stop: int) -> SourceMotion:
-        """Give frames `start` to `stop` (exclusive)."""
+        """Return frames `start` to `stop` (exclusive)."""
         return SourceMotion(
             skeleton=self.skeleton,
             rest_offsets=self.rest_offsets,
@@ -60,7 +60,7 @@ class SourceMotion:
         )
 
     def to_motion(self, *, metres_per_unit: float, rate_hz: float, up_axis: str = "y") -> Motion:
-        """Give the motion in metres, Y up; rest pose and rotations are expressed in the new axes alike.
+        """Return the motion in metres, Y up; rest pose and rotations are expressed in the new axes alike.
 
         Args:
             metres_per_unit: Length of the file's unit, metres.

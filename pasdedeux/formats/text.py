@@ -17,7 +17,7 @@ _MAX_TOKEN_SHOWN = 40
 
 
 def decode(data: bytes | str, what: str) -> str:
-    """Give the text of `data`: UTF-8 with or without a byte order mark, else Latin-1.
+    """Return the text of `data`: UTF-8 with or without a byte order mark, else Latin-1.
 
     Raises:
         FormatError: The data is empty or binary.
@@ -42,12 +42,12 @@ def split_lines(text: str) -> list[str]:
 
 
 def shorten(token: str) -> str:
-    """Give a token for a message, at most 40 characters of it."""
+    """Return a token for a message, at most 40 characters of it."""
     return token if len(token) <= _MAX_TOKEN_SHOWN else token[:_MAX_TOKEN_SHOWN] + "..."
 
 
 def parse_number(token: str, where: str, *, max_magnitude: float = MAX_MAGNITUDE) -> float:
-    """Give the finite number that a token spells.
+    """Return the finite number that a token spells.
 
     Raises:
         FormatError: It spells none, or one that is not finite or absurdly large; `where` is put in front.
@@ -66,7 +66,7 @@ def parse_number(token: str, where: str, *, max_magnitude: float = MAX_MAGNITUDE
 
 
 def parse_integer(token: str, where: str) -> int:
-    """Give the whole number of at most nine digits that a token spells.
+    """Return the whole number of at most nine digits that a token spells.
 
     Raises:
         FormatError: It spells none; `where` is put in front.
@@ -78,7 +78,7 @@ def parse_integer(token: str, where: str) -> int:
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
-    """Give the value of a JSON text; NaN and infinity are refused, as JSON does not know them.
+    """Return the value of a JSON text; NaN and infinity are refused, as JSON does not know them.
 
     Raises:
         FormatError: The text is empty, truncated, nested too deeply or otherwise not JSON; the line is named.

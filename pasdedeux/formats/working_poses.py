@@ -82,7 +82,7 @@ def check_layout(motion: Motion, layout: Layout) -> None:
 
 
 def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
-    """Give a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
+    """Return a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
 
     The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
     motion's joints differ from the positions by that much.
@@ -114,7 +114,7 @@ def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float
 
 
 def _with_points(motion: Motion, layout: Layout) -> Motion:
-    """Give the motion with the layout's added points as further joints."""
+    """Return the motion with the layout's added points as further joints."""
     if not layout.points:
         return motion
     names, parents = list(motion.skeleton.joint_names), list(motion.skeleton.parents)

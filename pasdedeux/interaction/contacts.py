@@ -30,13 +30,13 @@ class Contacts:
 
 
 def joint_pair_distances(pair_m: Array) -> Array:
-    """Give the distances (*batch, joint of A, joint of B), metres, of pairs (*batch, person=2, joint, 3)."""
+    """Return the distances (*batch, joint of A, joint of B), metres, of pairs (*batch, person=2, joint, 3)."""
     difference = pair_m[..., 0, :, None, :] - pair_m[..., 1, None, :, :]
     return np.asarray(np.linalg.norm(difference, axis=-1))
 
 
 def closest_joint_pairs(pair_m: Array, *, num_pairs: int = 5) -> Contacts:
-    """Give the `num_pairs` closest joint pairs between the people of pairs (*batch, person=2, joint, 3).
+    """Return the `num_pairs` closest joint pairs between the people of pairs (*batch, person=2, joint, 3).
 
     Ties go to the lower joint of A, then of B; NaN distances come last.
 
@@ -59,6 +59,6 @@ def closest_joint_pairs(pair_m: Array, *, num_pairs: int = 5) -> Contacts:
 
 
 def gap_m(pair_m: Array) -> Array:
-    """Give the distance (*batch,), metres, between the closest joints of the two people; NaN joints are left out."""
+    """Return the distance (*batch,), metres, between the closest joints of the two people; NaN joints are left out."""
     distances = joint_pair_distances(pair_m)
     return np.asarray(np.nanmin(distances, axis=(-2, -1)))

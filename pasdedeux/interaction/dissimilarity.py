@@ -28,12 +28,12 @@ BETA_M = 0.05
 
 
 def edge_vectors(points: Array, edges: Edges) -> Array:
-    """Give the interaction coordinates (*batch, edge, d): the vector along each edge of points (*batch, n, d)."""
+    """Return the interaction coordinates (*batch, edge, d): the vector along each edge of points (*batch, n, d)."""
     return np.asarray(points[..., edges[:, 1], :] - points[..., edges[:, 0], :])
 
 
 def edge_weights(points: Array, edges: Edges, *, beta_m: float = BETA_M) -> Array:
-    """Give the weights (edge,) of eq. 8 over the edges of points (n, d): 1 / max(beta, length), scaled to sum to 1.
+    """Return the weights (edge,) of eq. 8 over the edges of points (n, d): 1 / max(beta, length), scaled to sum to 1.
 
     Without edges the result is empty.
     """
@@ -42,7 +42,7 @@ def edge_weights(points: Array, edges: Edges, *, beta_m: float = BETA_M) -> Arra
 
 
 def plane_residual(moving: Array, fixed: Array) -> Array:
-    """Give the squared distance (*batch,), square metres, left by the best rotation in the plane.
+    """Return the squared distance (*batch,), square metres, left by the best rotation in the plane.
 
     Args:
         moving: Points (*batch, n, 2).
@@ -60,7 +60,7 @@ def plane_residual(moving: Array, fixed: Array) -> Array:
 
 
 def align_plane(moving: Array, fixed: Array) -> Array:
-    """Give points `moving` (*batch, n, 2) turned and shifted, least squares, onto `fixed` (*batch, n, 2).
+    """Return points `moving` (*batch, n, 2) turned and shifted, least squares, onto `fixed` (*batch, n, 2).
 
     Points that all coincide are only shifted.
     """
@@ -80,7 +80,7 @@ def align_plane(moving: Array, fixed: Array) -> Array:
 def interaction_dissimilarity(
     first: Array, second: Array, *, graph: Graph = Graph.DELAUNAY, beta_m: float = BETA_M
 ) -> float:
-    """Give d_I of eq. 8 (Yin et al. 2018) between two point sets (n, d), metres: D_I when d is 3.
+    """Return d_I of eq. 8 (Yin et al. 2018) between two point sets (n, d), metres: D_I when d is 3.
 
     `first` is brought onto `second` by the best proper rigid motion; then the edge vectors of both are compared over
     the graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It is
@@ -100,7 +100,7 @@ def interaction_dissimilarity(
 
 
 def cartesian_dissimilarity(first: Array, second: Array) -> Array:
-    """Give D_C: the mean joint distance (*batch,), metres, after the best proper rigid motion of the whole pair.
+    """Return D_C: the mean joint distance (*batch,), metres, after the best proper rigid motion of the whole pair.
 
     Both are (*batch, n, 3) with the joints of both people along n.
     """

@@ -43,7 +43,7 @@ class Graph(StrEnum):
 
 
 def graph_edges(points: Array, graph: Graph = Graph.DELAUNAY, *, num_nearest: int = DEFAULT_NUM_NEAREST) -> Edges:
-    """Give the edges (edge, 2), i < j, sorted, of a graph over points (n, 2) or (n, 3), metres."""
+    """Return the edges (edge, 2), i < j, sorted, of a graph over points (n, 2) or (n, 3), metres."""
     if graph is Graph.DELAUNAY:
         return delaunay_edges(points)
     if graph is Graph.NEAREST:
@@ -54,7 +54,7 @@ def graph_edges(points: Array, graph: Graph = Graph.DELAUNAY, *, num_nearest: in
 
 
 def delaunay_edges(points: Array) -> Edges:
-    """Give the Delaunay edges of points (n, 2), or the edges of the Delaunay tetrahedra of points (n, 3), metres.
+    """Return the Delaunay edges of points (n, 2), or the edges of the Delaunay tetrahedra of points (n, 3), metres.
 
     Points are moved by a fixed jitter of at most 1e-7 m first, so coincident, collinear and cocircular points have one
     answer.  Fewer points than a simplex needs are all joined.
@@ -76,7 +76,7 @@ def delaunay_edges(points: Array) -> Edges:
 
 
 def nearest_edges(points: Array, *, num_nearest: int = DEFAULT_NUM_NEAREST) -> Edges:
-    """Give the edges from each of the points (n, d) to its `num_nearest` nearest others; ties go to the lower index."""
+    """Return edges from each of the points (n, d) to its `num_nearest` nearest others; ties go to the lower index."""
     _check(points)
     distance = _distances(points)
     np.fill_diagonal(distance, np.inf)
@@ -87,7 +87,7 @@ def nearest_edges(points: Array, *, num_nearest: int = DEFAULT_NUM_NEAREST) -> E
 
 
 def gabriel_edges(points: Array) -> Edges:
-    """Give the pairs of points (n, d) whose diametral sphere holds no other point (Gabriel and Sokal 1969).
+    """Return the pairs of points (n, d) whose diametral sphere holds no other point (Gabriel and Sokal 1969).
 
     A point on the sphere does not count as inside, so coincident points are joined.
     """
@@ -101,7 +101,7 @@ def gabriel_edges(points: Array) -> Edges:
 
 
 def minimum_weight_edges(points: Array) -> Edges:
-    """Give the greedy approximation of the minimum-weight triangulation of points (n, 2), metres.
+    """Return the greedy approximation of the minimum-weight triangulation of points (n, 2), metres.
 
     The exact one is NP-hard (Mulzer and Rote 2008); greedily adding the shortest edge that crosses no earlier one is
     the usual stand-in.  Edges over 3D points are not defined.

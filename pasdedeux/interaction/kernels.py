@@ -43,7 +43,7 @@ class EdgeTable:
 
 
 def edge_table(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
-    """Give the Delaunay edges and weights (eq. 8) of point sets (set, n, 2), metres.
+    """Return the Delaunay edges and weights (eq. 8) of point sets (set, n, 2), metres.
 
     Raises:
         InputError: A coordinate is not finite.
@@ -57,7 +57,7 @@ def edge_table(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
 
 
 def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
-    """Give the edges of the Delaunay tetrahedra, and weights, of point sets (set, n, 3), metres (scipy, 0.3 ms a set).
+    """Return edges of the Delaunay tetrahedra, and weights, of point sets (set, n, 3), metres (scipy, 0.3 ms a set).
 
     Raises:
         InputError: A coordinate is not finite.
@@ -95,7 +95,7 @@ def fill_edge_weights(x, y, edges, count, beta_m, weights):  # type: ignore[no-u
 
 @numba.njit(cache=True, nogil=True)
 def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
-    """Give one side of eq. 8: the weighted sum over edges of the length of the difference of edge vectors.
+    """Return one side of eq. 8: the weighted sum over edges of the length of the difference of edge vectors.
 
     `dx`, `dy` are the differences of the aligned points, so an edge's difference is theirs subtracted.
     """
@@ -229,7 +229,7 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
-    """Give the three differences of point k of `moving` (n, 3), turned, to that of `fixed` (n, 3)."""
+    """Return the three differences of point k of `moving` (n, 3), turned, to that of `fixed` (n, 3)."""
     x, y, z = moving[k, 0], moving[k, 1], moving[k, 2]
     return (
         rotmat[0, 0] * x + rotmat[0, 1] * y + rotmat[0, 2] * z - fixed[k, 0],
@@ -240,7 +240,7 @@ def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def turned_squares(rotmat, moving, fixed):  # type: ignore[no-untyped-def]
-    """Give the squared distances of `moving` (n, 3), turned, to `fixed` (n, 3), summed over the points."""
+    """Return the squared distances of `moving` (n, 3), turned, to `fixed` (n, 3), summed over the points."""
     total = 0.0
     for k in range(moving.shape[0]):
         u, v, w = turned_gap(rotmat, moving, fixed, k)

@@ -19,7 +19,7 @@ _MOST_ROUNDS = 30
 
 
 def dissimilarity_matrix(points: Array, *, beta_m: float = BETA_M) -> Array:
-    """Give d_I (eq. 8 of Yin et al. 2018), metres, between all planar point sets (set, n, 2): (set, set), symmetric.
+    """Return d_I (eq. 8 of Yin et al. 2018), metres, between all planar point sets (set, n, 2): (set, set), symmetric.
 
     Raises:
         InputError: A coordinate is not finite.
@@ -32,7 +32,7 @@ def dissimilarity_matrix(points: Array, *, beta_m: float = BETA_M) -> Array:
 
 
 def choose_medoids(matrix: Array, count: int) -> Indices:
-    """Give `count` members (count,) that stand for a set with these dissimilarities (set, set).
+    """Return `count` members (count,) that stand for a set with these dissimilarities (set, set).
 
     Farthest-first from the member nearest to all others, then Voronoi iteration: everyone joins the nearest medoid, and
     each group takes the member nearest to the rest of it, until nothing changes.  No randomness; ties go to the lower

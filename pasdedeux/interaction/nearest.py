@@ -82,7 +82,7 @@ def lower_minima(
 
 
 def interaction_distances(first_m: Array, second_m: Array) -> Array:
-    """Give D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
+    """Return D_I (n, m), metres, between pairs (n, person=2, joint, 3) and (m, person=2, joint, 3), metres.
 
     Raises:
         InputError: A coordinate is not finite.

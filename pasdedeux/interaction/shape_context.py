@@ -43,13 +43,13 @@ _CHUNK = 512
 
 
 def plane_shape_dissimilarity(moving: Array, fixed: Array) -> Array:
-    """Give the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
+    """Return the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
     aligned, fixed = np.broadcast_arrays(align_plane(moving, fixed), fixed)
     return _mean_cost(_plane_bins(aligned), _plane_bins(fixed), NUM_SHELLS * NUM_SECTORS)
 
 
 def pair_shape_dissimilarity(first_m: Array, second_m: Array) -> Array:
-    """Give D_S (*batch,) between pairs (*batch, person=2, joint=17, 3), metres: the oracle of `ShapeCoverage`.
+    """Return D_S (*batch,) between pairs (*batch, person=2, joint=17, 3), metres: the oracle of `ShapeCoverage`.
 
     Rigid motion does not change it: each pair is seen in its own local frame.
     """
@@ -57,7 +57,7 @@ def pair_shape_dissimilarity(first_m: Array, second_m: Array) -> Array:
 
 
 def shape_bins(pairs_m: Array) -> Bins:
-    """Give the bin (*batch, joint=34, other=33) that each other joint falls into, seen from each joint.
+    """Return the bin (*batch, joint=34, other=33) that each other joint falls into, seen from each joint.
 
     Args:
         pairs_m: Pairs (*batch, person=2, joint=17, 3), metres.
@@ -166,7 +166,7 @@ def nearest_shape_update(counts, bins, first_index, best, which):  # type: ignor
 
 
 def _others(points: Array) -> Array:
-    """Give the vectors (*batch, n, n - 1, d) from each of points (*batch, n, d) to all others."""
+    """Return the vectors (*batch, n, n - 1, d) from each of points (*batch, n, d) to all others."""
     count = points.shape[-2]
     towards = points[..., None, :, :] - points[..., :, None, :]
     is_other = ~np.eye(count, dtype=bool)
@@ -191,7 +191,7 @@ def _plane_bins(points: Array) -> Bins:
 
 
 def _mean_cost(first: Bins, second: Bins, num_bins: int) -> Array:
-    """Give the mean chi-squared cost (*batch,) of histograms given by the bins (*batch, n, n - 1) of their entries."""
+    """Return mean chi-squared cost (*batch,) of histograms given by the bins (*batch, n, n - 1) of their entries."""
     ids = np.arange(num_bins)
     one, two = ((bins[..., None] == ids).mean(axis=-2) for bins in (first, second))
     total = one + two

@@ -21,7 +21,7 @@ JITTER_M = 1e-7
 
 
 def jitter(num_points: int, dimension: int = 2) -> Array:
-    """Give the fixed displacements (num_points, dimension), metres, that break ties between degenerate points.
+    """Return the fixed displacements (num_points, dimension), metres, that break ties between degenerate points.
 
     They depend on the point's index and axis alone: multiples of irrational numbers, wrapped to +-1e-7.
     """
@@ -31,12 +31,12 @@ def jitter(num_points: int, dimension: int = 2) -> Array:
 
 
 def max_edges(num_points: int) -> int:
-    """Give the greatest number of edges of a planar triangulation."""
+    """Return the greatest number of edges of a planar triangulation."""
     return max(3 * num_points - 6, num_points * (num_points - 1) // 2 if num_points < 4 else 0)
 
 
 def workspace(num_points: int) -> Workspace:
-    """Give scratch arrays for `triangulate`: triangles' vertices, their neighbours, and small stacks."""
+    """Return scratch arrays for `triangulate`: triangles' vertices, their neighbours, and small stacks."""
     num_triangles = 2 * num_points + 8
     return (
         np.empty((num_triangles, 3), dtype=np.int32),
@@ -205,7 +205,7 @@ def _edges_of_all(points, offsets, triangles, neighbours, scratch, edges, counts
 
 
 def delaunay_edges_fast(points: Array) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Give the Delaunay edges of many point sets (set, n, 2), metres.
+    """Return the Delaunay edges of many point sets (set, n, 2), metres.
 
     Returns:
         Edges (set, max_edges, 2) with i < j in each pair, and the number of valid ones of each set (set,).

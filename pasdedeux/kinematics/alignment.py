@@ -26,7 +26,7 @@ class RigidTransform:
 
 
 def best_rotation(source: Array, target: Array) -> Array:
-    """Give the proper rotations (*batch, 3, 3) that turn vectors `source` (*batch, n, 3) best onto `target`.
+    """Return the proper rotations (*batch, 3, 3) that turn vectors `source` (*batch, n, 3) best onto `target`.
 
     Least squares without centring (Arun, Huang and Blostein 1987; the determinant is kept at +1, so nothing mirrors).
     """
@@ -38,7 +38,7 @@ def best_rotation(source: Array, target: Array) -> Array:
 
 
 def align_rigid(source: Array, target: Array) -> RigidTransform:
-    """Give the proper rigid motion that brings points `source` (*batch, n, 3) closest to `target`, without scale."""
+    """Return the proper rigid motion that brings points `source` (*batch, n, 3) closest to `target`, without scale."""
     source_mean = source.mean(axis=-2, keepdims=True)
     target_mean = target.mean(axis=-2, keepdims=True)
     rotmat = best_rotation(source - source_mean, target - target_mean)

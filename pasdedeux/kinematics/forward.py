@@ -24,7 +24,7 @@ Array = npt.NDArray[np.float64]
 def forward_kinematics(
     skeleton: Skeleton, rest_offsets_m: Array, root_translation_m: Array, local_unitquat: Array
 ) -> tuple[Array, Array]:
-    """Give world positions and world rotations of all joints.
+    """Return world positions and world rotations of all joints.
 
     Args:
         skeleton: Tree of J joints.
@@ -51,7 +51,7 @@ def forward_kinematics(
 
 
 def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:
-    """Give the length (*batch, J) of the bone that ends in each joint, metres; 0 for the root."""
+    """Return the length (*batch, J) of the bone that ends in each joint, metres; 0 for the root."""
     lengths = np.zeros(positions.shape[:-1])
     for parent, child in skeleton.bones:
         lengths[..., child] = np.linalg.norm(positions[..., child, :] - positions[..., parent, :], axis=-1)
@@ -59,7 +59,7 @@ def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:
 
 
 def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
-    """Give the unit direction (*batch, J, 3) of the bone ending in each joint; 0 for the root and for empty bones."""
+    """Return the unit direction (*batch, J, 3) of the bone ending in each joint; 0 for the root and for empty bones."""
     directions = np.zeros(positions.shape)
     for parent, child in skeleton.bones:
         vector = positions[..., child, :] - positions[..., parent, :]
@@ -69,7 +69,7 @@ def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
 
 
 def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m: Array) -> Array:
-    """Give positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J) in m."""
+    """Return positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J) in m."""
     shape = np.broadcast_shapes(directions.shape[:-1], lengths_m.shape)
     positions = np.empty((*shape, 3))
     for joint in skeleton.order:
@@ -86,7 +86,7 @@ def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m:
 def local_rotations(
     skeleton: Skeleton, rest_m: Array, positions: Array, reference_world_unitquat: Array | None = None
 ) -> Array:
-    """Give local rotations that carry the rest pose onto posed bones: swing from the bones, twist from a reference.
+    """Return local rotations that carry the rest pose onto posed bones: swing from the bones, twist from a reference.
 
     A joint with one child swings its reference rotation until the bone fits.  A joint with several children takes the
     rotation that fits them best in the least-squares sense (Kabsch), started from the reference where the children do

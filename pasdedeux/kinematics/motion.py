@@ -67,18 +67,18 @@ class Motion:
         return max(self.num_frames - 1, 0) / self.rate_hz
 
     def world(self) -> tuple[Array, Array]:
-        """Give world positions (frame, J, 3) and world rotations (frame, J, 4)."""
+        """Return world positions (frame, J, 3) and world rotations (frame, J, 4)."""
         return forward_kinematics(self.skeleton, self.rest_offsets_m, self.root_translation_m, self.local_unitquat)
 
     def rest_positions_m(self) -> Array:
-        """Give the rest pose (J, 3) with the root at the origin."""
+        """Return the rest pose (J, 3) with the root at the origin."""
         rest = np.zeros((self.skeleton.num_joints, 4))
         rest[:, 3] = 1.0
         positions, _ = forward_kinematics(self.skeleton, self.rest_offsets_m, np.zeros(3), rest)
         return positions
 
     def slice(self, start: int, stop: int) -> Motion:
-        """Give frames `start` to `stop` (exclusive)."""
+        """Return frames `start` to `stop` (exclusive)."""
         return Motion(
             skeleton=self.skeleton,
             rest_offsets_m=self.rest_offsets_m,
@@ -88,7 +88,7 @@ class Motion:
         )
 
     def resample(self, rate_hz: float) -> Motion:
-        """Give the motion at another rate: positions linearly, rotations on the short arc, from the first frame on."""
+        """Return motion at another rate: positions linearly, rotations on the short arc, from the first frame on."""
         if rate_hz == self.rate_hz or self.num_frames < 2:
             return Motion(
                 skeleton=self.skeleton,

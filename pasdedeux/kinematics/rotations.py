@@ -61,7 +61,7 @@ def rotate(unitquat: Array, vector: Array) -> Array:
 
 
 def rotmat_from_unitquat(unitquat: Array) -> Array:
-    """Give rotation matrices (*batch, 3, 3) of unit quaternions (*batch, 4)."""
+    """Return rotation matrices (*batch, 3, 3) of unit quaternions (*batch, 4)."""
     x, y, z, w = np.moveaxis(unitquat, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -72,7 +72,7 @@ def rotmat_from_unitquat(unitquat: Array) -> Array:
 
 
 def unitquat_from_rotmat(rotmat: Array) -> Array:
-    """Give unit quaternions (*batch, 4), w >= 0, of rotation matrices (*batch, 3, 3).
+    """Return unit quaternions (*batch, 4), w >= 0, of rotation matrices (*batch, 3, 3).
 
     Takes the best conditioned of the four classical forms for each matrix.
     """
@@ -116,14 +116,14 @@ def unitquat_from_rotmat(rotmat: Array) -> Array:
 
 
 def unitquat_from_rotvec(rotvec: Array) -> Array:
-    """Give unit quaternions (*batch, 4) of rotation vectors (*batch, 3) in radians; zero gives the identity."""
+    """Return unit quaternions (*batch, 4) of rotation vectors (*batch, 3) in radians; zero gives the identity."""
     angle = np.linalg.norm(rotvec, axis=-1, keepdims=True)
     half_sinc = 0.5 * np.sinc(angle / (2.0 * np.pi))
     return np.concatenate([rotvec * half_sinc, np.cos(angle / 2.0)], axis=-1)
 
 
 def rotvec_from_unitquat(unitquat: Array) -> Array:
-    """Give the shortest rotation vectors (*batch, 3) in radians of unit quaternions (*batch, 4)."""
+    """Return the shortest rotation vectors (*batch, 3) in radians of unit quaternions (*batch, 4)."""
     q = np.where(unitquat[..., 3:] < 0, -unitquat, unitquat)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., 3:])
@@ -139,7 +139,7 @@ def slerp(start: Array, end: Array, fraction: Array | float) -> Array:
 
 
 def swing_between(start: Array, end: Array) -> Array:
-    """Give the shortest rotations (*batch, 4) that turn directions `start` into `end`, both (*batch, 3).
+    """Return the shortest rotations (*batch, 4) that turn directions `start` into `end`, both (*batch, 3).
 
     Directions need not be unit.  Opposite directions turn half way about some axis square to `start`; a direction of
     length zero gives the identity.
@@ -156,13 +156,13 @@ def swing_between(start: Array, end: Array) -> Array:
 
 
 def angle_between(left: Array, right: Array) -> Array:
-    """Give the angle in radians (*batch,) between unit quaternions (*batch, 4); q and -q are the same rotation."""
+    """Return the angle in radians (*batch,) between unit quaternions (*batch, 4); q and -q are the same rotation."""
     dot = np.abs(np.sum(left * right, axis=-1))
     return np.asarray(2.0 * np.arccos(np.clip(dot, 0.0, 1.0)))
 
 
 def yaw_rotmat(yaw_rad: Array | float) -> Array:
-    """Give rotation matrices (*batch, 3, 3) that turn by `yaw_rad` about +Y, right-handed: +Z turns towards +X."""
+    """Return rotation matrices (*batch, 3, 3) that turn by `yaw_rad` about +Y, right-handed: +Z turns towards +X."""
     yaw = np.asarray(yaw_rad, dtype=np.float64)
     c, s = np.cos(yaw), np.sin(yaw)
     zero, one = np.zeros_like(c), np.ones_like(c)

@@ -40,7 +40,7 @@ BASELINES = ("copy", "naive_fk")
 
 
 def model_class(name: str) -> type[VariantModel]:
-    """Give the class of a model.
+    """Return the class of a model.
 
     Raises:
         InputError: Unknown model.
@@ -51,7 +51,7 @@ def model_class(name: str) -> type[VariantModel]:
 
 
 def load_model(name: str, arrays: Mapping[str, npt.NDArray[np.float64]]) -> VariantModel:
-    """Give a trained model from its name and arrays; ask it with `predict(VariantRequest(...))`.
+    """Return a trained model from its name and arrays; ask it with `predict(VariantRequest(...))`.
 
     Raises:
         InputError: Unknown model, or arrays that do not fit it.

@@ -25,7 +25,7 @@ class _Untrained(VariantModel):
         return cls(), []
 
     def arrays(self) -> dict[str, Array]:
-        """Give the form of the model, 1."""
+        """Return the form of the model, 1."""
         return {"form": np.array([1.0])}
 
     @classmethod
@@ -35,21 +35,21 @@ class _Untrained(VariantModel):
 
 
 class CopyModel(_Untrained):
-    """Gives the source back, whatever the proportions."""
+    """Return the source back, whatever the proportions."""
 
     name = "copy"
 
     def predict(self, request: VariantRequest) -> Array:
-        """Give the source's motion."""
+        """Return the source's motion."""
         return np.array(request.source.positions_m)
 
 
 class NaiveFkModel(_Untrained):
-    """Gives the source's bone directions with the new lengths, each person alone."""
+    """Return the source's bone directions with the new lengths, each person alone."""
 
     name = "naive_fk"
 
     def predict(self, request: VariantRequest) -> Array:
-        """Give plain forward kinematics."""
+        """Return plain forward kinematics."""
         scales = complete_scales(request.source, request.bone_scale[None])
         return np.asarray(reference_motion(request.source, scales)[0])

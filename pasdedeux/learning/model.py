@@ -60,7 +60,7 @@ class TrainingItem:
 
 
 Items = Callable[[], Iterator[TrainingItem]]
-"""Gives the training items anew each time, so that they can be read more than once without being held."""
+"""Return the training items anew each time, so that they can be read more than once without being held."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class VariantModel(ABC):
 
     @abstractmethod
     def arrays(self) -> dict[str, Array]:
-        """Give everything the model knows, as named float64 arrays; at least one."""
+        """Return everything the model knows, as named float64 arrays; at least one."""
 
     @classmethod
     @abstractmethod
@@ -101,4 +101,4 @@ class VariantModel(ABC):
 
     @abstractmethod
     def predict(self, request: VariantRequest) -> Array:
-        """Give the motion of both people (T, 2, 22, 3), metres."""
+        """Return the motion of both people (T, 2, 22, 3), metres."""

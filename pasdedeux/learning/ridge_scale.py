@@ -97,7 +97,7 @@ class RidgeScaleModel(VariantModel):
         ]
 
     def arrays(self) -> dict[str, Array]:
-        """Give coefficients per take as `take/<take_id>`, the mix and the kind of features."""
+        """Return coefficients per take as `take/<take_id>`, the mix and the kind of features."""
         arrays = {"mix": self.mix, "is_by_group": np.array([float(self.is_by_group)])}
         return arrays | {f"take/{take}": values for take, values in self.coefficients.items()}
 
@@ -111,7 +111,7 @@ class RidgeScaleModel(VariantModel):
         return cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
 
     def predict(self, request: VariantRequest) -> Array:
-        """Give the motion: by the take's own quadratic where it was trained on, by the mix elsewhere."""
+        """Return the motion: by the take's own quadratic where it was trained on, by the mix elsewhere."""
         source = request.source.positions_m
         known = self.coefficients.get(request.take_id)
         if known is None:
@@ -124,7 +124,7 @@ class RidgeScaleModel(VariantModel):
         return np.asarray(source + np.tensordot(self.features(request.bone_scale), known, axes=1))
 
     def features(self, bone_scale: Array) -> Array:
-        """Give the quadratic features (feature,) of scales (2, 22): zero at scale 1."""
+        """Return the quadratic features (feature,) of scales (2, 22): zero at scale 1."""
         groups = _GROUPS if self.is_by_group else _WHOLE
         linear = np.array([[person[bones].mean() - 1.0 for bones in groups] for person in bone_scale])
         sizes = linear.mean(axis=1)

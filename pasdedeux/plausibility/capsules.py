@@ -83,11 +83,11 @@ class CapsuleModel:
     between: Indices
 
     def radii_m(self, height_m: Array | float) -> Array:
-        """Give radii (*batch, J) in metres of people of stature (*batch,)."""
+        """Return radii (*batch, J) in metres of people of stature (*batch,)."""
         return np.asarray(height_m, dtype=np.float64)[..., None] * self.radius_per_height
 
     def radii_of(self, positions: Array) -> Array:
-        """Give radii (person, J) of people seen in poses (*batch, person, J, 3): from their median leg lengths."""
+        """Return radii (person, J) of people seen in poses (*batch, person, J, 3): from their median leg lengths."""
         lengths = bone_lengths(self.skeleton, positions)
         typical = np.median(lengths.reshape(-1, *lengths.shape[-2:]), axis=0)
         return self.radii_m(body_height_m(self.skeleton, typical))
@@ -107,13 +107,13 @@ class Penetration:
 
 
 def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
-    """Give the stature (*batch,) of people with these bone lengths (*batch, J), from their legs, metres."""
+    """Return the stature (*batch,) of people with these bone lengths (*batch, J), from their legs, metres."""
     legs = skeleton.indices(("left_knee", "left_ankle", "right_knee", "right_ankle"))
     return np.asarray(bone_lengths_m[..., legs].sum(axis=-1) / (2.0 * LEG_PER_HEIGHT))
 
 
 def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> Array:
-    """Give the distance (*batch,) between segments a and b, all ends (*batch, 3); a segment may be a point.
+    """Return the distance (*batch,) between segments a and b, all ends (*batch, 3); a segment may be a point.
 
     Closest points as in Ericson (2004), "Real-Time Collision Detection", section 5.1.9: the parameter on one segment is
     solved, clamped, and the other follows.
@@ -135,7 +135,7 @@ def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array)
 
 @lru_cache(maxsize=8)
 def capsule_model(skeleton: Skeleton) -> CapsuleModel:
-    """Give the default capsules of a skeleton whose joint names are those of pair17 or body22."""
+    """Return the default capsules of a skeleton whose joint names are those of pair17 or body22."""
     bones = [child for _, child in skeleton.bones]
     radii = np.array([RADIUS_PER_HEIGHT.get(name, 0.0) for name in skeleton.joint_names])
     stand = _standing(skeleton)
@@ -157,7 +157,7 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
 
 
 def penetration(pair_m: Array, radii_m: Array, model: CapsuleModel) -> Penetration:
-    """Give the penetration of pairs, plain form.
+    """Return the penetration of pairs, plain form.
 
     Args:
         pair_m: Positions (*batch, person=2, J, 3), metres.

@@ -55,7 +55,7 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
 def pair_penetration(
     pair: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
 ) -> float:
-    """Give the sum of penetration depths of one pair, metres.
+    """Return the sum of penetration depths of one pair, metres.
 
     Args:
         pair: Positions (person=2, J, 3), float64, metres.
@@ -82,7 +82,7 @@ def pair_penetration(
 
 @njit(cache=True, nogil=True)
 def clip_penetration(pairs: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
-    """Give the sums within A, within B and between them, (frame, 3), of pairs (frame, person=2, J, 3), metres."""
+    """Return the sums within A, within B and between them, (frame, 3), of pairs (frame, person=2, J, 3), metres."""
     sums = np.empty((pairs.shape[0], 3))
     for frame in range(pairs.shape[0]):
         pair_penetration(pairs[frame], radii, parents, within, between, sums[frame])

@@ -95,7 +95,7 @@ class JointLimits:
 
     @classmethod
     def published(cls) -> JointLimits:
-        """Give the published table with its margin."""
+        """Return the published table with its margin."""
         return cls(
             lower_rad=np.deg2rad([angle.lower_deg - MARGIN_DEG for angle in ANGLES]),
             upper_rad=np.deg2rad([angle.upper_deg + MARGIN_DEG for angle in ANGLES]),
@@ -103,7 +103,7 @@ class JointLimits:
         )
 
     def widened(self, pair17_m: Array, *, name: str, percentile: float = 0.5) -> JointLimits:
-        """Give limits that also hold the middle of the angles seen in capture; left and right get the same ranges.
+        """Return limits that also hold the middle of the angles seen in capture; left and right get the same ranges.
 
         Args:
             pair17_m: Captured poses, (*batch, joint=17, 3), metres.
@@ -139,7 +139,7 @@ class JointLimits:
         return np.asarray(self._excess(*measure(pair17_m)) != 0)
 
     def nearest_valid(self, pair17_m: Array) -> NearestValid:
-        """Give valid poses near poses (*batch, joint=17, 3): each bad angle moves to its nearest limit, root outward.
+        """Return valid poses near poses (*batch, joint=17, 3): each bad angle moves to its nearest limit, root outward.
 
         Bone lengths and the root are kept; what hangs on a moved bone moves with it.  This is the nearest pose joint by
         joint and an upper bound of the distance to the nearest pose overall.
@@ -159,7 +159,7 @@ class JointLimits:
         return self.excess(slice(None), angles, slack)
 
     def excess(self, index: int | slice, angle: Array, slack: Array | float) -> Array:
-        """Give how far angles lie beyond their nearest limit, round the circle, signed; 0 inside."""
+        """Return how far angles lie beyond their nearest limit, round the circle, signed; 0 inside."""
         low = self.lower_rad[index] - slack
         high = self.upper_rad[index] + slack
         above, below = _wrap(angle - high), _wrap(angle - low)
@@ -168,7 +168,7 @@ class JointLimits:
 
 
 def joint_angles(pair17_m: Array) -> Array:
-    """Give the angles (*batch, 29) in radians of poses (*batch, joint=17, 3), in the order of `ranges.ANGLES`.
+    """Return the angles (*batch, 29) in radians of poses (*batch, joint=17, 3), in the order of `ranges.ANGLES`.
 
     An angle that positions do not determine (a straight or empty bone) is 0.
     """
@@ -200,7 +200,7 @@ _UPPER = _subtree("chest")
 
 
 def measure(pair17_m: Array) -> tuple[Array, Array]:
-    """Give the angles and the slack of their ranges, both (*batch, 29), radians."""
+    """Return the angles and the slack of their ranges, both (*batch, 29), radians."""
     given = np.asarray(pair17_m, dtype=np.float64)
     posed = _Posed(given.reshape(-1, PAIR17.num_joints, 3), None)
     posed.settle()

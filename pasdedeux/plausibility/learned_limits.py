@@ -76,7 +76,7 @@ class LearnedLimits:
         return np.asarray(self.num_invalid(pair17_m) == 0)
 
     def nearest_valid(self, pair17_m: Array) -> NearestValid:
-        """Give valid poses near poses (*batch, joint=17, 3), bone by bone from the root outward.
+        """Return valid poses near poses (*batch, joint=17, 3), bone by bone from the root outward.
 
         Shoulders, hips and the twist of the trunk move to the table's limit; every other bad bone to the centre of the
         nearest cell that table or capture allows, which is up to half a cell (5 degrees) more than it must move.
@@ -152,7 +152,7 @@ def _subtree(joint: str) -> list[int]:
 
 
 def _standing() -> Array:
-    """Give an upright figure (17, 3) with arms out and legs hanging: only its frames matter."""
+    """Return an upright figure (17, 3) with arms out and legs hanging: only its frames matter."""
     pose = np.zeros((PAIR17.num_joints, 3))
     place = {
         **{"spine": (0.0, 0.1), "chest": (0.0, 0.2), "neck": (0.0, 0.4), "head": (0.0, 0.6)},

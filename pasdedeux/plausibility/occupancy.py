@@ -53,7 +53,7 @@ _CHUNK = 2000
 
 
 def sphere_cells(count: int) -> Array:
-    """Give `count` unit vectors (count, 3) spread evenly over the sphere: the Fibonacci lattice."""
+    """Return `count` unit vectors (count, 3) spread evenly over the sphere: the Fibonacci lattice."""
     index = np.arange(count) + 0.5
     height = 1.0 - 2.0 * index / count
     around = np.pi * (1.0 + np.sqrt(5.0)) * index
@@ -78,7 +78,7 @@ class BoneDirections:
 
 
 def bone_directions(pair17_m: Array) -> BoneDirections:
-    """Give the directions of the bones of poses (*batch, joint=17, 3), metres.
+    """Return the directions of the bones of poses (*batch, joint=17, 3), metres.
 
     Frames are those of `joint_limits`: the pelvis' for chest and thighs, the chest's for neck and upper arms, the
     neck's for the head, and for forearm and shank the frame carried without twist from the arm held sideways and the
@@ -153,11 +153,11 @@ class Occupancy:
 
     @classmethod
     def empty(cls) -> Occupancy:
-        """Give the occupancy of no pose at all: limits are the table's, and the prior is flat."""
+        """Return the occupancy of no pose at all: limits are the table's, and the prior is flat."""
         return cls(np.zeros((len(BONES), NUM_ABOVE, NUM_CELLS), dtype=np.int64))
 
     def extended(self, pair17_m: Array) -> Occupancy:
-        """Give the occupancy with more poses (*batch, joint=17, 3), metres; poses that are not finite are left out."""
+        """Return occupancy with more poses (*batch, joint=17, 3), metres; poses that are not finite are left out."""
         poses = np.asarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
         poses = poses[np.isfinite(poses).all(axis=(1, 2))]
         counts = self.counts.copy()
@@ -167,14 +167,14 @@ class Occupancy:
         return Occupancy(counts)
 
     def log_prior(self, pair17_m: Array) -> Array:
-        """Give the log of the prior of poses (*batch, joint=17, 3), (*batch,): the least over the bones of `log_share`.
+        """Return log of the prior of poses (*batch, joint=17, 3), (*batch,): the least over the bones of `log_share`.
 
         It is 0 everywhere when nothing was learned.
         """
         return np.asarray(self.bone_logs(pair17_m).min(axis=-1))
 
     def bone_logs(self, pair17_m: Array) -> Array:
-        """Give `log_share` of each bone of poses (*batch, joint=17, 3), metres, (*batch, bone=11)."""
+        """Return `log_share` of each bone of poses (*batch, joint=17, 3), metres, (*batch, bone=11)."""
         above, cell = bone_cells(bone_directions(pair17_m))
         return np.asarray(self.log_share[KIND_OF_BONE, above, cell])
 
@@ -211,6 +211,6 @@ def _kernel(cells: Array, width_rad: float, *, is_share: bool = True) -> Array:
 
 
 def bone_cells(directions: BoneDirections) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Give the cells of the bones above and of the bones, both (*batch, bone=11)."""
+    """Return the cells of the bones above and of the bones, both (*batch, bone=11)."""
     above = np.argmax(directions.above @ sphere_cells(NUM_ABOVE).T, axis=-1)
     return above, np.argmax(directions.own @ sphere_cells(NUM_CELLS).T, axis=-1)

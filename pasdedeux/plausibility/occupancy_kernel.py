@@ -67,13 +67,13 @@ def point_bones(pose: Array, own: Array, above: Array, frame: Array) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cells_of(own: Array, above: Array) -> tuple[int, int]:
-    """Give the cell of the bone above and that of the bone, of unit directions (3,) each."""
+    """Return the cell of the bone above and that of the bone, of unit directions (3,) each."""
     return _nearest(_ABOVE, above), _nearest(_CELLS, own)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def weakest_bone(pose: Array, log_share: Array) -> float:
-    """Give `Occupancy.log_prior` of one pose (17, 3), float64, metres, from `Occupancy.log_share`."""
+    """Return `Occupancy.log_prior` of one pose (17, 3), float64, metres, from `Occupancy.log_share`."""
     own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
     point_bones(pose, own, above, frame)
     least = 0.0

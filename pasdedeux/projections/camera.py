@@ -112,7 +112,7 @@ class PinholeCamera(DatabaseCamera):
 
 
 def pitch_of_height(height_m: float, distance_m: float) -> float:
-    """Give the pitch in radians at which a camera `height_m` over the floor looks at the mid-hip of who stands there.
+    """Return the pitch in radians at which a camera `height_m` over the floor looks at the mid-hip of who stands there.
 
     Raises:
         InputError: The camera would be straight above or below, or a value is not finite.
@@ -126,7 +126,7 @@ def pitch_of_height(height_m: float, distance_m: float) -> float:
 def cameras_of(
     model: str, *, pitches_deg: Sequence[float], heights_m: Sequence[float] = (), distance_m: float = 4.0
 ) -> tuple[DatabaseCamera, ...]:
-    """Give the cameras of a study's words, by rising pitch; the same pitch twice gives one.
+    """Return the cameras of a study's words, by rising pitch; the same pitch twice gives one.
 
     Args:
         model: `orthographic` or `pinhole`.

@@ -78,7 +78,7 @@ class Database:
         return 2.0 * np.pi / self.num_yaws
 
     def turned(self, rows: npt.ArrayLike, yaw_index: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Give the poses (*batch, 14, 3) of these rows at these yaws, in camera axes for a level camera.
+        """Return the poses (*batch, 14, 3) of these rows at these yaws, in camera axes for a level camera.
 
         Yaws count in steps and may lie between them.
         """
@@ -89,14 +89,14 @@ class Database:
         return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
 
     def successors(self) -> Integers:
-        """Give for each row the row of the next frame of its motion, or the row itself where there is none."""
+        """Return for each row the row of the next frame of its motion, or the row itself where there is none."""
         rows = np.arange(self.num_rows)
         has_next = np.zeros(self.num_rows, dtype=bool)
         has_next[:-1] = ~self.is_sequence_start[1:]
         return np.where(has_next, rows + 1, rows)
 
     def thinned(self, most_projections: int) -> Database:
-        """Give about as many projections at most, of evenly spaced poses; each starts a motion of its own."""
+        """Return about as many projections at most, of evenly spaced poses; each starts a motion of its own."""
         step = -(-self.num_projections // most_projections)
         if step <= 1:
             return self
@@ -104,12 +104,12 @@ class Database:
         return replace(self, poses_m=self.poses_m[::step], is_sequence_start=starts)
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
-        """Give the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
+        """Return the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
         rows = np.arange(self.num_rows)[first_row:last_row]
         return self._project(rows[:, None], np.arange(self.num_yaws))
 
     def projections(self, numbers: Integers) -> Floats32:
-        """Give projections (*batch, 14, 2) by their numbers: the same values as `project` gives."""
+        """Return projections (*batch, 14, 2) by their numbers: the same values as `project` gives."""
         return self._project(numbers // self.num_yaws, numbers % self.num_yaws)
 
     def _project(self, rows: Integers, yaw_index: Integers) -> Floats32:

@@ -45,7 +45,7 @@ Integers = npt.NDArray[np.int64]
 
 
 def centre_pairs(pairs_m: Array) -> Array:
-    """Give pairs (*batch, person, 14, 3) on the reference body about the middle of their mid-hips, B on the +X side.
+    """Return pairs (*batch, person, 14, 3) on the reference body about the middle of their mid-hips, B on the +X side.
 
     Each person keeps bone directions and mid-hip; so hands that held each other may part by what their arms' lengths
     changed.  Where B stands over A and there is no direction from one to the other, A faces +Z.
@@ -101,13 +101,13 @@ class PairDatabase:
         return len(self.pairs_m) * self.num_yaws
 
     def turned(self, rows: npt.ArrayLike, yaw_index: npt.ArrayLike) -> Array:
-        """Give the pairs (*batch, person, 14, 3) of these rows at these yaws, which count in steps."""
+        """Return the pairs (*batch, person, 14, 3) of these rows at these yaws, which count in steps."""
         yaw = np.asarray(yaw_index) * (2.0 * np.pi / self.num_yaws)
         pairs = self.pairs_m[np.asarray(rows)].astype(np.float64)
         return np.asarray(np.einsum("...ij,...pnj->...pni", yaw_rotmat(yaw), pairs))
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
-        """Give the projections (row, yaw, person, 14, 2) of some rows, about the middle of both mid-hips, metres."""
+        """Return the projections (row, yaw, person, 14, 2) of some rows, about the middle of both mid-hips, metres."""
         rows = np.arange(len(self.pairs_m))[first_row:last_row]
         turned = self.turned(*np.broadcast_arrays(rows[:, None], np.arange(self.num_yaws)))
         return np.asarray(self.camera.project(turned), dtype=np.float32)
@@ -142,7 +142,7 @@ class PairIndex:
         num_neighbours: int = 50,
         is_order_known: bool = False,
     ) -> PairNeighbours:
-        """Give exactly what `search_pairs_brute_force` gives when the slack is 0; one query or a batch of them."""
+        """Return exactly what `search_pairs_brute_force` gives when the slack is 0; one query or a batch of them."""
         query, weight = _prepare(query_m, weights)
 
         def look(query: Floats32, weight: Floats32) -> Neighbours:
@@ -162,7 +162,7 @@ class PairIndex:
 def build_pair_index(
     database: PairDatabase, *, exact_up_to: int = EXACT_UP_TO, slack_beyond: float = SLACK_BEYOND
 ) -> PairIndex:
-    """Give the search tree of a pair database; exact up to `exact_up_to` projections."""
+    """Return the search tree of a pair database; exact up to `exact_up_to` projections."""
     flat = np.empty((database.num_projections, 2 * _JOINTS), dtype=np.float32)
     step = max(1, 50_000 // database.num_yaws)
     for row in range(0, len(database.pairs_m), step):
@@ -181,7 +181,7 @@ def search_pairs_brute_force(
     num_neighbours: int = 50,
     is_order_known: bool = False,
 ) -> PairNeighbours:
-    """Give the nearest pairs by looking at all of them: the plain form, kept as oracle.
+    """Return the nearest pairs by looking at all of them: the plain form, kept as oracle.
 
     Args:
         database: Database of n projections.
@@ -204,7 +204,7 @@ def search_pairs_brute_force(
 
 
 def _prepare(query_m: npt.ArrayLike, weights: npt.ArrayLike | None) -> tuple[Floats32, Floats32]:
-    """Give both people's joints as 28 joints of one query (*batch, 28, 2), and their weights (*batch, 28)."""
+    """Return both people's joints as 28 joints of one query (*batch, 28, 2), and their weights (*batch, 28)."""
     query = np.asarray(query_m)
     if query.shape[-3:] != (_PEOPLE, OP14.num_joints, 2):
         raise InputError(f"pair query has shape {query.shape}, expected (..., {_PEOPLE}, {OP14.num_joints}, 2) metres")
@@ -215,13 +215,13 @@ def _prepare(query_m: npt.ArrayLike, weights: npt.ArrayLike | None) -> tuple[Flo
 
 
 def _exchanged(values: Floats32) -> Floats32:
-    """Give queries (*batch, 28, 2) or weights (*batch, 28) with the people exchanged."""
+    """Return queries (*batch, 28, 2) or weights (*batch, 28) with the people exchanged."""
     order = np.roll(np.arange(_JOINTS), OP14.num_joints)
     return values[..., order, :] if values.shape[-1] == 2 else values[..., order]
 
 
 def _merged(straight: Neighbours, exchanged: Neighbours | None) -> PairNeighbours:
-    """Give the best of both ways, as many as of one."""
+    """Return the best of both ways, as many as of one."""
     if exchanged is None:
         return PairNeighbours(straight, np.zeros(straight.projection.shape, dtype=bool))
     count = straight.projection.shape[-1]

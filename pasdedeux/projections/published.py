@@ -92,7 +92,7 @@ class Codebook:
 
 
 def build_codebook(database: Database, rng: np.random.Generator, settings: PublishedSettings | None = None) -> Codebook:
-    """Give the clusters of a database's projections; at most as many as there are projections.
+    """Return the clusters of a database's projections; at most as many as there are projections.
 
     Args:
         database: Database of n projections.
@@ -114,7 +114,7 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
 
 
 def scale_to_box(projections: Floats32) -> Floats32:
-    """Give projections (*batch, 14, 2) with bounding boxes `BOX_HEIGHT_M` high, the origin kept; NaN stays NaN.
+    """Return projections (*batch, 14, 2) with bounding boxes `BOX_HEIGHT_M` high, the origin kept; NaN stays NaN.
 
     Boxes lower than `_LEAST_BOX_M` of a metre are taken to be that high: a line has no size.
     """
@@ -123,7 +123,7 @@ def scale_to_box(projections: Floats32) -> Floats32:
 
 
 def _count_clusters(points: Floats32, rng: np.random.Generator, settings: PublishedSettings) -> int:
-    """Give the number of clusters beyond which the mean distance to the centroid changes too little, on a sample."""
+    """Return the number of clusters beyond which the mean distance to the centroid changes too little, on a sample."""
     sample = points[np.sort(rng.choice(len(points), min(_COUNTED, len(points)), replace=False))]
     before = np.inf
     most = min(settings.num_clusters, len(sample))
@@ -137,7 +137,7 @@ def _count_clusters(points: Floats32, rng: np.random.Generator, settings: Publis
 
 
 def _cluster(points: Floats32, rng: np.random.Generator, num_clusters: int, num_rounds: int) -> Floats32:
-    """Give the centroids (cluster, d) of points (n, d) by k-means; an empty cluster keeps its centroid."""
+    """Return the centroids (cluster, d) of points (n, d) by k-means; an empty cluster keeps its centroid."""
     centroids = points[rng.choice(len(points), num_clusters, replace=False)]
     for _ in range(num_rounds):
         label, _ = _nearest_centroids(points, centroids)
@@ -160,7 +160,7 @@ def search_published(
     num_clusters: int = 5,
     num_each: int = 10,
 ) -> Neighbours:
-    """Give the 10 best projections of each of the 5 clusters nearest to each query (frame, 14, 2), best first.
+    """Return the 10 best projections of each of the 5 clusters nearest to each query (frame, 14, 2), best first.
 
     The metric is eq. 1 over the joints seen, in images whose boxes are `BOX_HEIGHT_M` high.  Frames without any joint
     have no neighbours.
@@ -193,12 +193,12 @@ def search_published(
 
 
 def _summed(projections: Floats32, query: Floats32, weight: Floats32) -> Floats32:
-    """Give the weighted sum of joint distances (n,) of projections (n, 14, 2) to a query (14, 2)."""
+    """Return the weighted sum of joint distances (n,) of projections (n, 14, 2) to a query (14, 2)."""
     return np.asarray(np.linalg.norm(projections - query, axis=-1) @ weight)
 
 
 def _parts(database: Database) -> Iterator[Floats32]:
-    """Give all projections, boxes equally high, some thousand at a time (n, 14, 2)."""
+    """Return all projections, boxes equally high, some thousand at a time (n, 14, 2)."""
     step = max(1, 20_000 // database.num_yaws)
     for first in range(0, database.num_rows, step):
         yield scale_to_box(database.project(first, first + step).reshape(-1, OP14.num_joints, 2))
@@ -226,7 +226,7 @@ def _embed(database: Database, rng: np.random.Generator, settings: PublishedSett
 
 @numba.njit(cache=True, nogil=True)
 def _distances_to(points: Floats32, landmarks: Floats32) -> Floats32:
-    """Give eq. 1 between projections (n, 14, 2) and landmarks (m, 14, 2)."""
+    """Return eq. 1 between projections (n, 14, 2) and landmarks (m, 14, 2)."""
     out = np.zeros((points.shape[0], landmarks.shape[0]), dtype=np.float32)
     for i in range(points.shape[0]):
         for j in range(landmarks.shape[0]):
@@ -240,7 +240,7 @@ def _distances_to(points: Floats32, landmarks: Floats32) -> Floats32:
 
 
 def _nearest_centroids(points: Floats32, centroids: Floats32) -> tuple[Integers, Floats32]:
-    """Give for each point (n, d) its nearest centroid and the squared distance to it; ties to the lower number."""
+    """Return for each point (n, d) its nearest centroid and the squared distance to it; ties to the lower number."""
     label = np.empty(len(points), dtype=np.int64)
     distance = np.empty(len(points), dtype=np.float32)
     square = (centroids**2).sum(axis=1)

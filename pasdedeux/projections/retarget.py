@@ -72,12 +72,12 @@ class CentredPoses:
 
 
 def mid_hip(positions: Array) -> Array:
-    """Give the middle of the hips (*batch, d) of op14 positions (*batch, 14, d); NaN where a hip is missing."""
+    """Return the middle of the hips (*batch, d) of op14 positions (*batch, 14, d); NaN where a hip is missing."""
     return np.asarray(0.5 * (positions[..., _LEFT_HIP, :] + positions[..., _RIGHT_HIP, :]))
 
 
 def retarget_proportions(positions: Array, lengths_m: Array = REFERENCE_LENGTHS_M) -> Array:
-    """Give op14 poses with other bone lengths, bone directions and mid-hip kept.
+    """Return op14 poses with other bone lengths, bone directions and mid-hip kept.
 
     Retargeting before projection is decisive: without it a match costs 22-45 cm instead of 9.
 
@@ -106,7 +106,7 @@ def retarget_proportions(positions: Array, lengths_m: Array = REFERENCE_LENGTHS_
 
 
 def body_heading(positions: Array) -> Array:
-    """Give the yaw (*batch,) that the body faces, from the lines through hips and shoulders; 0 faces +Z.
+    """Return the yaw (*batch,) that the body faces, from the lines through hips and shoulders; 0 faces +Z.
 
     The two lines are added before their angle is taken, so a twisted trunk gives the mean.  A body whose two lines
     are upright or cancel out has no heading; it gets 0.

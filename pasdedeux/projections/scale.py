@@ -72,7 +72,7 @@ class Placement:
     mid_hip_px: Array
 
     def to_metres(self, keypoints_px: Array) -> Array:
-        """Give keypoints (frame, 14, 2), pixels with y up, in metres about the mid-hip."""
+        """Return keypoints (frame, 14, 2), pixels with y up, in metres about the mid-hip."""
         return (keypoints_px - self.mid_hip_px[:, None]) * self.metres_per_pixel[:, None, None]
 
 
@@ -84,7 +84,7 @@ def place_track(
     window: int = 31,
     metres_per_pixel: float | None = None,
 ) -> Placement:
-    """Give a first scale and place of a track, from bone lengths and from where joints are on average.
+    """Return a first scale and place of a track, from bone lengths and from where joints are on average.
 
     A bone's image is at most its length, and some bones of a frame show nearly all of it; so the upper quartile over
     bones of image length over reference length, divided by what that is in the database, gives pixels per metre.  The
@@ -130,7 +130,7 @@ def refine_placement(
     previous: Placement,
     metres_per_pixel: float | None = None,
 ) -> Placement:
-    """Give scale and place anew from the projections (frame, 14, 2) matched to a track with the previous ones.
+    """Return scale and place anew from the projections (frame, 14, 2) matched to a track with the previous ones.
 
     Per frame the least-squares scale about the weighted means of query and match; over the track its running median;
     then the offset that lays the seen joints on the matched ones.  A frame that matches with less than three joints
@@ -179,7 +179,7 @@ def _smooth_way(place: Array, window: int) -> Array:
 
 
 def bounding_box_height(keypoints: Array) -> Array:
-    """Give the height (*batch,) of the box of the seen joints (*batch, 14, 2), as the paper scales; NaN for none."""
+    """Return the height (*batch,) of the box of the seen joints (*batch, 14, 2), as the paper scales; NaN for none."""
     y = keypoints[..., 1]
     is_seen = np.isfinite(y)
     high = np.max(np.where(is_seen, y, -np.inf), axis=-1)
@@ -188,7 +188,7 @@ def bounding_box_height(keypoints: Array) -> Array:
 
 
 def running_median(values: Array, window: int) -> Array:
-    """Give the median of the finite values (frame,) within half a window of each frame; the nearest where none is.
+    """Return the median of the finite values (frame,) within half a window of each frame; the nearest where none is.
 
     Raises:
         InputError: No value is finite.
@@ -209,7 +209,7 @@ def running_median(values: Array, window: int) -> Array:
 
 
 def _upper_ratio(points: Array, weights: Array) -> Array:
-    """Give the upper quartile over seen bones of image length over reference length (frame,); NaN below three bones."""
+    """Return upper quartile over seen bones of image length over reference length (frame,); NaN below three bones."""
     length = np.linalg.norm(points[..., _CHILD, :] - points[..., _PARENT, :], axis=-1)
     is_seen = (weights[..., _CHILD] > 0) & (weights[..., _PARENT] > 0) & np.isfinite(length)
     ratio = np.sort(np.where(is_seen, length / REFERENCE_LENGTHS_M[_CHILD], np.inf), axis=-1)

@@ -80,7 +80,7 @@ class Neighbours:
 def prepare_query(
     query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_joints: int = _JOINTS
 ) -> tuple[Floats32, Floats32]:
-    """Give queries (*batch, J, 2) and weights (*batch, J) in float32, weight 0 where a joint is not finite.
+    """Return queries (*batch, J, 2) and weights (*batch, J) in float32, weight 0 where a joint is not finite.
 
     Raises:
         InputError: Wrong shapes, or a weight that is negative or not finite.
@@ -103,7 +103,7 @@ def prepare_query(
 def search_brute_force(
     database: Database, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
 ) -> Neighbours:
-    """Give the nearest projections by looking at all of them: the plain form, kept as oracle.
+    """Return the nearest projections by looking at all of them: the plain form, kept as oracle.
 
     Args:
         database: Database of n projections.
@@ -122,7 +122,7 @@ def search_brute_force(
 def look_at_all(
     projections: Floats32, query: Floats32, weight: Floats32, *, num_neighbours: int, num_yaws: int
 ) -> Neighbours:
-    """Give the nearest of projections (n, J, 2) to prepared queries (*batch, J, 2) with weights (*batch, J)."""
+    """Return the nearest of projections (n, J, 2) to prepared queries (*batch, J, 2) with weights (*batch, J)."""
     joints = projections.shape[1]
     flat_query, flat_weight = query.reshape(-1, joints, 2), weight.reshape(-1, joints)
     found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
@@ -149,7 +149,7 @@ def look_at_all(
 def search_index(
     trees: tuple[Tree, ...], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float, num_yaws: int
 ) -> Neighbours:
-    """Give the nearest projections of trees to prepared queries (*batch, J, 2) with weights (*batch, J)."""
+    """Return the nearest projections of trees to prepared queries (*batch, J, 2) with weights (*batch, J)."""
     joints = query.shape[-2]
     flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
     flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
@@ -193,18 +193,18 @@ class ProjectionIndex:
     def search(
         self, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
     ) -> Neighbours:
-        """Give exactly what `search_brute_force` gives when the slack is 0; one query or a batch of them."""
+        """Return exactly what `search_brute_force` gives when the slack is 0; one query or a batch of them."""
         query, weight = prepare_query(query_m, weights)
         return search_index(
             self.trees, query, weight, num_neighbours=num_neighbours, slack=self.slack, num_yaws=self.num_yaws
         )
 
     def with_slack(self, slack: float) -> ProjectionIndex:
-        """Give the same trees searched with another slack; 0 is exact."""
+        """Return the same trees searched with another slack; 0 is exact."""
         return replace(self, slack=slack)
 
     def append(self, database: Database) -> ProjectionIndex:
-        """Give an index that also holds another part, its rows numbered after those that are there; same slack.
+        """Return an index that also holds another part, its rows numbered after those that are there; same slack.
 
         Raises:
             InputError: The part has another number of yaw steps.
@@ -221,7 +221,7 @@ def build_index(
     slack_beyond: float = SLACK_BEYOND,
     cell_size: int = CELL_SIZE,
 ) -> ProjectionIndex:
-    """Give the search trees of a database.
+    """Return the search trees of a database.
 
     The projections of many poses are sorted into cells first and made anew for each cell's tree, so that only one
     cell's are held besides the trees.
@@ -237,7 +237,7 @@ def build_index(
 
 
 def _trees_of(database: Database, first_number: int, cell_size: int) -> tuple[Tree, ...]:
-    """Give one tree of a database's projections, or of many one for every cell of about `cell_size` of them."""
+    """Return one tree of a database's projections, or of many one for every cell of about `cell_size` of them."""
     count = database.num_projections
     step = max(1, 100_000 // database.num_yaws)
     starts = range(0, database.num_rows, step)
@@ -261,13 +261,13 @@ def _trees_of(database: Database, first_number: int, cell_size: int) -> tuple[Tr
 
 
 def _flat(projections: Floats32) -> Floats32:
-    """Give projections (*batch, 14, 2) as rows (n, 28), x of the joints, then y."""
+    """Return projections (*batch, 14, 2) as rows (n, 28), x of the joints, then y."""
     points = projections.reshape(-1, _JOINTS, 2)
     return np.concatenate([points[..., 0], points[..., 1]], axis=-1)
 
 
 def recall(found: Neighbours, exact: Neighbours, *, num_best: int = 1) -> float:
-    """Give the share of the `num_best` true neighbours of each query that were found; NaN without any query."""
+    """Return the share of the `num_best` true neighbours of each query that were found; NaN without any query."""
     hits = [
         np.isin(true[:num_best], some[some >= 0]).mean()
         for some, true in zip(
@@ -289,7 +289,7 @@ def measure_recall(
     num_best: int = 50,
     noise_m: float = 0.03,
 ) -> float:
-    """Give the share of the `num_best` nearest that an index finds, against its own trees searched exactly.
+    """Return the share of the `num_best` nearest that an index finds, against its own trees searched exactly.
 
     Queries are projections of the database between its yaw steps with noise on every joint: about as far from their
     nearest projections as images of motion that the database does not hold.

@@ -18,7 +18,7 @@ _NOSE_FORWARD, _NOSE_UP = 0.6, -0.1
 
 
 def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
-    """Give op14 positions (*batch, 14, 3) of pair17 or body22 positions (*batch, J, 3), metres.
+    """Return op14 positions (*batch, 14, 3) of pair17 or body22 positions (*batch, J, 3), metres.
 
     The neck of op14 is the middle of the shoulders and its head the nose, which detectors give.  Neither skeleton has a
     nose, so it is put before the head where the shoulders face.
@@ -38,7 +38,7 @@ def op14_from_working(positions: Array, skeleton: Skeleton) -> Array:
 
 
 def resample_positions(positions: Array, *, from_hz: float, to_hz: float) -> Array:
-    """Give positions (frame, *batch, 3) at another rate, linearly between frames, from the first frame on.
+    """Return positions (frame, *batch, 3) at another rate, linearly between frames, from the first frame on.
 
     Bones shrink a little between frames that turn; proportions are retargeted afterwards, which puts that right.
 

@@ -76,7 +76,7 @@ class Tree:
 
 
 def build_tree(flat: Floats32, number_of: Integers32 | None = None, *, first_number: int = 0) -> Tree:
-    """Give the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
+    """Return the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
 
     Args:
         flat: Projections, x of the joints, then y, metres.
@@ -122,7 +122,7 @@ def build_tree(flat: Floats32, number_of: Integers32 | None = None, *, first_num
 def search_trees(
     trees: Sequence[Tree], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float = 0.0
 ) -> tuple[Integers, Floats32]:
-    """Give the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
+    """Return the numbers (n, k) of the best projections, ties by number, and their weighted sums of distances (n, k).
 
     Each query looks into the tree of least bound first, and into no tree whose bound is beyond its k-th best.
 
@@ -174,7 +174,7 @@ def _search_one(
 
 
 def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Integers]:
-    """Give a function that says in which of 2^depth cells projections (n, 2 J) lie.
+    """Return a function that says in which of 2^depth cells projections (n, 2 J) lie.
 
     The cells split a sample (m, 2 J) at medians, each where its part of the sample varies most.
     """
@@ -311,7 +311,7 @@ def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32)
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
-    """Give the least weighted distance sums that the boxes of a node's children allow."""
+    """Return the least weighted distance sums that the boxes of a node's children allow."""
     joints, lanes = weight.shape[0], centre.shape[1]
     zero = np.float32(0.0)
     for lane in range(lanes):
@@ -326,7 +326,7 @@ def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
-    """Give the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
+    """Return the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
     joints, lanes = weight.shape[0], leaf.shape[1]
     for lane in range(lanes):
         out[lane] = np.float32(0.0)
@@ -413,7 +413,7 @@ def _search_batch(
 
 @numba.njit(cache=True, nogil=True)
 def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
-    """Give a longer copy of an array."""
+    """Return a longer copy of an array."""
     longer = np.empty(capacity, dtype=array.dtype)
     longer[: array.shape[0]] = array
     return longer

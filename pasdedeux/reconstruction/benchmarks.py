@@ -56,7 +56,7 @@ _NUM_TRIES = 3
 
 
 def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: float = 0.0) -> Database:
-    """Give a database of smooth made-up motion: bones turn about the T-pose with a few common signals, sums of sines.
+    """Return a database of smooth made-up motion: bones turn about the T-pose with a few common signals, sums of sines.
 
     People's joints move together, so poses of other motions lie near those of a database; how signals move the bones is
     therefore the same for every seed, and the seed draws the signals.
@@ -87,7 +87,7 @@ def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: flo
 
 
 def _queries(*, own_rad: float = 0.0) -> npt.NDArray[np.float64]:
-    """Give noisy images of a motion that the database does not hold, 1 cm a joint.
+    """Return noisy images of a motion that the database does not hold, 1 cm a joint.
 
     About as far from their best match as people's motion is from other people's, 5 to 10 cm a joint.
     """
@@ -122,7 +122,7 @@ def _project_one_by_one(database: Database, num_rows: int) -> list[npt.NDArray[n
 
 
 def _waits_ms(search: Callable[[npt.NDArray[Any]], object], queries: npt.NDArray[Any]) -> Waits:
-    """Give the processor time of each query, one a call, the best of some tries, in milliseconds."""
+    """Return the processor time of each query, one a call, the best of some tries, in milliseconds."""
     search(queries[0])
     waits = []
     for query in queries:
@@ -243,7 +243,7 @@ def _follow(confidence: Waits) -> Callable[[int, Waits], object]:
 
 
 def _best_waits_ms(start: Callable[[], Callable[[int, Waits], object]], frames: Waits) -> Waits:
-    """Give the processor time of each frame of a sequence, the best of some runs, each started anew, in ms."""
+    """Return the processor time of each frame of a sequence, the best of some runs, each started anew, in ms."""
     tries = []
     for _ in range(_NUM_TRIES + 1):
         step, waits = start(), []

@@ -54,7 +54,7 @@ REST_DIRECTIONS.flags.writeable = False
 
 
 def _body_rotation(positions: Array) -> Array:
-    """Give the frame of the body (*batch, 4): up from mid-hip to neck, left from right to left hip and shoulder."""
+    """Return the frame of the body (*batch, 4): up from mid-hip to neck, left from right to left hip and shoulder."""
     left_hip, right_hip, left_shoulder, right_shoulder = OP14.indices(
         ["left_hip", "right_hip", "left_shoulder", "right_shoulder"]
     )
@@ -72,7 +72,7 @@ def _body_rotation(positions: Array) -> Array:
 
 
 def bone_rotations(positions: Array) -> Array:
-    """Give the rotations (*batch, 14, 4) of op14 bones from positions (*batch, 14, 3), any unit.
+    """Return the rotations (*batch, 14, 4) of op14 bones from positions (*batch, 14, 3), any unit.
 
     Entry of the neck: the frame of the body in the world.  Entry of every other joint: the shortest rotation of the
     bone that ends there, against the bone before it (the frame of the body for head, shoulders and hips).  A bone of
@@ -91,7 +91,7 @@ def bone_rotations(positions: Array) -> Array:
 
 
 def world_bone_rotations(bone_unitquat: Array) -> Array:
-    """Give the rotation of every bone against the world (*batch, 14, 4) from `bone_rotations`."""
+    """Return the rotation of every bone against the world (*batch, 14, 4) from `bone_rotations`."""
     world = np.empty(bone_unitquat.shape)
     for joint in OP14.order:
         parent = OP14.parents[joint]
@@ -101,7 +101,7 @@ def world_bone_rotations(bone_unitquat: Array) -> Array:
 
 
 def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) -> Array:
-    """Give positions (*batch, 14, 3): the inverse of `bone_rotations`, with mid-hip at `root_m`.
+    """Return positions (*batch, 14, 3): the inverse of `bone_rotations`, with mid-hip at `root_m`.
 
     Args:
         bone_unitquat: Rotations of the bones (*batch, 14, 4).

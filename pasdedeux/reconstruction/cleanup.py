@@ -147,7 +147,7 @@ def find_contacts(positions_m: Array, *, rate_hz: float, options: CleanUpOptions
 
 
 def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fallback: Array) -> tuple[Array, Array]:
-    """Give knee and ankle (frame, 3) of legs with the ankle at its target and the same lengths of thigh and shank.
+    """Return knee and ankle (frame, 3) of legs with the ankle at its target and the same lengths of thigh and shank.
 
     The knee stays in the plane of hip, knee and ankle, on its side of the line between them.  A target that is out of
     reach is approached along its line.  A leg that is straight bends towards `fallback` (frame, 3).
@@ -168,14 +168,14 @@ def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fa
 
 
 def _forward(positions: Array) -> Array:
-    """Give where the body faces (frame, 3)."""
+    """Return where the body faces (frame, 3)."""
     left, right = (positions[:, leg[0]] for leg in _LEGS)
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), left.shape)
     return normalise(np.cross(left - right, up), fallback=np.array([0.0, 0.0, 1.0]))
 
 
 def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: CleanUpOptions) -> Array:
-    """Give the correction of the way (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
+    """Return the correction of the way (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
 
     Upwards, planted feet are also drawn to the floor.
     """
@@ -215,7 +215,7 @@ def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: Cle
 
 
 def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, options: CleanUpOptions) -> Array:
-    """Give where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
+    """Return where a foot goes (frame, 3): still while planted, blended in and out, never below the floor."""
     frames = len(ankle)
     blend = max(1, round(options.blend_s * rate_hz))
     move, weight = np.zeros(ankle.shape), np.zeros((frames, 1))
@@ -244,7 +244,7 @@ def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, o
 
 
 def _runs(values: Booleans) -> list[tuple[int, int]]:
-    """Give first and last + 1 of every run of true values."""
+    """Return first and last + 1 of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], values, [False]]).astype(np.int8)))
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -257,7 +257,7 @@ def clean_reconstruction(
     rate_hz: float,
     options: CleanUpOptions | None = None,
 ) -> Reconstruction:
-    """Give a reconstruction after clean-up, standing ankles at the height of the floor.
+    """Return a reconstruction after clean-up, standing ankles at the height of the floor.
 
     Args:
         found: Reconstruction, camera axes.

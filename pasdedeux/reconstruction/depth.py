@@ -71,14 +71,14 @@ class BoneDepths:
 
 
 def bone_vectors(positions: Array) -> Array:
-    """Give the vector of the bone that ends in each joint (*batch, 14, d) of op14 positions; 0 for the root."""
+    """Return the vector of the bone that ends in each joint (*batch, 14, d) of op14 positions; 0 for the root."""
     vectors = positions - positions[..., _PARENTS, :]
     vectors[..., OP14.root, :] = 0.0
     return np.asarray(vectors)
 
 
 def place_depths(observed_m: Array, depth_m: Array) -> Array:
-    """Give positions (*batch, 14, 3): x and y as observed (*batch, 14, 2), bones of these depths, root at z = 0."""
+    """Return positions (*batch, 14, 3): x and y as observed (*batch, 14, 2), bones of these depths, root at z = 0."""
     depth = np.zeros(depth_m.shape)
     for joint in OP14.order[1:]:
         depth[..., joint] = depth[..., OP14.parents[joint]] + depth_m[..., joint]
@@ -96,7 +96,7 @@ def decode_depths(
     rate_hz: float,
     settings: DepthSettings | None = None,
 ) -> BoneDepths:
-    """Give the depth of every bone of a track.
+    """Return the depth of every bone of a track.
 
     Args:
         observed_m: Joints in the image (frame, 14, 2), metres, in the proportions of the candidates.
@@ -144,7 +144,7 @@ def decode_depths(
 
 
 def _flip_costs(size: Array, deviation: Array, step_m: float) -> Array:
-    """Give what it costs each bone to change sign between a frame and the one before (frame, bone); 0 for the first."""
+    """Return what it costs each bone to change sign between a frame and one before (frame, bone); 0 for the first."""
     cost = np.zeros(size.shape)
     variance = 2.0 * (step_m**2 + deviation[1:] ** 2 + deviation[:-1] ** 2)
     # |a + b|^2 - |a - b|^2 = 4 a b: how much further the end moves when the sign flips.
@@ -154,7 +154,7 @@ def _flip_costs(size: Array, deviation: Array, step_m: float) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sign_scores(size: Array, width: Array, depths: Array, log_weight: Array, floor: float) -> Array:
-    """Give the log likelihood (frame, 2^n) of every choice of signs of n bones; bit i set means bone i is positive."""
+    """Return log likelihood (frame, 2^n) of every choice of signs of n bones; bit i set means bone i is positive."""
     frames, count, bones = depths.shape
     states = 1 << bones
     score = np.empty((frames, states))
@@ -180,7 +180,7 @@ def _sign_scores(size: Array, width: Array, depths: Array, log_weight: Array, fl
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _decode_signs(score: Array, flip: Array) -> npt.NDArray[np.int64]:
-    """Give the likeliest path of sign choices (frame,) when changing a bone's sign costs `flip` (frame, bone)."""
+    """Return the likeliest path of sign choices (frame,) when changing a bone's sign costs `flip` (frame, bone)."""
     frames, states = score.shape
     bones = flip.shape[1]
     cost = -score[0]

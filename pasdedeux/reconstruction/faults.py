@@ -159,7 +159,7 @@ def repair_faults(
 
 
 def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Integers:
-    """Give for each frame and joint of a person the joint whose keypoint it really is (frame, 14).
+    """Return for each frame and joint of a person the joint whose keypoint it really is (frame, 14).
 
     The four labellings of a frame: as given, arms swapped, legs swapped, both.
     """
@@ -226,14 +226,14 @@ def wild_joints(
 
 
 def _size(keypoints_px: Array) -> Array:
-    """Give the size of a person over the frames (frame,), by the median over the track."""
+    """Return the size of a person over the frames (frame,), by the median over the track."""
     size = body_size_px(keypoints_px, np.isfinite(keypoints_px).all(axis=-1).astype(float))
     known = size[np.isfinite(size)]
     return np.full(len(size), float(np.median(known)) if len(known) else 1.0)
 
 
 def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float, options: FaultOptions) -> Integers:
-    """Give the labelling of each frame (frame,) with the least second differences.
+    """Return the labelling of each frame (frame,) with the least second differences.
 
     Viterbi over pairs of labellings of neighbouring frames.  Where a joint was not seen its last place stands for
     it for a short while and then it says nothing.
@@ -279,7 +279,7 @@ def _hold(states: Array, longest: int) -> Array:
 
 
 def _kept(frames: Integers, places: Array, free_way: float, reach: int, options: FaultOptions) -> Booleans:
-    """Give which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
+    """Return which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
     count = len(frames)
     cost = np.zeros(count)
     back = np.full(count, -1, dtype=np.int64)
@@ -305,7 +305,7 @@ def _kept(frames: Integers, places: Array, free_way: float, reach: int, options:
 
 
 def repair_tracks(tracks: Sequence[PersonTrack], options: FaultOptions | None = None) -> tuple[list[PersonTrack], int]:
-    """Give the tracks of a sequence with their faults repaired or masked, and how many joints were touched.
+    """Return the tracks of a sequence with their faults repaired or masked, and how many joints were touched.
 
     A track of which nothing would be left is given back as it was.
     """

@@ -99,14 +99,14 @@ class _Person:
     last_time_s: float
 
     def predict(self, time_s: float) -> Array:
-        """Give where the joints are expected; speeds fade, so that absences do not fling people away."""
+        """Return where the joints are expected; speeds fade, so that absences do not fling people away."""
         passed = time_s - self.last_time_s
         body_s, limb_s = _faded(passed, _BODY_FADE_S), _faded(passed, _LIMB_FADE_S)
         return predict_joints(self.place_px, self.speed_px_s, self.is_known, body_s, limb_s)
 
 
 def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
-    """Give the size (*batch,) of people in the image, about their height, pixels; NaN with fewer than two joints.
+    """Return the size (*batch,) of people in the image, about their height, pixels; NaN with fewer than two joints.
 
     The diagonal of the box of the seen joints, but at least what the trunk says and at most four times the trunk.
     """
@@ -130,7 +130,7 @@ class Follower:
         self._num_tracks = 0
 
     def step(self, time_s: float, keypoints_px: Array, confidence: Array) -> FollowedRows:
-        """Give the people of one frame.
+        """Return the people of one frame.
 
         Args:
             time_s: Time of the frame, later than the one before.
@@ -180,7 +180,7 @@ class Follower:
         return FollowedRows(track_id, points, seen, merged, int((~is_usable).sum()))
 
     def _costs(self, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size: Array) -> tuple[Array, Array]:
-        """Give the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
+        """Return the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
         cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
         for row, person in enumerate(self._people):
@@ -207,7 +207,7 @@ def follow_people(
     rate_hz: float,
     options: IdentityOptions | None = None,
 ) -> FollowedRows:
-    """Give the person of every detection of a sequence, whatever the order of people within its frames.
+    """Return the person of every detection of a sequence, whatever the order of people within its frames.
 
     Args:
         frame: Frame number of each row (row,), in any order; numbers may have gaps.
@@ -260,7 +260,7 @@ def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) ->
 
 
 def _faded(passed_s: float, fade_s: float) -> float:
-    """Give the time that a fading speed has worked for."""
+    """Return the time that a fading speed has worked for."""
     return fade_s * (1.0 - float(np.exp(-passed_s / fade_s)))
 
 
@@ -272,7 +272,7 @@ def _twin(
     size: Array,
     duplicate: float,
 ) -> int | None:
-    """Give the matched detection that this one is a double of, None where it is somebody of its own."""
+    """Return the matched detection that this one is a double of, None where it is somebody of its own."""
     for other in matched:
         both = is_seen[index] & is_seen[other]
         if both.sum() < min(4, is_seen[index].sum()):
@@ -284,7 +284,7 @@ def _twin(
 
 
 def _mean_of(points: Array, confidence: Array) -> tuple[Array, Array]:
-    """Give the mean of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
+    """Return the mean of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
     total = confidence.sum(axis=0)
     mean = np.einsum("dj,djc->jc", confidence, np.nan_to_num(points)) / np.where(total > 0, total, 1.0)[:, None]
     return np.where((total > 0)[:, None], mean, np.nan), confidence.max(axis=0)

@@ -21,7 +21,7 @@ _LEAST_BOX_PER_LENGTH = 1.5
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Booleans, Array]:
-    """Give keypoints (n, j, 2), NaN where not seen, confidences, 0 there, what was seen (n, j), and sizes (n,)."""
+    """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, what was seen (n, j), and sizes (n,)."""
     count, joints = confidence.shape
     points, seen = np.empty((count, joints, 2)), np.empty((count, joints))
     is_seen, size = np.empty((count, joints), dtype=np.bool_), np.empty(count)
@@ -50,7 +50,7 @@ def size_in_image(points: Array, is_seen: Booleans) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
-    """Give the diagonal of the box of the seen joints, and how many they are."""
+    """Return the diagonal of the box of the seen joints, and how many they are."""
     count = 0
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for joint in joints:
@@ -63,7 +63,7 @@ def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float, limb_s: float) -> Array:
-    """Give where a person's joints (j, 2) are expected: the median speed works for `body_s`, what is left `limb_s`."""
+    """Return where a person's joints (j, 2) are expected: median speed works for `body_s`, what is left `limb_s`."""
     out = np.empty(place.shape)
     for axis in range(2):
         body = np.median(speed[is_known, axis])
@@ -83,7 +83,7 @@ def match_costs(
     most_share: float,
     size_cost: float,
 ) -> Array:
-    """Give what each detection (n,) costs a person: mean way of its joints from the prediction, by the body's size.
+    """Return what each detection (n,) costs a person: mean way of its joints from the prediction, by the body's size.
 
     A single joint that is far off is a detector's fault and not another person: it counts `most_share` at most.  Where
     the two have too few joints in common only the place of the whole tells.

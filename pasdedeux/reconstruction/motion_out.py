@@ -42,7 +42,7 @@ files have at hips and shoulders: a joint turns all its children, and hips, shou
 
 
 def motion_from_bones(bone_unitquat: Array, lengths_m: Array, neck_m: Array, *, rate_hz: float) -> Motion:
-    """Give a motion from bone rotations.
+    """Return a motion from bone rotations.
 
     Args:
         bone_unitquat: Rotations of the bones (frame, 14, 4), see `bones.bone_rotations`.
@@ -69,12 +69,12 @@ def motion_from_bones(bone_unitquat: Array, lengths_m: Array, neck_m: Array, *, 
 
 
 def motion_from_positions(positions_m: Array, lengths_m: Array, *, rate_hz: float) -> Motion:
-    """Give the motion of op14 positions (frame, 14, 3) with bones of `lengths_m` (14,); joints stay where they are."""
+    """Return motion of op14 positions (frame, 14, 3) with bones of `lengths_m` (14,); joints stay where they are."""
     return motion_from_bones(bone_rotations(positions_m), lengths_m, positions_m[:, OP14.root], rate_hz=rate_hz)
 
 
 def upright_motion(positions_m: Array, camera: DatabaseCamera, *, rate_hz: float) -> Motion:
-    """Give the motion of op14 positions (frame, 14, 3) in the axes of a pitched camera, turned upright.
+    """Return the motion of op14 positions (frame, 14, 3) in the axes of a pitched camera, turned upright.
 
     Bone lengths are those of the first frame; positions are expected to keep them.
     """

@@ -139,7 +139,7 @@ def follow_and_repair(
     image_size_px: tuple[int, int] | None = None,
     has_repair: bool = True,
 ) -> FollowedTracks:
-    """Give the tracks of a sequence's people: who is who, then swapped sides, exchanged limbs and wild keypoints.
+    """Return the tracks of a sequence's people: who is who, then swapped sides, exchanged limbs and wild keypoints.
 
     Args:
         frame: Frame of each detection (row,).

@@ -47,7 +47,7 @@ _ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 def choose_camera(
     databases: Sequence[Database], tracks: Sequence[Track], options: ReconstructionOptions | None = None
 ) -> int:
-    """Give the index of the database (one per camera) that suits the tracks of a sequence best; see `choose_pitch`.
+    """Return the index of the database (one per camera) that suits the tracks of a sequence best; see `choose_pitch`.
 
     Every camera sees the same poses, so an even choice of the poses of a large database answers, one camera at a time.
     """
@@ -64,7 +64,7 @@ def choose_pitch(
     stride: int = 5,
     floor_weight: float = _FLOOR_WEIGHT,
 ) -> int:
-    """Give the index of the searcher (one per camera pitch) that suits the tracks of a sequence best.
+    """Return the index of the searcher (one per camera pitch) that suits the tracks of a sequence best.
 
     A camera does not change its pitch within a sequence, so every `stride`-th frame of all tracks decides together: by
     the sum over tracks of the mean distance of the matches and `floor_weight` times how far the lower ankle leaves its
@@ -89,7 +89,7 @@ def choose_pitch(
 
 
 def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCamera | None = None) -> Array:
-    """Give what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
+    """Return what to subtract (3,) to put a sequence's people into one frame: lowest ankle at 0, start at x = z = 0.
 
     The floor of a video is not known, so the lowest ankle of all people is taken to stand on it; heights are measured
     along the upright axis of the pitched camera, camera axes.
@@ -102,7 +102,7 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCame
 
 
 def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
-    """Give a reconstruction at the size that puts the floor as far below the camera as it is known to be.
+    """Return a reconstruction at the size that puts the floor as far below the camera as it is known to be.
 
     One camera does not see how large people are: body and way may grow together about the camera.  So does the floor
     below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  A

@@ -28,7 +28,7 @@ _RANGE = (0.6, 1.6)
 
 
 def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) -> Array:
-    """Give the length of each bone (14,) as a multiple of the reference body's: mean 1, left and right tied.
+    """Return the length of each bone (14,) as a multiple of the reference body's: mean 1, left and right tied.
 
     Args:
         observed_m: Joints of a track (frame, 14, 2), metres by the track's scale; NaN where not seen.
@@ -58,7 +58,7 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
 
 
 def retarget_image(points: Array, ratio: Array) -> Array:
-    """Give images (*batch, 14, 2) with every bone divided by its ratio (14,), centred on the mid-hip.
+    """Return images (*batch, 14, 2) with every bone divided by its ratio (14,), centred on the mid-hip.
 
     A joint whose parent was not seen hangs on its nearest seen ancestor, divided by its own ratio.  Without both hips
     the image is kept where the neck, or failing that nothing, puts it.  NaN stays NaN.

@@ -243,7 +243,7 @@ def reconstruct_track(
     *,
     matches: Matches | None = None,
 ) -> Reconstruction:
-    """Give a track's motion before the camera.
+    """Return a track's motion before the camera.
 
     Args:
         searcher: Database made ready.
@@ -307,7 +307,7 @@ def _fit(
     track: Track,
     options: ReconstructionOptions,
 ) -> Array:
-    """Give the retrieved poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
+    """Return retrieved poses (frame, 14, 3), mid-hip at the origin, fitted to the image with the person's own bones.
 
     The candidates vote on depth in reference proportions; the fit is in the person's own.  Perspective needs the depth
     and the depth needs the image without perspective, so a second round starts from the first one's depths.  Bones are
@@ -366,7 +366,7 @@ def _fit(
 
 
 def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_steps: Array) -> Array:
-    """Give database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
+    """Return database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
     turned = database.turned(row, yaw_steps)
     return np.asarray(np.einsum("ij,...nj->...ni", database.camera.camera_from_upright_rotmat, turned))
 
@@ -395,12 +395,12 @@ def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> 
 
 
 def _odd_window(seconds: float, rate_hz: float) -> int:
-    """Give an odd number of frames of about this length, at least 3."""
+    """Return an odd number of frames of about this length, at least 3."""
     return max(3, round(seconds * rate_hz)) | 1
 
 
 def _projection_of(database: Database, neighbours: Neighbours) -> Array:
-    """Give the projections (frame, 14, 2) of the best match of each frame; NaN where there is none."""
+    """Return the projections (frame, 14, 2) of the best match of each frame; NaN where there is none."""
     row, yaw = neighbours.row[:, 0], neighbours.yaw_index[:, 0]
     turned = database.turned(np.maximum(row, 0), yaw)
     projected = np.array(database.camera.project(turned), dtype=np.float64)
@@ -409,7 +409,7 @@ def _projection_of(database: Database, neighbours: Neighbours) -> Array:
 
 
 def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
-    """Give keypoints as a camera turned towards the mid-hip sees them, and the direction (frame, 3) back to the camera.
+    """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
 
     Rays behind the turned camera's horizon cannot be seen and come out as NaN.
     """
@@ -430,7 +430,7 @@ def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tu
 def _root_before_camera(
     placement: Placement, towards_camera: Array, track: Track, is_known: npt.NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Give mid-hip (frame, 3) and direction to the camera (frame, 3) by weak perspective; unknown frames interpolated.
+    """Return mid-hip (frame, 3) and direction to camera (frame, 3) by weak perspective; unknown frames interpolated.
 
     A person at `metres_per_pixel` s is s * focal away along the mid-hip's ray.
     """

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 def continuous_signs(unitquat: Array) -> Array:
-    """Give the same rotations (frame, *batch, 4) with signs chosen so that neighbours lie on the same half-sphere."""
+    """Return the same rotations (frame, *batch, 4) with signs chosen so that neighbours lie on the same half-sphere."""
     dots = np.sum(unitquat[1:] * unitquat[:-1], axis=-1)
     flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
     signs = np.concatenate([np.ones((1, *dots.shape[1:])), flips]) if len(unitquat) else np.ones(unitquat.shape[:-1])
@@ -86,7 +86,7 @@ def smooth_one_euro(unitquat: Array, *, rate_hz: float, parameters: OneEuro | No
 
 
 def one_euro_share(cutoff_hz: Array | float, rate_hz: float) -> Array:
-    """Give the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, algorithm 1)."""
+    """Return the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, algorithm 1)."""
     return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * np.asarray(cutoff_hz))))
 
 

@@ -39,7 +39,7 @@ class TemporalWeights:
 
 
 def choose_nearest(neighbours: Neighbours) -> Integers:
-    """Give the rank (frame,) of the best projection of each frame: always 0, or -1 where nothing was seen."""
+    """Return the rank (frame,) of the best projection of each frame: always 0, or -1 where nothing was seen."""
     return np.where(neighbours.projection[:, 0] >= 0, 0, -1)
 
 
@@ -51,7 +51,7 @@ def choose_viterbi(
     weights: TemporalWeights | None = None,
     yaw_steps: Array | None = None,
 ) -> Integers:
-    """Give the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
+    """Return the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
 
     Emission: the 2D distance.  Transition: `TemporalWeights.pose` times the mean joint distance between the turned pose
     of the next candidate and the *continued* pose of the one before, that is its own pose moved on along its motion by
@@ -90,7 +90,7 @@ def choose_viterbi(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def viterbi_path(emission: Array, continued: npt.NDArray, pose: npt.NDArray, weight: Array) -> Integers:
-    """Give the cheapest path (frame,) through candidates (frame, k); ties go to the lower rank.
+    """Return the cheapest path (frame,) through candidates (frame, k); ties go to the lower rank.
 
     Args:
         emission: Cost of each candidate (frame, k); inf where there is none.
@@ -132,7 +132,7 @@ def viterbi_path(emission: Array, continued: npt.NDArray, pose: npt.NDArray, wei
 def choose_window(
     database: Database, neighbours: Neighbours, *, window: int = 4, yaw_steps: Array | None = None
 ) -> Integers:
-    """Give the ranks (frame,) chosen by the paper's rule; -1 where nothing was seen.
+    """Return the ranks (frame,) chosen by the paper's rule; -1 where nothing was seen.
 
     Each candidate's `window` previous frames in its own motion are compared with the `window` previously reconstructed
     poses by eq. 2 of Yiannakides et al. 2019, the sum over joints of |log(q_j^-1 q_i)|^2 on the short arc; the least
@@ -198,7 +198,7 @@ class _Rotations:
         return cls(place, bone_rotations(database.poses_m[used].astype(np.float64)), database.yaw_step_rad)
 
     def turned(self, rows: Integers, yaw: npt.ArrayLike) -> Array:
-        """Give the rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
+        """Return the rotations (*batch, 14, 4) of rows at yaws in steps, which broadcast to them."""
         found = np.array(self.unitquat[self.place[rows]])
         half = np.broadcast_to(0.5 * self.step_rad * np.asarray(yaw, dtype=np.float64), np.shape(rows))
         zero = np.zeros(half.shape)

@@ -51,7 +51,7 @@ class PairSearcher:
         return cls(database, build_pair_index(database))
 
     def depths(self, query_m: Array, weights: Array, options: PlacingOptions) -> tuple[Array, Array]:
-        """Give how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
+        """Return how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
 
         Args:
             query_m: Images of both (frame, person, 14, 2), metres about the middle of both mid-hips.
@@ -123,7 +123,7 @@ class Placing:
     lens_factor: float
 
     def moved(self, number: int, person: PersonTrack, found: Reconstruction) -> Reconstruction:
-        """Give the reconstruction of person `number` (0 or 1) of the couple at its place."""
+        """Return the reconstruction of person `number` (0 or 1) of the couple at its place."""
         factor = np.interp(person.frames, self.frames, self.factors[number])
         root = found.root_m * factor[:, None]
         positions = root[:, None] + self.sizes[number] * (found.positions_m - found.root_m[:, None])
@@ -133,7 +133,7 @@ class Placing:
 def choose_couples(
     people: Sequence[tuple[PersonTrack, Reconstruction]], options: PlacingOptions | None = None
 ) -> list[tuple[int, int]]:
-    """Give who moves together: places in `people`, each in one couple at most, those that are near longest first."""
+    """Return who moves together: places in `people`, each in one couple at most, those that are near longest first."""
     options = options or PlacingOptions()
     near = []
     for first in range(len(people)):
@@ -153,7 +153,7 @@ def choose_couples(
 
 
 def place_together(searcher: PairSearcher, couple: Couple, options: PlacingOptions | None = None) -> Placing | None:
-    """Give the places of two people to each other; None where no frame shows both near each other.
+    """Return the places of two people to each other; None where no frame shows both near each other.
 
     Args:
         searcher: Pairs that have not seen the sequence, at the pitch of its camera.
@@ -195,7 +195,7 @@ def place_together(searcher: PairSearcher, couple: Couple, options: PlacingOptio
 
 
 def _common(first: PersonTrack, second: PersonTrack) -> tuple[Integers, list[Integers]]:
-    """Give the frames that both tracks span, and where they lie in each."""
+    """Return the frames that both tracks span, and where they lie in each."""
     frames = np.intersect1d(first.frames, second.frames)
     return frames, [frames - first.first_frame, frames - second.first_frame]
 
@@ -203,7 +203,7 @@ def _common(first: PersonTrack, second: PersonTrack) -> tuple[Integers, list[Int
 def _fit_constants(
     own_depth: Array, distance: Array, pair_depth: Array, deviation: Array, alike: float, options: PlacingOptions
 ) -> tuple[float, float]:
-    """Give g and c by least squares, frames that stay off counting less each round (Cauchy's weights)."""
+    """Return g and c by least squares, frames that stay off counting less each round (Cauchy's weights)."""
     columns = np.stack([own_depth, distance], axis=1)
     prior = np.diag([1.0 / options.lens_deviation**2, 1.0 / options.size_deviation**2])
     g, c = 1.0, 0.0
@@ -216,7 +216,7 @@ def _fit_constants(
 
 
 def _smoothed(values: Array, weights: Array, stiffness: float) -> Array:
-    """Give the x of least sum w (x - values)^2 + stiffness (second difference of x)^2 (frame,)."""
+    """Return the x of least sum w (x - values)^2 + stiffness (second difference of x)^2 (frame,)."""
     from scipy.linalg import solveh_banded  # here: 0.3 s that planning does not need
 
     if len(values) < 3:
@@ -232,7 +232,7 @@ def _smoothed(values: Array, weights: Array, stiffness: float) -> Array:
 
 
 def _factors(offset: Array, distance: Array, depth: Array) -> Array:
-    """Give u and 1/u (person, frame), which set the depth between two people who are D_0 and D_1 away.
+    """Return u and 1/u (person, frame), which set the depth between two people who are D_0 and D_1 away.
 
     D_0 u - D_1 / u = depth, whose positive root keeps the product of the two distances.
     """

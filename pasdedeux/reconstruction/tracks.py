@@ -34,7 +34,7 @@ class Lens:
 
     @classmethod
     def assumed(cls, width_px: int | None, height_px: int | None, keypoints_px: Array) -> Lens:
-        """Give the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
+        """Return the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
         if width_px is None or height_px is None:
             is_seen = np.isfinite(keypoints_px).all(axis=-1)
             seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
@@ -121,7 +121,7 @@ def why_no_video(frame: Integers) -> str:
 
 
 def rate_from_times(frame: Integers, time_s: Array) -> float:
-    """Give the frames per second of rows with these frame numbers and times; gaps in the numbers do not matter.
+    """Return the frames per second of rows with these frame numbers and times; gaps in the numbers do not matter.
 
     Raises:
         InputError: The times do not grow with the frames, so there is no rate.
@@ -146,7 +146,7 @@ def tracks_from_rows(
     width_px: int | None,
     height_px: int | None,
 ) -> list[PersonTrack]:
-    """Give the tracks of one sequence, by person id.
+    """Return the tracks of one sequence, by person id.
 
     Args:
         frame: Frame of each row (row,).

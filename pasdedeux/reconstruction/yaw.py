@@ -74,7 +74,7 @@ def refine_yaws(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
-    """Give the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch, and the distance."""
+    """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch, and the distance."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
     summed = 0.0
     for joint in range(query.shape[0]):

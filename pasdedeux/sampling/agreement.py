@@ -115,7 +115,7 @@ class Agreement:
         self._work = np.empty((2 + _NUM_LIMBS, len(centred)))
 
     def among(self, pairs_m: Array, *, most: int = 400, without: int | None = None) -> Agreement:
-        """Give the same over fewer grown pairs: the `most` posed most like each of some pairs (n, 2, 17, 3), metres.
+        """Return the same over fewer grown pairs: the `most` posed most like each of some pairs (n, 2, 17, 3), metres.
 
         For pairs close to these its terms are those of all, but for what the grown pairs left out would have added.
         The grown pair `without` never counts.
@@ -136,7 +136,7 @@ class Agreement:
         return fewer
 
     def terms(self, pair_m: Array) -> AgreementTerms:
-        """Give the terms of a pair (2, 17, 3), metres."""
+        """Return the terms of a pair (2, 17, 3), metres."""
         pair = np.ascontiguousarray(pair_m, dtype=np.float64)
         centred, offset = _apart(pair[None])
         pose, placement, limbs = _kernel_logs(
@@ -156,7 +156,7 @@ class Agreement:
         return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
 
     def nearest_m(self, pair_m: Array, *, count: int = 10) -> float:
-        """Give the mean distance of a pair (2, 17, 3) from the `count` nearest grown ones, metres.
+        """Return the mean distance of a pair (2, 17, 3) from the `count` nearest grown ones, metres.
 
         The root mean square over the joints, after the turn that fits each grown pair's poses best.
         """
@@ -167,7 +167,7 @@ class Agreement:
         return float(np.sqrt(np.sort(pose + 0.25 * place)[:count]).mean())
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Give the log of the likelihood of a pair (2, 17, 3), at most 0: the sharpened sum of the terms.
+        """Return the log of the likelihood of a pair (2, 17, 3), at most 0: the sharpened sum of the terms.
 
         -inf when it lies below `at_least`.
         """
@@ -176,7 +176,7 @@ class Agreement:
 
 
 def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]:
-    """Give `pose`, `placement`, `limbs` of a pair (2, 17, 3) by the definition, over grown pairs (grown, 2, 17, 3)."""
+    """Return `pose`, `placement`, `limbs` of a pair (2, 17, 3) by definition, over grown pairs (grown, 2, 17, 3)."""
     moving, offset = _apart(np.asarray(pair_m, dtype=np.float64)[None])
     fixed, offsets = _apart(np.asarray(grown_m, dtype=np.float64))
     moving = np.broadcast_to(moving, fixed.shape)
@@ -196,20 +196,20 @@ def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]
 
 
 def _apart(pairs_m: Array) -> tuple[Array, Array]:
-    """Give pairs with each person centred on its own (n, 34, 3), and where person B's centre is from A's (n, 3)."""
+    """Return pairs with each person centred on its own (n, 34, 3), and where person B's centre is from A's (n, 3)."""
     centre = pairs_m.mean(axis=2, keepdims=True)
     centred = (pairs_m - centre).reshape(len(pairs_m), -1, 3)
     return np.ascontiguousarray(centred), np.ascontiguousarray(centre[:, 1, 0] - centre[:, 0, 0])
 
 
 def _limbs_of(pairs_m: Array) -> Array:
-    """Give where the middle and the end of each limb are from its root, (n, limb=8, 2, 3)."""
+    """Return where the middle and the end of each limb are from its root, (n, limb=8, 2, 3)."""
     vectors = pairs_m[:, :, _LIMBS[:, 1:]] - pairs_m[:, :, _LIMBS[:, :1]]
     return np.ascontiguousarray(vectors.reshape(len(pairs_m), _NUM_LIMBS, 2, 3))
 
 
 def _distances(pair_m: Array, grown_m: Array) -> Array:
-    """Give how far grown pairs (n, 2, 17, 3) are posed from one (2, 17, 3), each person centred, (n,), metres."""
+    """Return how far grown pairs (n, 2, 17, 3) are posed from one (2, 17, 3), each person centred, (n,), metres."""
     moving, fixed = _apart(np.asarray(pair_m, dtype=np.float64)[None])[0], _apart(grown_m)[0]
     moving = np.broadcast_to(moving, fixed.shape)
     moved = align_rigid(moving, fixed).apply(moving)
@@ -218,7 +218,7 @@ def _distances(pair_m: Array, grown_m: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths, log_count):  # type: ignore[no-untyped-def]
-    """Give the logs of the kernel density of poses and of the two given the pose; `work` is (2 + limbs, other)."""
+    """Return the logs of the kernel density of poses and of the two given the pose; `work` is (2 + limbs, other)."""
     num_others, num_points, num_limbs = others.shape[0], others.shape[1], limbs.shape[0]
     key, m, q, turn = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
     for one in range(num_others):

@@ -35,7 +35,7 @@ class GatheredPairs:
     metres_per_pixel: Array
 
     def view_density(self, *, deviation_rad: float = 0.5) -> ViewDensity:
-        """Give the density of views over these annotations (Yin et al. 2018, eq. 5)."""
+        """Return the density of views over these annotations (Yin et al. 2018, eq. 5)."""
         return ViewDensity(self.pairs.directions, self.weights, deviation_rad)
 
 
@@ -46,7 +46,7 @@ def gather_pairs(
     weights: Array,
     annotation_index: npt.NDArray[np.int64],
 ) -> GatheredPairs:
-    """Give the annotations with all joints and a view, in metres.
+    """Return the annotations with all joints and a view, in metres.
 
     Args:
         pair17_px: Keypoints of each entry, (entry, person=2, joint=17, 2), pixels; NaN where missing.

@@ -144,12 +144,12 @@ def run_segment(
 
 
 def generator_to_json(rng: np.random.Generator) -> str:
-    """Give the state of a generator as JSON, for `generator_from_json`."""
+    """Return the state of a generator as JSON, for `generator_from_json`."""
     return json.dumps(rng.bit_generator.state, sort_keys=True)
 
 
 def generator_from_json(text: str) -> np.random.Generator:
-    """Give a generator that continues exactly where the one of `generator_to_json` stood.
+    """Return a generator that continues exactly where the one of `generator_to_json` stood.
 
     Raises:
         InputError: The text is not the state of a PCG64 generator.

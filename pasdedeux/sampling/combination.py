@@ -77,7 +77,7 @@ class Combination:
         return cls(blank.terms, blank.centre, blank.spread, weights[:-1])
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Give the combination of terms (n,) each, larger where a pair is the likelier, (n,)."""
+        """Return the combination of terms (n,) each, larger where a pair is the likelier, (n,)."""
         return np.asarray(self._standardised(np.stack([values[name] for name in self.terms], axis=1)) @ self.weights)
 
     def _standardised(self, values: Array) -> Array:

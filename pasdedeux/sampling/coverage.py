@@ -96,7 +96,7 @@ class Coverage:
 
 
 def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> CoverageCurve:
-    """Give the coverage of real pairs (truth, 2, joint, 3) after the first n draws (draw, 2, joint, 3), for several n.
+    """Return coverage of real pairs (truth, 2, joint, 3) after the first n draws (draw, 2, joint, 3), for several n.
 
     Args:
         truth_m: Real pairs, metres.
@@ -127,7 +127,7 @@ def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> 
 
 
 def plain_coverage(truth_m: Array, draws_m: Array) -> tuple[float, float]:
-    """Give C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
+    """Return C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
     truth, draws = _centred(truth_m), _centred(draws_m)
     interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in truth]
     cartesian = cartesian_dissimilarity(draws[None], truth[:, None]).min(axis=1)

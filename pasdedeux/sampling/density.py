@@ -21,7 +21,7 @@ class Likelihood(Protocol):
     """The log of a likelihood that never exceeds 1 and does not change when the pair moves rigidly."""
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Give it for a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        """Return it for a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
         ...
 
 
@@ -91,7 +91,7 @@ class PairDensity:
         self.seed_evaluation = Evaluation(self.log_seed, terms.log_prior, log_likelihood)
 
     def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
-        """Give the target at parameters (108,); work ends as soon as it is known to lie below `at_least`.
+        """Return the target at parameters (108,); work ends as soon as it is known to lie below `at_least`.
 
         The result decides any comparison with `at_least` as the full density would.
         """

@@ -75,7 +75,7 @@ class ChainReport:
 
 
 def invariants(pair_m: Array) -> Array:
-    """Give limb angles (radians) and joint distances (metres), (*batch, 24), of pairs (*batch, person=2, joint=17, 3).
+    """Return limb angles (radians) and joint distances (metres), (*batch, 24), of pairs (*batch, 2, joint=17, 3).
 
     They do not change when the pair moves rigidly.  A limb with an empty bone has angle 0.
     """
@@ -93,14 +93,14 @@ def invariants(pair_m: Array) -> Array:
 
 
 def effective_sample_size(values: Array) -> Array:
-    """Give the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved."""
+    """Return the bulk effective sample size (quantity,) of values (chain, draw, quantity); NaN where nothing moved."""
     if values.shape[1] < 4:
         return np.full(values.shape[-1], np.nan)
     return np.array([_or_nan(_arviz().ess, values[..., index]) for index in range(values.shape[-1])])
 
 
 def rhat(values: Array) -> Array:
-    """Give the rank-normalised split R-hat (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
+    """Return the rank-normalised split R-hat (quantity,) of values (chain, draw, quantity); NaN where nothing moved.
 
     A single chain is split in two halves first.
     """
@@ -138,7 +138,7 @@ def diagnose(
     seed_m: Array,
     log_ceiling: float,
 ) -> list[ChainReport]:
-    """Give a report for each chain of one seed.
+    """Return a report for each chain of one seed.
 
     Args:
         pair_m: Draws (chain, draw, person=2, joint=17, 3), metres.

@@ -153,7 +153,7 @@ def grow(
 
 
 def view_residuals(pair_m: Array, images: Array, directions: Array) -> Array:
-    """Give how far a pair, seen from views, is from images: root mean square after the best turn in the plane.
+    """Return how far a pair, seen from views, is from images: root mean square after the best turn in the plane.
 
     Args:
         pair_m: Pair (person=2, joint=17, 3), metres.
@@ -243,7 +243,7 @@ class _Frontier:
         keep_nearest(residual, len(self.pairs) - 1, self.distance_m, self.which)
 
     def nearest(self) -> int:
-        """Give the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""
+        """Return the entry nearest to anything lifted, and close its annotation; -1 when none is near enough."""
         distance = np.where(self.is_done, np.inf, self.distance_m[:, 0])
         entry = int(np.argmin(distance))
         if not distance[entry] <= self.options.farthest_m:
@@ -252,7 +252,7 @@ class _Frontier:
         return entry
 
     def lift(self, entry: int) -> Array:
-        """Give the pair (2, 17, 3) that matches an entry, in camera axes."""
+        """Return the pair (2, 17, 3) that matches an entry, in camera axes."""
         which = self.which[entry]
         return self._placed(entry, self.distance_m[entry], which, self.lengths[int(which[0])])
 
@@ -272,7 +272,7 @@ class _Frontier:
         return placed
 
     def agree(self, num_seeds: int) -> None:
-        """Give every grown pair the depth of the pairs, itself left out, that look like it under its view."""
+        """Return every grown pair the depth of the pairs, itself left out, that look like it under its view."""
         entries = np.array(self.entries[num_seeds:], dtype=np.int64)
         if not len(entries) or len(self.pairs) < 2:
             return

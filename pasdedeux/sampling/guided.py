@@ -86,7 +86,7 @@ class Guides:
         return directions, np.ascontiguousarray(np.swapaxes(flat, 1, 2)), (flat**2).sum(axis=(1, 2))
 
     def log_chances(self, pair_m: Array, axes: Array) -> Array:
-        """Give log q(e | x), (entry,), of a pair (2, 17, 3) with the axes (3, 3) of its local frame."""
+        """Return log q(e | x), (entry,), of a pair (2, 17, 3) with the axes (3, 3) of its local frame."""
         count = len(self.images)
         if np.isinf(self.width_m):
             return np.full(count, -np.log(count))
@@ -99,7 +99,7 @@ class Guides:
         return np.asarray(height - np.log(np.exp(height).sum()))
 
     def way(self, parameters: Array, pair_m: Array, axes: Array, entry: int, blocks: npt.NDArray[np.int64]) -> Array:
-        """Give the way r_e(x) of some blocks to an entry, (block, 6): of a bone only the first two numbers count.
+        """Return the way r_e(x) of some blocks to an entry, (block, 6): of a bone only the first two numbers count.
 
         Args:
             parameters: Parameters (108,).
@@ -149,7 +149,7 @@ class GuidedStep:
     deviation: Array
 
     def back(self) -> GuidedStep:
-        """Give the step back."""
+        """Return the step back."""
         return replace(self, step=-self.step, log_z=-self.log_z)
 
 
@@ -189,11 +189,11 @@ class Guided:
         return self.plain.scales
 
     def with_scales(self, scales: Scales) -> Guided:
-        """Give the same proposal with other learned factors."""
+        """Return the same proposal with other learned factors."""
         return replace(self, plain=self.plain.with_scales(scales))
 
     def look_round(self, parameters: Array) -> Local | None:
-        """Give what the other steps must know of a point."""
+        """Return what the other steps must know of a point."""
         return self.plain.look_round(parameters)
 
     def __call__(self, parameters: Array, local: Local | None, rng: np.random.Generator) -> Proposed:
@@ -229,7 +229,7 @@ class Guided:
         return Proposed(there, correction, resolve)
 
     def log_density(self, parameters: Array, guided: GuidedStep) -> float:
-        """Give log q(e | x) N(d; (1 - z) r_e(x), sigma^2 z) of a step from parameters (108,), up to a constant."""
+        """Return log q(e | x) N(d; (1 - z) r_e(x), sigma^2 z) of a step from parameters (108,), up to a constant."""
         pair, axes, log_chance = self._at(parameters)
         way = self.guides.way(parameters, pair, axes, guided.entry, guided.blocks)
         moves = guided.deviation > 0.0
@@ -238,7 +238,7 @@ class Guided:
         return float(log_chance[guided.entry] - 0.5 * squared - 0.5 * np.count_nonzero(moves) * guided.log_z)
 
     def _deviations(self, blocks: npt.NDArray[np.int64]) -> Array:
-        """Give the standard deviation of each number of each block, (block, 6); 0 for those that do not move."""
+        """Return the standard deviation of each number of each block, (block, 6); 0 for those that do not move."""
         found = np.zeros((len(blocks), 6))
         is_root = blocks % NUM_JOINTS == 0
         found[is_root, :3], found[is_root, 3:] = self.plain.root_rotation_rad, self.plain.root_position_m
@@ -246,7 +246,7 @@ class Guided:
         return found
 
     def _at(self, parameters: Array) -> tuple[Array, Array, Array]:
-        """Give a point's pair (2, 17, 3), the axes of its frame and log q(e | x)."""
+        """Return a point's pair (2, 17, 3), the axes of its frame and log q(e | x)."""
         pair = self.guides.chart.positions_fast(parameters)
         axes = np.ascontiguousarray(pair_frame(pair).axes)
         return pair, axes, self.guides.log_chances(pair, axes)

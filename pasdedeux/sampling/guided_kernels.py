@@ -39,7 +39,7 @@ def _carried_back(q, v):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _swing(a, b):  # type: ignore[no-untyped-def]
-    """Give the rotation vector of the shortest turn from direction a to direction b; 0 where one is empty."""
+    """Return the rotation vector of the shortest turn from direction a to direction b; 0 where one is empty."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     sine = math.sqrt(x * x + y * y + z * z)
     if sine < 1e-12:

@@ -42,7 +42,7 @@ _LIMBS = [
 
 
 def other_lifts(seen_m: Array) -> Array:
-    """Give other pairs with the image of a pair (person=2, joint=17, 3), metres, in camera axes, (lift=41, 2, 17, 3).
+    """Return other pairs with the image of a pair (person=2, joint=17, 3), metres, in camera axes, (lift=41, 2, 17, 3).
 
     Mirrored in depth: both people, each about its pelvis, and of each limb both bones, the lower or the upper one; and
     person B slid in depth.
@@ -87,7 +87,7 @@ class LiftDensity:
     occupancy: Occupancy
 
     def logs(self, lifts_m: Array, *, without: int | None = None) -> Array:
-        """Give the log of the density of lifts (n, 2, 17, 3), metres, of one image, up to a constant, (n,).
+        """Return the log of the density of lifts (n, 2, 17, 3), metres, of one image, up to a constant, (n,).
 
         Only the grown pairs that are posed like the first lift, or like what it is when either person or both are
         mirrored, count for all of them, and never the grown pair `without`.
@@ -101,7 +101,7 @@ class LiftDensity:
         return np.asarray(agreed + BONE_WEIGHT * bones - beyond / (2.0 * SIGMA_P_M**2))
 
     def odds(self, seen_m: Array) -> Array:
-        """Give the log of the share of pairs (n, 2, 17, 3), metres, in camera axes, among all lifts of their images.
+        """Return the log of the share of pairs (n, 2, 17, 3), metres, in camera axes, among all lifts of their images.
 
         (n,), each at most 0.
         """
@@ -112,7 +112,7 @@ class LiftDensity:
         return odds
 
     def likeliest(self, seen_m: Array, *, without: int | None = None) -> Array:
-        """Give the lift (2, 17, 3) of the image of a pair (2, 17, 3), metres, in camera axes, that is the likeliest.
+        """Return the lift (2, 17, 3) of the image of a pair (2, 17, 3), metres, in camera axes, that is the likeliest.
 
         The pair itself unless another one's log is greater by `LEAST_GAIN`.  The grown pair `without` never counts.
         """

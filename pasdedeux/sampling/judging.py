@@ -132,7 +132,7 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
 
 
 def seen_from(pairs_m: Array, directions: Array, kind: Corruption) -> Array:
-    """Give pairs (n, person=2, joint=17, 3), metres, in the axes of the camera that a corruption hides from.
+    """Return pairs (n, person=2, joint=17, 3), metres, in the axes of the camera that a corruption hides from.
 
     Args:
         pairs_m: Pairs.
@@ -190,7 +190,7 @@ class Judge:
     grown_m: Array
 
     def values(self, pairs_m: Array) -> dict[str, Array]:
-        """Give the terms of pairs (n, person=2, joint=17, 3), each (n,), larger where a pair is the likelier.
+        """Return the terms of pairs (n, person=2, joint=17, 3), each (n,), larger where a pair is the likelier.
 
         - `joint_limits`, `penetration`: minus the squared distances of eq. 2 (Yin et al. 2018); `prior`: its log;
           `learned_limits`: as the first, with the limits learned from capture;
@@ -273,7 +273,7 @@ class Judge:
         return found
 
     def odds(self, seen_m: Array) -> Array:
-        """Give the odds of pairs (n, 2, 17, 3), metres, in camera axes, among the lifts of their images, (n,)."""
+        """Return the odds of pairs (n, 2, 17, 3), metres, in camera axes, among the lifts of their images, (n,)."""
         return LiftDensity(Agreement(self.grown_m), self.limits, self.occupancy).odds(seen_m)
 
 
@@ -292,14 +292,14 @@ class Trial:
     moved_m: Array
 
     def from_m(self, least_m: float) -> Trial:
-        """Give the rows in which a joint moved at least as far as `least_m`, metres."""
+        """Return the rows in which a joint moved at least as far as `least_m`, metres."""
         far = self.moved_m >= least_m
         real, corrupted = ({name: one[far] for name, one in part.items()} for part in (self.real, self.corrupted))
         return Trial(real, corrupted, self.moved_m[far])
 
 
 def separation(real: Array, corrupted: Array) -> float:
-    """Give the AUC: the chance that a real pair's value (n,) exceeds a corrupted one's (m,); ties count half.
+    """Return the AUC: the chance that a real pair's value (n,) exceeds a corrupted one's (m,); ties count half.
 
     Raises:
         InputError: There is no real or no corrupted pair.
@@ -311,7 +311,7 @@ def separation(real: Array, corrupted: Array) -> float:
 
 
 def told_apart(real: Array, corrupted: Array) -> float:
-    """Give the share of pairs whose value (n,) exceeds that of their own corruption (n,); ties count half.
+    """Return the share of pairs whose value (n,) exceeds that of their own corruption (n,); ties count half.
 
     Both are lifts of one image: what a chain that starts from a wrong one would have to know.
 

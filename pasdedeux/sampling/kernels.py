@@ -176,7 +176,7 @@ def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[no-untyped-def]
-    """Give one side of eq. 8, float32: `dx`, `dy` are the differences of the turned pair from an annotation."""
+    """Return one side of eq. 8, float32: `dx`, `dy` are the differences of the turned pair from an annotation."""
     for e in range(count):
         i, j = starts[e], ends[e]
         u, v = dx[j] - dx[i], dy[j] - dy[i]
@@ -215,7 +215,7 @@ def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: i
 
 @numba.njit(cache=True, nogil=True)
 def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_weights, dx, dy):  # type: ignore[no-untyped-def]
-    """Give d_I (eq. 8) of a centred image and a centred annotation; `dx`, `dy` (n,) are scratch."""
+    """Return d_I (eq. 8) of a centred image and a centred annotation; `dx`, `dy` (n,) are scratch."""
     dot = cross = 0.0
     for k in range(x.shape[0]):
         dot += x[k] * fixed[k, 0] + y[k] * fixed[k, 1]

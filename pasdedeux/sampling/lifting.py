@@ -72,7 +72,7 @@ class LiftedSeeds:
 
 
 def apparent_bone_lengths(points_m: Array) -> Array:
-    """Give bone lengths (person=2, joint=17), metres, from images (n, person=2, joint=17, 2), metres, of many views.
+    """Return bone lengths (person=2, joint=17), metres, from images (n, person=2, joint=17, 2), metres, of many views.
 
     Left and right get the mean of the two; a root's length is 0.
     """
@@ -86,7 +86,7 @@ def apparent_bone_lengths(points_m: Array) -> Array:
 def lift_pair(
     image_m: Array, direction: Array, lengths_m: Array, limits: JointLimits, basis: TorsoBasis
 ) -> Array | None:
-    """Give the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
+    """Return the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
 
     Args:
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up.
@@ -175,7 +175,7 @@ class _Person:
 
 
 def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits) -> _Person:
-    """Give the likeliest of the 256 ways a person's limbs can point, (17, 3), pelvis at depth 0, with its cost."""
+    """Return the likeliest of the 256 ways a person's limbs can point, (17, 3), pelvis at depth 0, with its cost."""
     up = normalise(torso_m[1] - torso_m[0])
     across = torso_m[2] - torso_m[3]
     forward = np.cross(normalise(across - (across @ up) * up), up)

@@ -110,7 +110,7 @@ class Match:
 def build_bank(
     directions: Array, pairs: AnnotatedPairs, *, num_candidates: int = 500, view_bandwidth_rad: float = 0.5
 ) -> ViewBank:
-    """Give the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
+    """Return the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
 
     An annotation enters a view once, by its nearest hypothesis.  Annotations farther than the bandwidth are dropped as
     long as 20 stay.
@@ -148,7 +148,7 @@ def plain_log_likelihood(
     sigma_l: float = 0.01,
     beta_m: float = BETA_M,
 ) -> Match:
-    """Give the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
+    """Return the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
 
     `table` are the edges of all of `pairs` (`edge_table`), made here when not given.  `InteractionLikelihood` with
     `is_exact` gives the same.
@@ -175,7 +175,7 @@ def plain_log_likelihood(
 
 
 def _log_mean(best: Array, sigma_l: float) -> float:
-    """Give the log of eq. 6 of the least d_I of each view."""
+    """Return the log of eq. 6 of the least d_I of each view."""
     least = float(best.min())
     if not np.isfinite(least):
         return -np.inf
@@ -256,19 +256,19 @@ class InteractionLikelihood:
         self._slot = np.empty(len(self._directions), dtype=np.int64)
 
     def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
-        """Give the log likelihood of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
+        """Return log likelihood of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
         log_likelihood = self.log_likelihood(pair_m, at_least=at_least)
         return Match(log_likelihood=log_likelihood, dissimilarity_m=self._best.copy(), entry=self._entries())
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Give the log likelihood alone."""
+        """Return the log likelihood alone."""
         # The mean over views is at most the best view: it alone must reach the floor.
         limit = np.inf if at_least == -np.inf else -at_least * self._scale
         value = self._search(pair_m, limit, self._margin)
         return value if value >= at_least else -np.inf
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
-        """Give the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
+        """Return the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
 
         This is D* of eq. 12; -1 for a view without candidates.
         """
@@ -312,7 +312,7 @@ class InteractionLikelihood:
 def _springs(
     points: Array, table: EdgeTable, slots: npt.NDArray[np.int32], counts: npt.NDArray[np.int64]
 ) -> tuple[Array, npt.NDArray[np.float32]]:
-    """Give the springs of each view, whose roots at a difference of images estimate d_I, and what each root counts.
+    """Return the springs of each view, whose roots at a difference of images estimate d_I, and what each root counts.
 
     Each side of eq. 8 is a weighted mean of lengths l_e over edges that are not known beforehand.  With w_e the mean
     weight of an edge over the candidates of a view (0 where none has it) and s_e a typical length of its difference,

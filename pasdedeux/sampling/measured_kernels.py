@@ -50,7 +50,7 @@ def _fill_polar(x, y, shells, angles):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _bin_of(shell, angle):  # type: ignore[no-untyped-def]
-    """Give the bin: the upper half of angle times sectors, by halves, so that it fits in 32 bits."""
+    """Return the bin: the upper half of angle times sectors, by halves, so that it fits in 32 bits."""
     sectors = np.uint32(NUM_SECTORS)
     carried = np.uint32((angle & np.uint32(0xFFFF)) * sectors) >> np.uint32(16)
     return shell + np.int32(np.uint32((angle >> np.uint32(16)) * sectors + carried) >> np.uint32(16))
@@ -217,7 +217,7 @@ def _turn(x, y, fixed):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-untyped-def]
-    """Give the sum of a b / (a + b) over the bins, of one joint's turned histogram and a candidate's, in counts.
+    """Return the sum of a b / (a + b) over the bins, of one joint's turned histogram and a candidate's, in counts.
 
     Summed in integers, 2^-24 each: on every machine the same, and in any order.
     """
@@ -237,7 +237,7 @@ def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-unt
 
 @numba.njit(cache=True, nogil=True)
 def _cost(shells, angles, angle, histograms, bound, is_exact, bins, own):  # type: ignore[no-untyped-def]
-    """Give the shape-context cost, inf once it is more than `bound` (or, unless exact, will hardly be less)."""
+    """Return the shape-context cost, inf once it is more than `bound` (or, unless exact, will hardly be less)."""
     num_points = shells.shape[0]
     cost = 0.0
     for at in range(num_points):

@@ -36,7 +36,7 @@ class ImageMeasure(StrEnum):
 
 
 def image_dissimilarity(moving: Array, fixed: Array, measure: ImageMeasure) -> Array:
-    """Give the dissimilarity (*batch,) of images (*batch, n, 2), metres, after the best turn in the plane.
+    """Return the dissimilarity (*batch,) of images (*batch, n, 2), metres, after the best turn in the plane.
 
     Cartesian: the mean distance of the joints, metres; shape context: between 0 and 1.
     """
@@ -46,7 +46,7 @@ def image_dissimilarity(moving: Array, fixed: Array, measure: ImageMeasure) -> A
 
 
 def matched_scale(pairs: AnnotatedPairs, measure: ImageMeasure) -> float:
-    """Give the factor that makes nearest annotations as far apart as in d_I, in the median over 60 evenly spread ones.
+    """Return factor that makes nearest annotations as far apart as in d_I, in the median over 60 evenly spread ones.
 
     The nearest is the one with the least rigid residual among those whose view is within half a radian; 1 when there
     are no neighbours or they coincide.
@@ -118,7 +118,7 @@ class MeasuredLikelihood:
         self._slot = np.empty(len(bank.directions), dtype=np.int64)
 
     def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
-        """Give the log likelihood of a pair (2, 17, 3), metres; -inf when it lies below `at_least`.
+        """Return the log likelihood of a pair (2, 17, 3), metres; -inf when it lies below `at_least`.
 
         The least dissimilarities of the views are in metres, scaled to d_I; inf where they cannot matter.
         """
@@ -138,11 +138,11 @@ class MeasuredLikelihood:
         )
 
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Give the log likelihood alone."""
+        """Return the log likelihood alone."""
         return self.match(pair_m, at_least=at_least).log_likelihood
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
-        """Give the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
+        """Return the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
         self._search(pair_m, np.inf, np.inf)
         return self._entries()
 

@@ -60,7 +60,7 @@ _PARENTS = np.array(PAIR17.parents)
 
 
 def block_indices(block: int) -> npt.NDArray[np.int64]:
-    """Give the parameters of a block: blocks 0..16 are person A's root and joints 1..16, 17..33 person B's."""
+    """Return the parameters of a block: blocks 0..16 are person A's root and joints 1..16, 17..33 person B's."""
     person, joint = divmod(block, NUM_JOINTS)
     start = NUM_PER_PERSON * person
     return np.arange(start, start + 6) if joint == 0 else np.arange(start + 3 + 3 * joint, start + 6 + 3 * joint)
@@ -112,14 +112,14 @@ class PairChart:
         return np.stack([first, np.cross(directions, first)], axis=-2)
 
     def seed_parameters(self) -> Array:
-        """Give the parameters (108,) of the seed: zeros but for the positions of the roots."""
+        """Return the parameters (108,) of the seed: zeros but for the positions of the roots."""
         parameters = np.zeros(NUM_PARAMETERS)
         for person in range(2):
             parameters[POSITION_INDICES[person]] = self.seed_m[person, _PELVIS]
         return parameters
 
     def positions(self, parameters: Array) -> Array:
-        """Give the positions (*batch, person=2, joint=17, 3), metres, of parameters (*batch, 108)."""
+        """Return the positions (*batch, person=2, joint=17, 3), metres, of parameters (*batch, 108)."""
         batch = parameters.shape[:-1]
         positions = np.empty((*batch, 2, NUM_JOINTS, 3))
         for person in range(2):
@@ -140,13 +140,13 @@ class PairChart:
         return positions
 
     def positions_fast(self, parameters: Array) -> Array:
-        """Give the positions (2, 17, 3) of one parameter vector (108,): `positions` as a compiled loop."""
+        """Return the positions (2, 17, 3) of one parameter vector (108,): `positions` as a compiled loop."""
         positions = np.empty((2, NUM_JOINTS, 3))
         _place(parameters, self.directions, self.axes, self.lengths_m, _ORDER, _PARENTS, positions)
         return positions
 
     def gauge_fixed(self, parameters: Array) -> Array:
-        """Give the parameters (108,) of the same pair, moved rigidly into the gauge of `gauge_fix`."""
+        """Return the parameters (108,) of the same pair, moved rigidly into the gauge of `gauge_fix`."""
         positions = self.positions_fast(parameters)
         rotmat, shift = _gauge(positions, self.seed_m)
         quaternion = unitquat_from_rotmat(rotmat)
@@ -159,7 +159,7 @@ class PairChart:
 
 
 def gauge_fix(pair_m: Array, reference_m: Array | None = None) -> Array:
-    """Give the same pair (2, 17, 3), metres, moved rigidly into the gauge.
+    """Return the same pair (2, 17, 3), metres, moved rigidly into the gauge.
 
     The pair's centroid is at the origin and the line between the roots has yaw 0 (it points along +X as far as the
     horizontal plane shows it; a vertical line is left as it is).  Tilt, which the density does not see either, is that

@@ -91,7 +91,7 @@ class PhysicalPrior:
         self._sums = np.empty(3)
 
     def terms(self, parameters: Array, pair_m: Array) -> PriorTerms:
-        """Give the prior and its parts of parameters (108,) that give positions (2, 17, 3), metres."""
+        """Return the prior and its parts of parameters (108,) that give positions (2, 17, 3), metres."""
         lengths = parameters[LENGTH_INDICES]
         length_change = float(np.abs(lengths).max())
         is_tied = bool(np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE)
@@ -122,7 +122,7 @@ class PhysicalPrior:
         )
 
     def _nearest_valid(self, pose: Array) -> tuple[int, float]:
-        """Give the number of invalid angles of a pose (17, 3), and its squared distance from the nearest valid one."""
+        """Return number of invalid angles of a pose (17, 3), and its squared distance from the nearest valid one."""
         if self._learned is None:
             return move_to_nearest_valid(pose, self._limits, self._work, self._valid)
         return move_to_nearest_learned(

@@ -65,7 +65,7 @@ def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, 
 
 @numba.njit(cache=True, nogil=True)
 def _log_ratio(count, square, here, there, is_bound):  # type: ignore[no-untyped-def]
-    """Give log N(-x; 0, there) - log N(x; 0, here) of an x of `count` numbers whose square is here^2 times `square`.
+    """Return log N(-x; 0, there) - log N(x; 0, here) of an x of `count` numbers whose square is here^2 times `square`.
 
     With `is_bound`, the greatest over all deviations from `there` on: it peaks at here^2 square / count.
     """
@@ -77,7 +77,7 @@ def _log_ratio(count, square, here, there, is_bound):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, nogil=True)
 def log_ratio_of_steps(blocks, noise, turn, shift, turn_there, shift_there, is_bound, num_joints):  # type: ignore[no-untyped-def]
-    """Give log Q(back) - log Q(forth) of one displacement; lengths and factors, the same both ways, cancel.
+    """Return log Q(back) - log Q(forth) of one displacement; lengths and factors, the same both ways, cancel.
 
     Args:
         blocks: Blocks that moved, (n,).

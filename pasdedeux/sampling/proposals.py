@@ -77,7 +77,7 @@ class Scales:
             raise InputError("a scale of a proposal is not finite")
 
     def of(self, move: Move) -> Array:
-        """Give the factor of each block of a move."""
+        """Return the factor of each block of a move."""
         return np.asarray(np.exp(self.log_block[list(move.blocks)] + self.log_move[move.index]))
 
 
@@ -139,11 +139,11 @@ class GaussianBlocks:
             raise InputError(f"the velocity-biased kernel needs positive scales of rotations and shifts, found {turns}")
 
     def with_scales(self, scales: Scales) -> GaussianBlocks:
-        """Give the same proposal with other learned factors."""
+        """Return the same proposal with other learned factors."""
         return replace(self, scales=scales)
 
     def look_round(self, parameters: Array) -> Local | None:
-        """Give what the proposal must know of a point; None when it is the same everywhere."""
+        """Return what the proposal must know of a point; None when it is the same everywhere."""
         return None if self.bias is None else self.bias.nearest(parameters)
 
     def __call__(self, parameters: Array, local: Local | None, rng: np.random.Generator) -> Proposed:
@@ -168,7 +168,7 @@ class GaussianBlocks:
         return Proposed(proposed, float(most), resolve, move)
 
     def _deviations(self, local: Local | None) -> tuple[Array, Array]:
-        """Give eq. 12's standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""
+        """Return eq. 12's standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""
         turn, shift = self._least_deviations
         if self.bias is None:
             return turn, shift
@@ -185,7 +185,7 @@ class GaussianBlocks:
 
 
 def _tied_lengths(block: int) -> tuple[int, int]:
-    """Give the length parameters that change with a block's bone: its own and its counterpart's, -1 for none."""
+    """Return the length parameters that change with a block's bone: its own and its counterpart's, -1 for none."""
     person, joint = divmod(block, NUM_JOINTS)
     if joint == 0:
         return -1, -1

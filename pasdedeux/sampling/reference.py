@@ -28,7 +28,7 @@ NUM_RESAMPLED = 500
 
 
 def left_out_dissimilarity(pairs: AnnotatedPairs, *, view_bandwidth_rad: float = 0.5, beta_m: float = BETA_M) -> Array:
-    """Give the least d_I (eq. 8), metres, of evenly spread annotations to any other with a similar view, (n,).
+    """Return the least d_I (eq. 8), metres, of evenly spread annotations to any other with a similar view, (n,).
 
     Annotations without another one in the bandwidth are left out altogether.
     """
@@ -50,7 +50,7 @@ def left_out_dissimilarity(pairs: AnnotatedPairs, *, view_bandwidth_rad: float =
 def left_out_log_likelihood(
     dissimilarity_m: Array, num_views: int, rng: np.random.Generator, *, sigma_l: float = 0.01, quantile: float = 0.5
 ) -> float:
-    """Give a quantile of the log likelihood (eqs. 6 and 9) of a real pair that is not annotated.
+    """Return a quantile of the log likelihood (eqs. 6 and 9) of a real pair that is not annotated.
 
     Its views' least dissimilarities are taken to be independent draws from those of left-out annotations.
 

@@ -54,7 +54,7 @@ class SeedQuality:
 
 
 def seed_quality(pairs_m: Array, limits: JointLimits, *, alpha: float = 10.0) -> SeedQuality:
-    """Give how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds."""
+    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds."""
     pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
     model = capsule_model(PAIR17)
     nearest = limits.nearest_valid(pairs)

@@ -38,7 +38,7 @@ _STANDING = {
 
 
 def standing_pair(*, distance_m: float = 0.6) -> Array:
-    """Give two people (2, 17, 3), metres, who stand `distance_m` apart and face each other along X."""
+    """Return two people (2, 17, 3), metres, who stand `distance_m` apart and face each other along X."""
     person = np.array([_STANDING[name] for name in PAIR17.joint_names])
     first = person @ yaw_rotmat(np.pi / 2).T
     second = person @ yaw_rotmat(-np.pi / 2).T
@@ -47,12 +47,12 @@ def standing_pair(*, distance_m: float = 0.6) -> Array:
 
 
 def random_pairs(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
-    """Give articulated variations (pair, 2, 17, 3), metres, of the standing pair, with its bone lengths."""
+    """Return articulated variations (pair, 2, 17, 3), metres, of the standing pair, with its bone lengths."""
     return PairChart(standing_pair()).positions(random_parameters(rng, num_pairs, spread_rad=spread_rad))
 
 
 def random_parameters(rng: np.random.Generator, num_pairs: int, *, spread_rad: float = 0.3) -> Array:
-    """Give the parameters (pair, 108) of `random_pairs`, round the standing pair."""
+    """Return the parameters (pair, 108) of `random_pairs`, round the standing pair."""
     parameters = np.tile(PairChart(standing_pair()).seed_parameters(), (num_pairs, 1))
     noise = spread_rad * rng.normal(size=(num_pairs, NUM_PARAMETERS))
     noise[:, LENGTH_INDICES.ravel()] = 0.0
@@ -63,7 +63,7 @@ def random_parameters(rng: np.random.Generator, num_pairs: int, *, spread_rad: f
 
 
 def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations: int) -> AnnotatedPairs:
-    """Give annotations of randomly chosen pairs (pair, 2, 17, 3) under random views, true views kept."""
+    """Return annotations of randomly chosen pairs (pair, 2, 17, 3) under random views, true views kept."""
     which = rng.integers(len(pairs_m), size=num_annotations)
     directions = normalise(rng.normal(size=(num_annotations, 3)) * [1.0, 0.3, 1.0])
     points = project_pair(pairs_m[which], directions)

@@ -55,7 +55,7 @@ class Speeds:
             raise InputError("a squared speed is not finite")
 
     def mean(self, entries: Indices) -> tuple[Array, Array]:
-        """Give the mean squared speeds, (34,) and (2,), over a set of entries; negative ones are nobody.
+        """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative ones are nobody.
 
         This is the second term of eq. 12: an annotation that is nearest under several views counts once.
         """
@@ -66,7 +66,7 @@ class Speeds:
 
 
 def annotation_speeds(tracks_m: Array) -> Speeds:
-    """Give the speeds of annotations from the frames round them.
+    """Return the speeds of annotations from the frames round them.
 
     Args:
         tracks_m: Image points of the frames round each annotation, (entry, frame, person=2, joint=17, 2), metres, the
@@ -95,7 +95,7 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
 
 
 def undo_swaps(tracks_m: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Give tracks whose people are who they are in the middle frame, and which entries had them swapped somewhere.
+    """Return tracks whose people are who they are in the middle frame, and which entries had them swapped somewhere.
 
     Detectors number people anew in every frame.  Walking away from the middle, a frame's two people are exchanged when
     that brings their joints closer to the frame before.
@@ -119,12 +119,12 @@ def undo_swaps(tracks_m: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
 
 
 def _gap(points: Array, others: Array) -> Array:
-    """Give the sum of squared distances (entry,) over the joints that both have."""
+    """Return the sum of squared distances (entry,) over the joints that both have."""
     return np.nansum((points - others) ** 2, axis=(1, 2, 3))
 
 
 def _slope(tracks: Array, time: Array) -> Array:
-    """Give the slope over axis 1 by least squares over the frames there are; NaN for fewer than two."""
+    """Return the slope over axis 1 by least squares over the frames there are; NaN for fewer than two."""
     is_there = np.isfinite(tracks)
     moment = time.reshape(1, -1, *([1] * (tracks.ndim - 2)))
     count = is_there.sum(axis=1, keepdims=True)
@@ -136,6 +136,6 @@ def _slope(tracks: Array, time: Array) -> Array:
 
 
 def _rate(bone: Array, change: Array) -> Array:
-    """Give how fast a bone (..., 2) turns in the image plane, radians per frame."""
+    """Return how fast a bone (..., 2) turns in the image plane, radians per frame."""
     across = bone[..., 0] * change[..., 1] - bone[..., 1] * change[..., 0]
     return np.asarray(across / np.maximum((bone**2).sum(axis=-1), LEAST_BONE_M**2))

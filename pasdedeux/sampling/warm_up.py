@@ -79,7 +79,7 @@ def warm_up(
 
 
 def kernel_to_json(scales: Scales, local: Local | None) -> str:
-    """Give what a chain must remember of its kernel, as JSON without loss: learned scales, and what it saw around."""
+    """Return what a chain must remember of its kernel, as JSON without loss: learned scales, and what it saw around."""
     return json.dumps(
         {
             "log_block": scales.log_block.tolist(),
@@ -90,7 +90,7 @@ def kernel_to_json(scales: Scales, local: Local | None) -> str:
 
 
 def kernel_from_json(text: str) -> tuple[Scales, Local | None]:
-    """Give back what `kernel_to_json` wrote.
+    """Return back what `kernel_to_json` wrote.
 
     Raises:
         InputError: The text is something else.

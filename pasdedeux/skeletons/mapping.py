@@ -45,17 +45,17 @@ class JointMap:
                 raise InputError(f"mapping '{self.name}': the weights of '{joint}' sum to {total:g}, not 1")
 
     def weights(self, joint: str) -> Weights:
-        """Give the source joints of a target joint with their weights."""
+        """Return the source joints of a target joint with their weights."""
         entry = self.table[joint]
         return {entry: 1.0} if isinstance(entry, str) else entry
 
     def carrier(self, joint: str) -> str:
-        """Give the source joint with the greatest weight: the one whose rotation carries the target joint."""
+        """Return the source joint with the greatest weight: the one whose rotation carries the target joint."""
         weights = self.weights(joint)
         return max(weights, key=lambda name: weights[name])
 
     def matrix(self, source_names: Sequence[str]) -> npt.NDArray[np.float64]:
-        """Give the weights as a matrix (target joint, source joint).
+        """Return the weights as a matrix (target joint, source joint).
 
         Raises:
             InputError: A source joint of the table is not among `source_names`.

@@ -70,11 +70,11 @@ class Skeleton:
         return tuple((parent, child) for child, parent in enumerate(self.parents) if parent >= 0)
 
     def children(self, joint: int) -> tuple[int, ...]:
-        """Give the indices of a joint's children."""
+        """Return the indices of a joint's children."""
         return tuple(child for child, parent in enumerate(self.parents) if parent == joint)
 
     def index(self, joint_name: str) -> int:
-        """Give the index of a joint, or an InputError that lists the known ones."""
+        """Return the index of a joint, or an InputError that lists the known ones."""
         try:
             return self.joint_names.index(joint_name)
         except ValueError:
@@ -82,7 +82,7 @@ class Skeleton:
             raise InputError(f"joint '{joint_name}' is not in skeleton '{self.name}'; known joints: {known}") from None
 
     def indices(self, joint_names: Iterable[str]) -> list[int]:
-        """Give the indices of several joints."""
+        """Return the indices of several joints."""
         return [self.index(name) for name in joint_names]
 
     @cached_property

@@ -78,7 +78,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _extremes(qualities: VariantQualities) -> list[int]:
-    """Give the variants to draw: least and greatest scale, and the worst contact drift."""
+    """Return the variants to draw: least and greatest scale, and the worst contact drift."""
     scale = np.nan_to_num(qualities.scale, nan=1.0)
     worst = np.nan_to_num(qualities.values["contact_drift_m"], nan=np.inf)
     return sorted({int(np.argmin(scale)), int(np.argmax(scale)), int(np.argmax(worst))})

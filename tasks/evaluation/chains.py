@@ -48,7 +48,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
-    """Give the segments of the first chain of the first seed of each density."""
+    """Return the segments of the first chain of the first seed of each density."""
     found = []
     for density in sorted({str(manifest.facts["density"]) for manifest in draws}):
         own = [manifest for manifest in draws if manifest.facts["density"] == density]

@@ -58,7 +58,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give keypoints (frame, person, 14, 2), NaN where a person is absent, and the frames' times."""
+    """Return keypoints (frame, person, 14, 2), NaN where a person is absent, and the frames' times."""
     frames, rows = np.unique(data["frame"][is_here], return_inverse=True)
     people, columns = np.unique(data["person_id"][is_here], return_inverse=True)
     keypoints = np.full((len(frames), len(people), 14, 2), np.nan)
@@ -77,7 +77,7 @@ def _step(times: np.ndarray, rate_hz: float) -> int:
 
 
 def _image(keypoints: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple[int, int]]:
-    """Give keypoints and an image size; an unknown size is made to hold every keypoint."""
+    """Return keypoints and an image size; an unknown size is made to hold every keypoint."""
     if np.isfinite(width) and np.isfinite(height):
         return keypoints, (int(width), int(height))
     finite = keypoints[np.isfinite(keypoints).all(axis=-1)]

@@ -121,7 +121,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[str, np.ndarray]:
-    """Give the draws from the first seed alone of each density that has many others: how far chains walk."""
+    """Return the draws from the first seed alone of each density that has many others: how far chains walk."""
     facts = {ref: store.manifest(ref).facts for ref in refs if "draws" in store.manifest(ref).tables}
     seeds: dict[str, set[int]] = {}
     for fact in facts.values():
@@ -132,7 +132,7 @@ def draws_from_first_seeds(store: Store, refs: tuple[ArtifactRef, ...]) -> dict[
 
 
 def _seed(store: Store, refs: tuple[ArtifactRef, ...]) -> np.ndarray | None:
-    """Give the first seed (1, 2, 17, 3)."""
+    """Return the first seed (1, 2, 17, 3)."""
     pairs = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
     return pairs[0][:1] if pairs else None
 
@@ -158,7 +158,7 @@ def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | Non
 def _split(
     takes: dict[str, np.ndarray], annotated: set[tuple[str, int]], held_out: set[str], split: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Give the real pairs of the part, and the other real pairs of takes that are not held out."""
+    """Return the real pairs of the part, and the other real pairs of takes that are not held out."""
     wanted, others = [], []
     for take_id, pairs in takes.items():
         is_annotated = np.array([(take_id, frame) in annotated for frame in range(len(pairs))], dtype=bool)

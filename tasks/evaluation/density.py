@@ -146,7 +146,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _with_far_flips(trials: Mapping[Corruption, Trial]) -> dict[str, Trial]:
-    """Give the trials by name, and beside all flips those that move a joint by 20 cm or more."""
+    """Return the trials by name, and beside all flips those that move a joint by 20 cm or more."""
     named = {}
     for kind, trial in trials.items():
         named[str(kind)] = trial
@@ -177,7 +177,7 @@ class _Material:
     grown_take: np.ndarray
 
     def judge(self, rng: np.random.Generator, without: str | None) -> Judge:
-        """Give a judge that has seen no annotation of a take, and nothing that grew from one."""
+        """Return a judge that has seen no annotation of a take, and nothing that grew from one."""
         every = self.gathered.pairs
         is_seen, is_left = self._others(without)
         pairs = AnnotatedPairs(every.points_m[is_seen], every.directions[is_seen], every.annotation_index[is_seen])
@@ -195,7 +195,7 @@ class _Material:
         )
 
     def some(self, rng: np.random.Generator, pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Give some pairs (n, 2, 17, 3) and a view of each (n, 3)."""
+        """Return some pairs (n, 2, 17, 3) and a view of each (n, 3)."""
         some = pairs[rng.permutation(len(pairs))[:count]].astype(np.float64)
         return some, self.gathered.view_density().sample(rng, len(some))
 

@@ -164,7 +164,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
 
 
 def _spans(takes: Sequence[np.ndarray], gap: int, count: int, generator: np.random.Generator) -> list[np.ndarray]:
-    """Give spans of gap + 1 frames from random places of takes that are long enough."""
+    """Return spans of gap + 1 frames from random places of takes that are long enough."""
     starts = [(take, start) for take, pairs in enumerate(takes) for start in range(len(pairs) - gap)]
     if not starts:
         return []

@@ -75,7 +75,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 def _test_variants(
     store: Store, refs: list[ArtifactRef], wanted: dict[str, list[str]]
 ) -> tuple[list[VariantKey], dict[tuple[str, str], ArtifactRef], dict[tuple[str, str], float]]:
-    """Give the test variants, where each lies, and the scale of person A (NaN where not uniform)."""
+    """Return the test variants, where each lies, and the scale of person A (NaN where not uniform)."""
     keys, homes, scales = [], {}, {}
     for ref in refs:
         take_id = store.manifest(ref).facts["take_id"]

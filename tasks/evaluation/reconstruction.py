@@ -120,7 +120,7 @@ def _read_motions(store: Store, motions: ArtifactRef) -> TableData:
 
 
 def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_id: str) -> dict[tuple[int, int], Any]:
-    """Give the keypoints (14, 2) of a sequence by person and frame."""
+    """Return the keypoints (14, 2) of a sequence by person and frame."""
     keypoints = {}
     for ref in annotations:
         table = store.read(ref, "annotations", columns=["sequence_id", "person_id", "frame", "op14_px"])

@@ -103,7 +103,7 @@ _MEANS = ("reconstruction", "left_out_clips")
 
 
 def shard(inputs: StageInputs, topics: Sequence[Shard], *, title: str, description: str) -> Shard:
-    """Give the shard that assembles what all other topics found."""
+    """Return the shard that assembles what all other topics found."""
     counted = {manifest.ref.key: manifest for table in inputs.manifests for manifest in inputs.of(table)}
     return Shard(
         stage=STAGE_NAME,
@@ -157,7 +157,7 @@ def _scores(store: Store, found: Sequence[Manifest], topic: str) -> list[Score]:
 def _section(
     store: Store, found: Sequence[Manifest], topic: str, scores: Sequence[Score], tables: tuple[TextTable, ...]
 ) -> Section | None:
-    """Give a topic's section, with tables before its figures, or None when nothing was found."""
+    """Return a topic's section, with tables before its figures, or None when nothing was found."""
     heading, introduction = _SECTIONS[topic]
     parts = [manifest for manifest in found if manifest.facts["topic"] == topic]
     if not parts:

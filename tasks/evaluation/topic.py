@@ -37,7 +37,7 @@ class TopicResult:
 
 
 def make_shard(*, topic: str, name: str, inputs: Sequence[Manifest], parameters: Mapping[str, Any], seed: int) -> Shard:
-    """Give a shard of a topic that reads these artifacts."""
+    """Return a shard of a topic that reads these artifacts."""
     return Shard(
         stage=STAGE_NAME,
         version=VERSION,

@@ -14,7 +14,7 @@ __all__ = ["read_cameras", "read_take_frames", "read_takes"]
 
 
 def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, PinholeCamera]:
-    """Give the true camera of every virtual sequence."""
+    """Return the true camera of every virtual sequence."""
     cameras = {}
     for ref in refs:
         if "cameras" not in store.manifest(ref).tables:
@@ -32,14 +32,14 @@ def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, Pinhole
 
 
 def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
-    """Give one positions column of every take as (frame, person, joint, 3)."""
+    """Return one positions column of every take as (frame, person, joint, 3)."""
     return {store.manifest(ref).facts["take_id"]: read_people(store, ref, column) for ref in refs}
 
 
 def read_take_frames(
     store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False
 ) -> dict[tuple[str, int], tuple[str, int]]:
-    """Give the take and its frame behind every (sequence, frame) of virtual video, or behind the annotated ones only.
+    """Return the take and its frame behind every (sequence, frame) of virtual video, or behind the annotated ones only.
 
     Frames that are not annotated are there for velocity.
     """

@@ -195,7 +195,7 @@ def _stream(seed: int, labels: Sequence[str | int], *more: int) -> np.random.Gen
 
 
 def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, Codebook | None, float]:
-    """Give the database of the shard's parts, in the order of the codebook where there is one, and its rate."""
+    """Return the database of the shard's parts, in the order of the codebook where there is one, and its rate."""
     _, *others = shard.inputs
     parts, books = others[: shard.parameters["num_parts"]], others[shard.parameters["num_parts"] :]
     used = [store.manifest(part).facts for part in parts]
@@ -218,7 +218,7 @@ def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, C
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[tuple[str, np.ndarray, int]]:
-    """Give name, motion (frame, 14, 3) at the database's rate and number of every person of the shard's take."""
+    """Return name, motion (frame, 14, 3) at the database's rate and number of every person of the shard's take."""
     take, take_id = shard.inputs[0], shard.parameters["take_id"]
     people = read_people(store, take, "op14_m")
     from_hz = float(store.manifest(take).facts["rate_hz"])

@@ -104,7 +104,7 @@ def _robustness(
 
 
 def _annotations(table: TableData) -> list[tuple[int, int]]:
-    """Give the row range of each annotation's hypotheses."""
+    """Return the row range of each annotation's hypotheses."""
     if not table.num_rows:
         return []
     is_new = (table["sequence_id"][1:] != table["sequence_id"][:-1]) | (table["frame"][1:] != table["frame"][:-1])
@@ -113,7 +113,7 @@ def _annotations(table: TableData) -> list[tuple[int, int]]:
 
 
 def _hypotheses(rows: Sequence[tuple[TableData, int, int, tuple[str, int]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Give directions (annotation, hypothesis, 3), NaN where there are fewer, and weights, 0 there."""
+    """Return directions (annotation, hypothesis, 3), NaN where there are fewer, and weights, 0 there."""
     most = max(stop - start for _, start, stop, _ in rows)
     directions, weights = np.full((len(rows), most, 3), np.nan), np.zeros((len(rows), most))
     for index, (table, start, stop, _) in enumerate(rows):

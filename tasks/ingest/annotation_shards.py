@@ -160,7 +160,7 @@ class _Rows:
             self.columns.setdefault(name, []).extend(values)
 
     def sorted_columns(self) -> dict[str, Any]:
-        """Give the columns; sequences were added in the order of their names, so rows are sorted."""
+        """Return the columns; sequences were added in the order of their names, so rows are sorted."""
         return self.columns
 
 

@@ -85,7 +85,7 @@ def find_annotations(options: AnnotationOptions) -> AnnotationSource:
 
 
 def file_frames(source: AnnotationSource) -> list[int]:
-    """Give the frame of each file of a source that has one file per frame; empty for others."""
+    """Return the frame of each file of a source that has one file per frame; empty for others."""
     return _frame_numbers([file.path for file in source.files]) if source.format == "openpose" else []
 
 
@@ -138,6 +138,6 @@ def _read_openpose(
 
 
 def _frame_numbers(names: Sequence[str]) -> list[int]:
-    """Give the frame that each file is of, by its name; one without a number is where it stands."""
+    """Return the frame that each file is of, by its name; one without a number is where it stands."""
     numbers = [openpose_frame_number(name) for name in names]
     return [index if number is None else number for index, number in enumerate(numbers)]

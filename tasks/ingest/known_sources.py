@@ -37,7 +37,7 @@ class KnownSource:
 
 
 def known_source(file_name: str, layout: str) -> KnownSource:
-    """Give what is known of a file of this name whose joints fit this layout.
+    """Return what is known of a file of this name whose joints fit this layout.
 
     AMC files named like CMU's state no rate: it is 120 Hz, 60 Hz for subjects 60 and 61.  The BVH release of those two
     subjects states a wrong rate, and its unit differs between them.

@@ -240,7 +240,7 @@ class IngestParameters(Parameters):
         return self
 
     def resolved_duets(self) -> tuple[DuetOptions, ...]:
-        """Give the duets: those named, or the four built-in ones when nothing else comes in."""
+        """Return the duets: those named, or the four built-in ones when nothing else comes in."""
         if self.duets is not None:
             return self.duets
         if self.takes or self.pairs or self.annotations:
@@ -248,7 +248,7 @@ class IngestParameters(Parameters):
         return tuple(DuetOptions(name=name) for name in BUILT_IN_DUETS)
 
     def take_ids(self) -> list[str]:
-        """Give the names of all takes, in the order in which they are planned."""
+        """Return the names of all takes, in the order in which they are planned."""
         families = [
             family.id.format(subject=family.subjects[0], take=take)
             for family in self.pairs.values()

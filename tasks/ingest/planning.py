@@ -75,7 +75,7 @@ def _refuse_twins(takes: Sequence[Shard]) -> None:
 
 
 def _all_takes(parameters: IngestParameters) -> Iterator[TakeOptions]:
-    """Give the takes named one by one, then those of each family, spelled out."""
+    """Return the takes named one by one, then those of each family, spelled out."""
     yield from parameters.takes
     for family in parameters.pairs.values():
         for take in family.takes:
@@ -174,7 +174,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
 
 
 def _common_length(take: TakeOptions, people: list[PersonSource], starts: list[int]) -> int:
-    """Give the number of source frames that all people of a take have, or refuse a pair that does not fit."""
+    """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
     rates = {person.rate_hz for person in people}
     if len(rates) > 1:
         found = " and ".join(f"{person.rate_hz:g}" for person in people)
@@ -199,7 +199,7 @@ def _common_length(take: TakeOptions, people: list[PersonSource], starts: list[i
 
 
 def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
-    """Give the shards of virtual video over a take: whole takes, and random views unless it is held out."""
+    """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
     options = parameters.virtual_video
     take_id, is_held_out = take.parameters["take_id"], bool(take.parameters["is_held_out"])
     views = options.model_dump(mode="json", exclude={"takes", "num_videos", "num_random_views"})

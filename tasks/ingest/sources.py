@@ -89,7 +89,7 @@ def load_file(path: Path) -> LoadedFile:
 
 
 def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:
-    """Give the layout of a study for these joints: "auto" tells it from them; the study's mappings are applied.
+    """Return the layout of a study for these joints: "auto" tells it from them; the study's mappings are applied.
 
     Raises:
         InputError: No known layout fits, or the name is neither known nor one of the study's mappings.
@@ -165,7 +165,7 @@ def read_person(kind: str, data: bytes, skeleton: bytes | None) -> SourceMotion:
 
 
 def credit_of(layout: str, licence: str | None, credit: str | None) -> SourceCredit:
-    """Give licence and credit of a take: what the study says, else what is known of the source."""
+    """Return licence and credit of a take: what the study says, else what is known of the source."""
     is_cmu = layout.startswith("cmu_")
     if is_cmu and licence is None and credit is None:
         return CMU_CREDIT
@@ -230,7 +230,7 @@ def _rest(
 
 
 def _skeleton_file(path: Path, kind: str, person: PersonOptions) -> LoadedFile | None:
-    """Give the skeleton file of a kind that needs one.
+    """Return the skeleton file of a kind that needs one.
 
     The ASF of 60_01.amc is 60.asf beside it; the template of rows of rotations is template.bvh beside them or above.
     """

@@ -51,7 +51,7 @@ class ClusterSettings:
 
 @contextmanager
 def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
-    """Give a client of the named scheduler, or of a local cluster that ends with this block or with this process.
+    """Return a client of the named scheduler, or of a local cluster that ends with this block or with this process.
 
     Raises:
         ClusterError: The scheduler does not answer, or a worker has not got this code or this store.
@@ -98,7 +98,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
 
 
 def _client_of(scheduler: Any) -> Client:
-    """Give a client of a scheduler's address or of a local cluster.
+    """Return a client of a scheduler's address or of a local cluster.
 
     Distributed asserts that the scheduler's greeting comes alone; news for all clients that falls into the same two
     milliseconds breaks that, and asking again mends it.
@@ -116,13 +116,13 @@ def _client_of(scheduler: Any) -> Client:
 
 
 def peak_memory_bytes(client: Client | None) -> int:
-    """Give the most memory that this process or any worker alive has held, bytes."""
+    """Return the most memory that this process or any worker alive has held, bytes."""
     peaks = [] if client is None else list(client.run(_peak_memory_bytes).values())
     return max([_peak_memory_bytes(), *peaks])
 
 
 def worker_environment() -> dict[str, str]:
-    """Give the environment of a worker: one thread for every library, and a place for compiled kernels.
+    """Return the environment of a worker: one thread for every library, and a place for compiled kernels.
 
     Compiled kernels lie beside their source where that can be written (numba's own rule), else in the user's cache
     folder, else in a temporary one; NUMBA_CACHE_DIR wins where it is set.
@@ -142,7 +142,7 @@ def worker_environment() -> dict[str, str]:
 
 
 def _tether() -> Any:
-    """Give the Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
+    """Return Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
     from distributed import WorkerPlugin
 
     class Tether(WorkerPlugin):

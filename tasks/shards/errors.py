@@ -23,7 +23,7 @@ class ShardError(Exception):
         self.trace = trace
 
     def __str__(self) -> str:
-        """Give the one sentence a person needs."""
+        """Return the one sentence a person needs."""
         return f"{self.where}: {self.reason or self.kind}"
 
 
@@ -36,5 +36,5 @@ class Stopped(Exception):  # noqa: N818 - not an error of its own: another one h
 
 
 def in_one_line(error: BaseException) -> str:
-    """Give an error's message without line breaks, or its type where it says nothing."""
+    """Return an error's message without line breaks, or its type where it says nothing."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -41,7 +41,7 @@ class ShardDone:
 def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef, float]:
     """Compute one shard in this process: the only function that workers are sent.
 
-    Gives the artifact and the seconds it took. Whatever goes wrong is raised as a ShardError, which survives the way
+    Returns the artifact and the seconds it took. Whatever goes wrong is raised as a ShardError, which survives the way
     back from the worker even where the original error would not.
 
     The linear algebra has one thread, also where the process was started with more: sums of several threads are
@@ -138,7 +138,7 @@ def run_on_cluster(
 
 
 def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[ArtifactRef, float]:
-    """Give a finished future's result, or a ShardError; only `.result()` tells of a dead worker.
+    """Return a finished future's result, or a ShardError; only `.result()` tells of a dead worker.
 
     A result can be lost on its way, with the worker that holds it: the scheduler then computes the shard again, and
     where no worker is left it waits for one, for ever.  So whether the run was given up is asked in between.

@@ -22,7 +22,7 @@ from tasks.augmentation_parameters import AugmentationParameters
 from tasks.graph import load_graph
 from tasks.stage import StageInputs
 from tasks.training import TrainingParameters
-from tests.moving_pairs import standing_person, swaying_pair
+from tests.builders.moving_pairs import standing_person, swaying_pair
 
 FRAMES = 12
 

@@ -12,8 +12,8 @@ import pytest
 from pasdedeux.formats import write_annotation_npz
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from storage_schema import Store, open_table
-from tests.real_study import build_here, call_in_process, never_begun
-from tests.source_samples import coco_text, csv_text, openpose_text, person_px
+from tests.builders.real_study import build_here, call_in_process, never_begun
+from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px
 
 STUDY = """
 [study]
@@ -28,7 +28,7 @@ NUM_FRAMES = 8
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Give a folder with a study over a good OpenPose folder of two people in COCO-18."""
+    """Return a folder with a study over a good OpenPose folder of two people in COCO-18."""
     (tmp_path / "walk").mkdir()
     for frame in range(NUM_FRAMES):
         (tmp_path / "walk" / name_of(frame)).write_text(openpose_text("coco18", people=2, seed=frame))
@@ -47,7 +47,7 @@ def write_study(folder: Path, options: str = "", *, path: str = "walk") -> Path:
 
 
 def refusal(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Give the one sentence with which `run` refuses the study; nothing may have been begun."""
+    """Return the one sentence with which `run` refuses the study; nothing may have been begun."""
     found = call_in_process(capsys, "run", folder / "bad.toml", "--store", folder / "store")
     assert found.code == 2, found
     assert (found.out, found.err.count("\n")) == ("", 1), found

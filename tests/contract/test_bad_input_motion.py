@@ -9,8 +9,8 @@ import pytest
 
 from pasdedeux.formats import write_bvh
 from pasdedeux.formats.placement import place_motion
-from tests.real_study import call_in_process, never_begun
-from tests.source_samples import ASF, figure_motion
+from tests.builders.real_study import call_in_process, never_begun
+from tests.builders.source_samples import ASF, figure_motion
 
 STUDY = """
 [study]
@@ -23,7 +23,7 @@ takes = [{{ id = "dance", files = ["60_01.bvh", "61_01.bvh"]{options} }}]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Give a folder with a study over two good BVH files."""
+    """Return a folder with a study over two good BVH files."""
     motion = figure_motion(num_frames=12, rate_hz=60.0)
     (tmp_path / "60_01.bvh").write_text(write_bvh(motion))
     facing = place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)
@@ -37,7 +37,7 @@ def write_study(folder: Path, options: str = "") -> None:
 
 
 def refusal(folder: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Give the one sentence with which `run` and `plan` refuse the study; nothing may have been begun."""
+    """Return the one sentence with which `run` and `plan` refuse the study; nothing may have been begun."""
     sentences = set()
     for command in ("plan", "run"):
         found = call_in_process(capsys, command, folder / "bad.toml", "--store", folder / "store")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from storage_schema import Store, verify
-from tests.real_study import SMALL, Answer, RealRun, build_here, call_in_process, never_begun
+from tests.builders.real_study import SMALL, Answer, RealRun, build_here, call_in_process, never_begun
 
 ONE_TAKE = """
 [study]
@@ -25,7 +25,7 @@ virtual_video = { num_random_views = 4 }
 
 
 def refuse(capsys: pytest.CaptureFixture[str], study: Path, *more: str | Path) -> str:
-    """Give what `run` says when it refuses a study; nothing may have been begun."""
+    """Return what `run` says when it refuses a study; nothing may have been begun."""
     store = study.parent / "store"
     found = call_in_process(capsys, "run", study, "--store", store, *more)
     assert found.code == 2, found

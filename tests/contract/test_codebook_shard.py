@@ -10,7 +10,7 @@ from storage_schema import Store, open_table
 from tasks import projections
 from tasks.evaluation import unseen_views
 from tasks.stage import StageInputs
-from tests.contract.test_projection_stages import put_take
+from tests.builders.walking_takes import put_take
 
 
 def test_a_codebook_numbers_the_projections_of_all_takes_and_serves_the_held_out_one(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from tasks import chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation.coverage import draws_from_first_seeds
-from tests.sampling_store import QUICK, inputs, run, with_seeds
+from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
 
 __all__ = ["inputs"]
 

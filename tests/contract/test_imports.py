@@ -7,12 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.toy_runs import ROOT, run_toys, write_study
+from tests.builders.toy_runs import ROOT, run_toys, write_study
 
 _PROBE = """
 import sys
 from flows.console.app import run_command_line
-from tests.toys import TOYS
+from tests.builders.toys import TOYS
 code = run_command_line(sys.argv[1:], graph=TOYS)
 print("CODE", code)
 print("LOADED", *sorted(name for name in sys.modules if name.partition(".")[0] in {names!r}))
@@ -20,7 +20,7 @@ print("LOADED", *sorted(name for name in sys.modules if name.partition(".")[0] i
 
 
 def loaded(names: set[str], *arguments: str) -> list[str]:
-    """Give which of these packages a command has imported."""
+    """Return which of these packages a command has imported."""
     found = subprocess.run(
         [sys.executable, "-c", _PROBE.format(names=names), *arguments],
         cwd=ROOT,

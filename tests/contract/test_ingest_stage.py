@@ -18,7 +18,7 @@ from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import Shard, StageInputs
-from tests.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
+from tests.builders.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
 
 
 def planned(**section: Any) -> list[Shard]:
@@ -34,7 +34,7 @@ def run(store: Store, shards: list[Shard]) -> dict[tuple[str, str], Manifest]:
 
 @pytest.fixture
 def pair(tmp_path: Path) -> tuple[Path, Path]:
-    """Give two BVH files: the figure, and a second person 1 m to its left that faces it."""
+    """Return two BVH files: the figure, and a second person 1 m to its left that faces it."""
     first, second = tmp_path / "60_01.bvh", tmp_path / "61_01.bvh"
     motion = figure_motion(num_frames=40, rate_hz=60.0)
     first.write_text(write_bvh(motion))

@@ -11,7 +11,7 @@ from storage_schema import Manifest, Store, open_table
 from tasks import lifting
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs
-from tests.sampling_store import inputs, put, run, with_seeds
+from tests.builders.sampling_store import inputs, put, run, with_seeds
 
 __all__ = ["inputs"]  # the fixture
 

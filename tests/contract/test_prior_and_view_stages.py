@@ -25,8 +25,7 @@ from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.priors import read_limits
 from tasks.stage import Shard, StageInputs
 from tasks.torso_bases import read_torso_basis
-from tests.unit.test_joint_limits import wild
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers, wild
 
 DANCERS = SourceCredit("dancers", "CC0", "made up for tests")
 
@@ -80,7 +79,7 @@ def put_take(
 
 
 def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
-    """Give 30 annotated frames from random views, each with a neighbour kept for velocity, and the true views."""
+    """Return 30 annotated frames from random views, each with a neighbour kept for velocity, and the true views."""
     count, rows, truth = 30, [], {}
     pairs, angles = dancers(8, count), sample_views(np.random.default_rng(8), count)
     for index in range(count):

@@ -16,58 +16,18 @@ from pasdedeux.projections.pairs import PairDatabase, build_pair_index
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
-from storage_schema import TABLES, ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
+from storage_schema import TABLES, ArtifactRef, Manifest, Store, open_table
 from tasks import projections, reconstruction
 from tasks.evaluation.reconstruction import _search_notes
 from tasks.stage import StageInputs
-from tests.walkers import walk
-
-
-def put(store: Store, stage: str, name: str, tables: dict[str, Any], facts: dict[str, Any]) -> Manifest:
-    """Commit what an earlier stage would have written."""
-    ref = store.commit(
-        stage=stage,
-        key=artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0),
-        partition=name,
-        name=name,
-        version=1,
-        parameters={"name": name},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables=tables,
-        facts=facts,
-        sources=[SourceCredit("walkers", "CC0", "made up for tests")],
-    )
-    return store.manifest(ref)
-
-
-def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: bool = False) -> Manifest:
-    frames = 90
-    worlds = [walk(frames, seed=sum(map(ord, take_id)) + person, rate_hz=rate_hz) for person in range(2)]
-    count = 2 * frames
-    frame = np.tile(np.arange(frames), 2)
-    columns = {
-        "take_id": [take_id] * count,
-        "person": np.repeat([0, 1], frames),
-        "frame": frame,
-        "time_s": frame / rate_hz,
-        "root_translation_m": np.zeros((count, 3)),
-        "local_unitquat": [np.zeros(4)] * count,
-        "pair17_m": np.zeros((count, 17, 3)),
-        "op14_m": np.concatenate(worlds),
-        "body22_m": np.zeros((count, 22, 3)),
-        "body22_world_unitquat": np.zeros((count, 22, 4)),
-    }
-    facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
-    facts |= {"num_persons": 2, "num_frames": frames}
-    return put(store, "ingest", take_id, {"poses": columns}, facts)
+from tests.builders.walkers import walk
+from tests.builders.walking_takes import put_artifact, put_take
 
 
 def put_video(
     store: Store, sequence_id: str, takes: list[str], *, purpose: str = "video"
 ) -> tuple[Manifest, np.ndarray]:
-    """Give the artifact of a sequence of two people, and the truth (person, frame, 14, 3) in camera axes."""
+    """Return the artifact of a sequence of two people, and the truth (person, frame, 14, 3) in camera axes."""
     frames = 40
     worlds = np.stack(
         [walk(frames, seed=40 + person, rate_hz=30.0) + np.array([1.2 * person, 0, 0]) for person in range(2)]
@@ -109,7 +69,7 @@ def put_video(
         "purpose": purpose,
         "num_frames": frames,
     }
-    manifest = put(store, "ingest", sequence_id, {"annotations": columns}, facts)
+    manifest = put_artifact(store, "ingest", sequence_id, {"annotations": columns}, facts)
     return manifest, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
@@ -150,7 +110,7 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
 def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
     rng = np.random.default_rng(0)
     drawn_pairs = rng.normal(size=(3, 2, 17, 3))
-    draws = put(
+    draws = put_artifact(
         store,
         "chains",
         "draws",
@@ -171,7 +131,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
         },
         {"takes": ["a", "c"]},
     )
-    variants = put(
+    variants = put_artifact(
         store,
         "augmentation",
         "variants",
@@ -307,7 +267,7 @@ def test_people_listed_in_any_order_are_followed_when_asked(store: Store) -> Non
         name: [values[row] for row in order] if isinstance(values, list) else values[order]
         for name, values in table.items()
     }
-    mixed = put(store, "ingest", "mixed", {"annotations": table}, {**video.facts, "format": "openpose"})
+    mixed = put_artifact(store, "ingest", "mixed", {"annotations": table}, {**video.facts, "format": "openpose"})
     found = {}
     for choice in ("given", "auto"):
         (ref,) = reconstruct(

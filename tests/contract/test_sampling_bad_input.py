@@ -18,7 +18,7 @@ from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tests.sampling_store import NUM_FRAMES, QUICK, put_annotations, put_take, run, with_seeds
+from tests.builders.sampling_store import NUM_FRAMES, QUICK, put_annotations, put_take, run, with_seeds
 
 OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "kernel": "velocity"}
 

@@ -14,7 +14,7 @@ from tasks import chain_problem, chains
 from tasks.chains import ChainsParameters
 from tasks.evaluation import density
 from tasks.stage import StageInputs
-from tests.sampling_store import (
+from tests.builders.sampling_store import (
     QUICK,
     draws_of,
     inputs,

@@ -23,8 +23,8 @@ from tasks.graph import Graph
 from tasks.seed_files import SeedFile, pair_of_draw
 from tasks.seeds import SeedsParameters
 from tasks.stage import StageInputs
-from tests.real_study import build_here, call_in_process, never_begun
-from tests.toy_runs import serial
+from tests.builders.real_study import build_here, call_in_process, never_begun
+from tests.builders.toy_runs import serial
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
 

@@ -11,7 +11,7 @@ from pasdedeux.errors import InputError
 from tasks import seeds
 from tasks.seeds import SeedFrame, SeedsParameters
 from tasks.stage import StageInputs
-from tests.sampling_store import (
+from tests.builders.sampling_store import (
     inputs,
     pairs_of,
     with_seeds,

@@ -10,8 +10,8 @@ import pytest
 
 from pasdedeux.reconstruction.tracks import why_no_video
 from storage_schema import Store, open_table
-from tests.own_sources import film_duet
-from tests.real_study import build_here
+from tests.builders.own_sources import film_duet
+from tests.builders.real_study import build_here
 
 STUDY = """
 [study]

@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 
 from storage_schema import TABLES, Store
 from storage_schema.parquet_files import ROW_GROUP_ROWS, TableWriter
-from tests.storage_rows import commit_rows, random_columns
+from tests.builders.storage_rows import commit_rows, random_columns
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import sys
 from storage_schema import TABLES, Store
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 for name in TABLES:
     print(commit_rows(Store(sys.argv[1]), name, 40, stage="ingest", partition=name))
 """

@@ -14,7 +14,7 @@ import pytest
 
 from storage_schema import TABLES, Store, Table
 from storage_schema.arrow import Kind, column_kind
-from tests.storage_rows import commit_rows, random_columns
+from tests.builders.storage_rows import commit_rows, random_columns
 
 NUM_ROWS = 23
 

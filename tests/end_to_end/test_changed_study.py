@@ -9,14 +9,14 @@ import pytest
 
 from flows.planning import Selection
 from storage_schema import Store
-from tests.real_study import BuiltStudy, build_here, call_in_process, digests, graph
-from tests.toy_runs import run_toys
+from tests.builders.real_study import BuiltStudy, build_here, call_in_process, digests, graph
+from tests.builders.toy_runs import run_toys
 
 pytestmark = pytest.mark.slow
 
 
 def planned(small: BuiltStudy, capsys: pytest.CaptureFixture[str], *settings: str) -> dict[str, Any]:
-    """Give the stages that are not fresh, by name, as `plan --json` tells them."""
+    """Return the stages that are not fresh, by name, as `plan --json` tells them."""
     arguments = [part for setting in settings for part in ("--set", setting)]
     found = call_in_process(capsys, "plan", small.study, "--store", small.store, "--json", *arguments)
     assert found.code == 0, found.err

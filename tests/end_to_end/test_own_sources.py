@@ -11,8 +11,8 @@ import pytest
 
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, open_table, read_latest
-from tests.own_sources import FilmedDuet, film_duet, write_coco, write_csv, write_openpose, write_walk
-from tests.real_study import build_here, call_in_process
+from tests.builders.own_sources import FilmedDuet, film_duet, write_coco, write_csv, write_openpose, write_walk
+from tests.builders.real_study import build_here, call_in_process
 
 pytestmark = pytest.mark.slow
 
@@ -156,14 +156,14 @@ def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> 
 
 
 def error_m(found: np.ndarray, truth: np.ndarray) -> float:
-    """Give the mean distance over frames and joints, mid-hips laid on each other."""
+    """Return the mean distance over frames and joints, mid-hips laid on each other."""
     hips = OP14.indices(["left_hip", "right_hip"])
     centred = [points - points[:, hips].mean(axis=1, keepdims=True) for points in (found, truth)]
     return float(np.linalg.norm(centred[0] - centred[1], axis=-1).mean())
 
 
 def mirrored(points: np.ndarray) -> np.ndarray:
-    """Give what an exchange of left and right would make of the points."""
+    """Return what an exchange of left and right would make of the points."""
     names = [name.replace("left", "?").replace("right", "left").replace("?", "right") for name in OP14.joint_names]
     return points[:, OP14.indices(names)]
 

@@ -9,7 +9,7 @@ import pytest
 
 from pasdedeux.skeletons import BODY22, OP14
 from storage_schema import Store, open_table, verify
-from tests.real_study import build_here, committed
+from tests.builders.real_study import build_here, committed
 
 pytestmark = [pytest.mark.slow, pytest.mark.data]
 
@@ -73,7 +73,7 @@ def store(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def pairs(store: Path, take: str) -> np.ndarray:
-    """Give the positions (frame, person, 22, 3) of a take."""
+    """Return the positions (frame, person, 22, 3) of a take."""
     poses = open_table(f"poses:slice/{take}", store)
     return poses["body22_m"].astype(np.float64).reshape(2, NUM_FRAMES, 22, 3).swapaxes(0, 1)
 

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from storage_schema import Store
 from tasks.shards import run
 from tasks.stage import Shard
-from tests.real_study import BuiltStudy, RealRun, build_here, digests
+from tests.builders.real_study import BuiltStudy, RealRun, build_here, digests
 
 
 def test_a_shard_computes_with_one_thread_whatever_its_process_was_started_with(tmp_path: Path) -> None:

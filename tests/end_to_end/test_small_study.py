@@ -19,7 +19,7 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, Skeleton
 from storage_schema import TABLES, Store, open_table, read_latest
-from tests.real_study import BuiltStudy, RealRun, build_here, call_in_process
+from tests.builders.real_study import BuiltStudy, RealRun, build_here, call_in_process
 
 pytestmark = pytest.mark.slow
 
@@ -286,7 +286,7 @@ def test_what_goes_out_as_bvh_can_come_in_again(
 
 
 def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:
-    """Give the world positions (frame, joint, 3) of a motion in the order of a working skeleton."""
+    """Return the world positions (frame, joint, 3) of a motion in the order of a working skeleton."""
     positions, _ = motion.world()
     return np.asarray(positions[:, [motion.skeleton.index(name) for name in skeleton.joint_names]])
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from storage_schema import Store, verify
-from tests.real_study import BuiltStudy, RealRun, committed, digests, wait_until_gone
-from tests.toy_runs import wait_until
+from tests.builders.real_study import BuiltStudy, RealRun, committed, digests, wait_until_gone
+from tests.builders.toy_runs import wait_until
 
 pytestmark = pytest.mark.slow
 

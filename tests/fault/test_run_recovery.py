@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.toy_runs import Started, digests, run_toys, wait_until, write_study
+from tests.builders.toy_runs import Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
 
@@ -37,7 +37,7 @@ def prefect_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def start(tmp_path: Path, prefect_home: Path) -> Start:
-    """Give a function that starts the run of the toy study, with two workers if nothing else is said."""
+    """Return a function that starts the run of the toy study, with two workers if nothing else is said."""
     study = write_study(tmp_path)
 
     def start(*more: str) -> Started:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def kill_at_every_step(action: str, folder: Path) -> dict[str, Any]:
-    command = [sys.executable, "-m", "tests.fault.storage_killer", action, str(folder)]
+    command = [sys.executable, "-m", "tests.builders.storage_killer", action, str(folder)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

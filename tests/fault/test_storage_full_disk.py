@@ -12,7 +12,7 @@ import pytest
 
 from storage_schema import FullDisk, StorageError, Store, create_dataset, record_latest, verify
 from storage_schema.durable import HashingFile
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 
 def commit(store: Store) -> Any:
@@ -21,7 +21,7 @@ def commit(store: Store) -> Any:
 
 @pytest.fixture
 def fill(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
-    """Give a function that lets this many more writes of bytes succeed, then every one fails with this error number."""
+    """Return function that lets this many more writes of bytes succeed, then every one fails with this error number."""
     write = HashingFile.write
 
     def fill(num_writes: int, number: int = errno.ENOSPC) -> None:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from storage_schema import Store, list_datasets, verify
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 NUM_PROCESSES = 4
@@ -17,9 +17,8 @@ NUM_PROCESSES = 4
 def run_together(script: str, folder: Path) -> list[str]:
     """Run the script in several processes that start when all are ready; gives what each printed."""
     read_end, write_end = os.pipe()
-    header = (
-        "import os, sys\nfrom pathlib import Path\nfrom storage_schema import *\nfrom tests.storage_rows import *\n"
-    )
+    header = "import os, sys\nfrom pathlib import Path\nfrom storage_schema import *\n"
+    header += "from tests.builders.storage_rows import *\n"
     header += f"store, number = Store(sys.argv[1]), int(sys.argv[2])\nos.read({read_end}, 1)\n"
     children = [
         subprocess.Popen(

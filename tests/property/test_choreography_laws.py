@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.choreography import DUETS, make_duet
-from tests.choreography_laws import measure
+from tests.builders.choreography_laws import measure
 
 HEIGHTS = st.tuples(st.floats(1.5, 2.0), st.floats(1.5, 2.0))
 STYLES = {

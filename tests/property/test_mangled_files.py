@@ -30,7 +30,7 @@ from pasdedeux.formats import (
     read_rotation_rows,
     write_annotation_npz,
 )
-from tests.source_samples import AMC, ASF, BVH_SMALL, coco_text, csv_text, openpose_text, positions_npz
+from tests.builders.source_samples import AMC, ASF, BVH_SMALL, coco_text, csv_text, openpose_text, positions_npz
 
 ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
 TEMPLATE = """HIERARCHY

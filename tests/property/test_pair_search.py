@@ -12,7 +12,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
 from pasdedeux.projections.pairs import PairDatabase, build_pair_index, centre_pairs, search_pairs_brute_force
 from pasdedeux.projections.retarget import mid_hip
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=4.0)]
 

@@ -18,7 +18,7 @@ from pasdedeux.projections.search import (
     measure_recall,
     search_brute_force,
 )
-from tests.walkers import random_poses, walk
+from tests.builders.walkers import random_poses, walk
 
 CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=3.0)]
 

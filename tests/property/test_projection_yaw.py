@@ -11,7 +11,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.yaw import refine_yaws
-from tests.walkers import random_poses, walk
+from tests.builders.walkers import random_poses, walk
 
 CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=3.0)]
 

@@ -16,7 +16,7 @@ from storage_schema.columns import array, boolean, float64, integer, text, text_
 from storage_schema.encoding import encode
 from storage_schema.parquet_files import TableWriter, iter_table, read_table
 from storage_schema.table_data import TableData
-from tests.storage_rows import assert_same_values, random_columns
+from tests.builders.storage_rows import assert_same_values, random_columns
 
 ANY = Table(
     name="any",

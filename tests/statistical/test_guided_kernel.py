@@ -64,7 +64,7 @@ NEAR = {X: (0.3, 0.12), Y: (0.0, 0.2**2 / 3.0), 108: (0.0, 0.07), 109: (0.0, 0.0
 
 
 def positions_of_roots(propose: object) -> np.ndarray:
-    """Give draws as offsets from the seed, x of A from where its density begins, and the roots' offset (108 to 110)."""
+    """Return draws as offsets from seed, x of A from where its density begins and the roots' offset (108 to 110)."""
     chains = []
     for chain in range(2):
         rng = np.random.default_rng([23, chain])

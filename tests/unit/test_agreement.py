@@ -8,7 +8,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.sampling.agreement import SHARPNESS, Agreement, plain_agreement
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers
 
 _RNG = np.random.default_rng(0)
 _KNOWN = dancers(0, 20)

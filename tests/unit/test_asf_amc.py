@@ -14,7 +14,7 @@ from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
 from pasdedeux.skeletons.layouts import get_layout
-from tests.source_samples import AMC, ASF
+from tests.builders.source_samples import AMC, ASF
 
 UNIT_M = 0.0254 / 0.45
 

@@ -18,7 +18,7 @@ from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import FitSettings
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 SCALE_ONE = uniform_variations([1.0], ["A"])
 

@@ -7,7 +7,7 @@ from pasdedeux.augmentation.mesh import delaunay_edges
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 
 def test_weights_are_rows_that_sum_to_one_and_cross_rows_to_zero() -> None:

@@ -8,7 +8,7 @@ from pasdedeux.augmentation.quality import Judge, Measured
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 FRAMES = 20
 

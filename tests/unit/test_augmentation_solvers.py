@@ -30,7 +30,7 @@ from pasdedeux.fitting import BoneForest, FitSettings
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 EXACT = BulkSettings(num_iterations=3000)
 

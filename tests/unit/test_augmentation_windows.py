@@ -17,7 +17,7 @@ from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 
 @given(

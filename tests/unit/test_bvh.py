@@ -15,7 +15,7 @@ from pasdedeux.formats import read_bvh, read_bvh_header, write_bvh
 from pasdedeux.formats.bvh import rate_from_frame_time
 from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
 from pasdedeux.kinematics.rotations import angle_between
-from tests.source_samples import BVH_SMALL, bvh_text, figure_motion
+from tests.builders.source_samples import BVH_SMALL, bvh_text, figure_motion
 
 ORDERS = ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 

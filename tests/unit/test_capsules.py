@@ -11,7 +11,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m, capsule_model, penetration, segment_distance
 from pasdedeux.plausibility.capsules_kernel import clip_penetration, pair_penetration
 from pasdedeux.skeletons import BODY22, PAIR17, Skeleton
-from tests.unit.test_joint_limits import standing, wild
+from tests.builders.poses import random_pairs, standing
 
 MODEL = capsule_model(PAIR17)
 
@@ -22,13 +22,6 @@ def brute_distance(ends: np.ndarray, steps: int = 400) -> float:
     a = ends[0] + at * (ends[1] - ends[0])
     b = ends[2] + at * (ends[3] - ends[2])
     return float(np.sqrt(((a[:, None] - b[None]) ** 2).sum(-1)).min())
-
-
-def random_pairs(seed: int, count: int) -> np.ndarray:
-    one, two = wild(seed, count), wild(seed + 1, count)
-    one -= one[:, :1]
-    two -= two[:, :1]
-    return np.stack([one, two + np.random.default_rng(seed).normal(scale=0.2, size=(count, 1, 3))], axis=1)
 
 
 @given(st.integers(0, 2**31))

@@ -10,7 +10,7 @@ from pasdedeux.kinematics.rotations import rotmat_from_unitquat, swing_between
 from pasdedeux.plausibility.capsules import capsule_model, penetration, segment_distance
 from pasdedeux.plausibility.capsules_kernel import pair_penetration
 from pasdedeux.skeletons import PAIR17
-from tests.unit.test_capsules import random_pairs
+from tests.builders.poses import random_pairs
 
 MODEL = capsule_model(PAIR17)
 # What FCL's own tolerance leaves of a penetration depth.

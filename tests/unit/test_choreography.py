@@ -10,7 +10,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths, forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import rotate, rotvec_from_unitquat
 from pasdedeux.skeletons import BODY22
-from tests.choreography_laws import Measured, measure
+from tests.builders.choreography_laws import Measured, measure
 
 NAMES = tuple(DUETS)
 

@@ -19,7 +19,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.views import CONDITIONS, view_robustness
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.synthetic import random_pairs
-from tests.unit.test_views import BASIS, dancers, filmed
+from tests.builders.poses import BASIS, dancers, filmed
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 

@@ -10,7 +10,7 @@ from pasdedeux.formats import read_bvh, write_bvh
 from pasdedeux.formats.exact_motion import exact_motion
 from pasdedeux.kinematics import Motion, place_bones
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
-from tests.source_samples import figure_motion
+from tests.builders.source_samples import figure_motion
 
 
 def named(motion: Motion, skeleton: Skeleton) -> np.ndarray:

@@ -12,7 +12,7 @@ from pasdedeux.formats import read_bvh
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import OP14
 from storage_schema import Store
-from tests.storage_rows import random_columns
+from tests.builders.storage_rows import random_columns
 
 
 def _standing(frames: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from flows.console.fetch import FetchError, app, fetch_cmu
-from tests.source_samples import AMC, ASF
+from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
 

@@ -19,7 +19,7 @@ from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blo
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, Skeleton
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 CHAIN = Skeleton("chain", ("root", "a", "b", "c", "d"), (-1, 0, 1, 1, 3))
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from tests.toy_runs import run_toys, write_study
-from tests.toys import TOYS
+from tests.builders.toy_runs import run_toys, write_study
+from tests.builders.toys import TOYS
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from pasdedeux.errors import InputError
 from storage_schema import Store, read_latest
 from tasks.graph import Graph
 from tasks.stage import Shard
-from tests.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
-from tests.toys import TOYS
+from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
+from tests.builders.toys import TOYS
 
 FRESH = {"aside": "1 fresh", "grow": "6 fresh", "bend": "6 fresh", "judge": "1 fresh"}
 

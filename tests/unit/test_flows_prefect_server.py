@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from flows.prefect_server import LocalServer, ServerError, check_server, starting_server
-from tests.toy_runs import ROOT, write_study
+from tests.builders.toy_runs import ROOT, write_study
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +57,7 @@ def test_a_users_server_that_does_not_answer_fails_the_run_before_any_work(tmp_p
     environment = {**os.environ, "PREFECT_API_URL": "http://127.0.0.1:9/api"}
     arguments = ["run", str(write_study(tmp_path)), "--store", str(tmp_path / "store"), "--workers", "0"]
     found = subprocess.run(
-        [sys.executable, "-m", "tests.toys", *arguments],
+        [sys.executable, "-m", "tests.builders.toys", *arguments],
         cwd=ROOT,
         env=environment,
         capture_output=True,

@@ -30,7 +30,7 @@ from storage_schema import Store, artifact_key
 from storage_schema.errors import SchemaError
 from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import read_database
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 LAYOUT = KEYPOINT_LAYOUTS["coco18"]
 FRAMES = 40

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from flows.study import Study, StudyError, load_study, shipped_studies
 from tasks.graph import Graph
 from tasks.stage import Parameters, Stage
-from tests.toys import TOYS, plan_aside, run_aside
+from tests.builders.toys import TOYS, plan_aside, run_aside
 
 
 class Person(BaseModel):

@@ -25,7 +25,7 @@ WIDE = JointLimits(np.full(29, -10.0), np.full(29, 10.0), ("anything",) * 29)
 
 
 def annotated(count: int, *, spread_rad: float = 0.15) -> tuple[np.ndarray, AnnotatedPairs]:
-    """Give pairs and one annotation of each, true views."""
+    """Return pairs and one annotation of each, true views."""
     rng = np.random.default_rng(7)
     pairs = random_pairs(rng, count, spread_rad=spread_rad)
     directions = normalise(rng.normal(size=(count, 3)) * [1.0, 0.3, 1.0])

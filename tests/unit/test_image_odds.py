@@ -10,7 +10,7 @@ from pasdedeux.plausibility import JointLimits, Occupancy
 from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.image_odds import LiftDensity, other_lifts
 from pasdedeux.skeletons import PAIR17
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers
 
 _RNG = np.random.default_rng(0)
 _KNOWN = dancers(0, 20)

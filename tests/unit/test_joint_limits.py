@@ -16,55 +16,10 @@ from pasdedeux.plausibility.joint_limits_kernel import measure_angles, move_to_n
 from pasdedeux.plausibility.ranges import ANGLES
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
+from tests.builders.poses import put, standing, wild
 
 LIMITS = JointLimits.published()
 ANGLE = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
-
-
-def standing() -> np.ndarray:
-    """A person standing upright, facing +Z (left is +X), arms hanging."""
-    place = {
-        "pelvis": [0, 1, 0],
-        "spine": [0, 1.15, 0],
-        "chest": [0, 1.3, 0],
-        "neck": [0, 1.5, 0],
-        "head": [0, 1.65, 0.03],
-        "left_shoulder": [0.18, 1.42, 0],
-        "left_elbow": [0.23, 1.12, 0],
-        "left_wrist": [0.25, 0.87, 0.05],
-        "left_hip": [0.1, 0.92, 0],
-        "left_knee": [0.1, 0.5, 0.02],
-        "left_ankle": [0.1, 0.08, 0],
-    }
-    pose = np.zeros((17, 3))
-    for joint, index in zip(PAIR17.joint_names, range(17), strict=True):
-        source = joint.replace("right_", "left_")
-        pose[index] = np.array(place[source]) * ([-1, 1, 1] if joint.startswith("right_") else [1, 1, 1])
-    return pose
-
-
-def put(pose: np.ndarray, joint: str, direction: list[float]) -> np.ndarray:
-    """Point the bone that ends in `joint` elsewhere, carrying nothing along."""
-    moved = pose.copy()
-    index = PAIR17.index(joint)
-    parent = PAIR17.parents[index]
-    length = np.linalg.norm(pose[index] - pose[parent])
-    moved[index] = moved[parent] + length * normalise(np.array(direction, dtype=float))
-    return moved
-
-
-def wild(seed: int, count: int) -> np.ndarray:
-    """Poses whose bones point anywhere near their standing direction, or quite anywhere."""
-    rng = np.random.default_rng(seed)
-    rest = standing()
-    scale = rng.choice([0.1, 0.5, 2.0], size=(count, 1, 1))
-    poses = np.zeros((count, 17, 3))
-    for parent, child in ((PAIR17.parents[j], j) for j in PAIR17.order[1:]):
-        bone = rest[child] - rest[parent]
-        noise = rng.normal(size=(count, 3)) * scale[:, 0] * np.linalg.norm(bone)
-        poses[:, child] = poses[:, parent] + normalise(bone + noise) * np.linalg.norm(bone)
-    turn = rotmat_from_unitquat(normalise(rng.normal(size=(count, 4))))
-    return np.einsum("nij,nkj->nki", turn, poses) + rng.normal(size=(count, 1, 3))
 
 
 def degrees(pose: np.ndarray, joint: str, angle: str) -> float:

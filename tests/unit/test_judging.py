@@ -16,7 +16,7 @@ from pasdedeux.sampling.combination import Combination
 from pasdedeux.sampling.judging import Corruption, Judge, corrupt, seen_from, separation, told_apart
 from pasdedeux.sampling.synthetic import random_annotations
 from pasdedeux.skeletons import PAIR17
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers
 
 PAIRS = dancers(5, 30)
 VIEWS = normalise(np.random.default_rng(0).normal(size=(30, 3)) * [1.0, 0.2, 1.0])

@@ -23,7 +23,7 @@ from pasdedeux.formats import (
     write_annotation_npz,
 )
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from tests.source_samples import coco_text, csv_text, openpose_text, person_px, positions_npz
+from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px, positions_npz
 
 
 def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
@@ -254,7 +254,7 @@ def test_the_same_person_twice_in_a_frame_is_refused() -> None:
 
 
 def test_the_format_of_a_file_is_told_from_its_content() -> None:
-    from tests.source_samples import AMC, ASF, BVH_SMALL
+    from tests.builders.source_samples import AMC, ASF, BVH_SMALL
 
     expected = {
         "bvh": BVH_SMALL.encode(),

@@ -20,7 +20,7 @@ from pasdedeux.formats import (
 from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS, find_layout, get_layout
-from tests.source_samples import figure_motion, person_px
+from tests.builders.source_samples import figure_motion, person_px
 
 CMU_UNIT_M = 0.0254 / 0.45
 

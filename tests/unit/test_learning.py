@@ -23,7 +23,7 @@ from pasdedeux.learning import (
     make_split,
 )
 from pasdedeux.skeletons import BODY22
-from tests.moving_pairs import swaying_pair
+from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(6), 30.0, "sway")
 

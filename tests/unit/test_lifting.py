@@ -15,7 +15,7 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, lift_seeds
 from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.skeletons import PAIR17
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers
 
 LIMITS, BASIS = JointLimits.published(), proportions_torso_basis()
 

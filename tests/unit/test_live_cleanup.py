@@ -11,7 +11,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.reconstruction.cleanup import bend_leg
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
 from pasdedeux.skeletons import OP14
-from tests.crowds import duet_couple
+from tests.builders.crowds import duet_couple
 
 RATE_HZ = 30.0
 ANKLES = OP14.indices(["left_ankle", "right_ankle"])

@@ -17,7 +17,7 @@ from pasdedeux.sampling.measured_likelihood import (
     matched_scale,
 )
 from pasdedeux.sampling.synthetic import random_annotations
-from tests.unit.test_views import dancers
+from tests.builders.poses import dancers
 
 PAIRS = dancers(5, 8)
 ENTRIES = random_annotations(np.random.default_rng(1), dancers(6, 120), 120)

@@ -12,8 +12,8 @@ from pasdedeux.evaluation.people_scores import fault_scores, identity_scores
 from storage_schema import Store
 from tasks.evaluation import people
 from tasks.stage import StageInputs, stream
-from tests.contract.test_projection_stages import put_take
-from tests.crowds import duet_couple
+from tests.builders.crowds import duet_couple
+from tests.builders.walking_takes import put_take
 
 
 def draw(name: str, view: int) -> np.random.Generator:

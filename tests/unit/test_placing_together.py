@@ -17,7 +17,7 @@ from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_peo
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher
 from pasdedeux.reconstruction.together import PlacingOptions, choose_couples
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 FRAMES = 96
 FOCAL_PX, ASSUMED_FOCAL_PX = 1400.0, 1000.0
@@ -25,7 +25,7 @@ SIZES = (1.05, 0.92)
 
 
 def couple(num_frames: int, *, start_s: float = 0.0) -> np.ndarray:
-    """Give two walkers (frame, person, 14, 3) who circle each other 0.8 m apart, face to face."""
+    """Return two walkers (frame, person, 14, 3) who circle each other 0.8 m apart, face to face."""
     frames = round(start_s * 24.0) + num_frames
     worlds = [walk(frames, seed=3 + person, turn_rad=0.0) for person in (0, 1)]
     angle = 2.2 * np.arange(frames) / 24.0
@@ -46,7 +46,7 @@ def database() -> tuple[Searcher, np.ndarray]:
 
 @cache
 def filmed() -> tuple[list[PersonTrack], np.ndarray]:
-    """Give tracks of two people of other sizes, by a lens that is not the one assumed, and the truth in camera axes."""
+    """Return tracks of two people of other sizes, by a lens that is not one assumed and the truth in camera axes."""
     world = couple(FRAMES, start_s=1.03) * np.array(SIZES)[:, None, None]
     hips = mid_hip(world)
     world += (mid_hip(couple(FRAMES, start_s=1.03)) - hips)[:, :, None] * [1.0, 0.0, 1.0]

@@ -25,7 +25,7 @@ from pasdedeux.plausibility.learned_limits import ANGLES_OF_BONE, LIMIT_BONES
 from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_directions, sphere_cells
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
-from tests.unit.test_joint_limits import put, standing, wild
+from tests.builders.poses import put, standing, wild
 
 TABLE = JointLimits.published()
 MIRROR = list(PAIR17.mirror)

@@ -11,7 +11,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.reconstruction.cleanup import CleanUpOptions, bend_leg, clean_up
 from pasdedeux.skeletons import OP14
-from tests.crowds import duet_couple
+from tests.builders.crowds import duet_couple
 
 ANKLES = OP14.indices(["left_ankle", "right_ankle"])
 

@@ -24,7 +24,7 @@ from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.motion_out import MOTION_SKELETON, motion_from_positions
 from pasdedeux.skeletons import OP14, PAIR17
-from tests.walkers import random_poses, walk
+from tests.builders.walkers import random_poses, walk
 
 
 def test_retargeting_keeps_directions_and_mid_hip_and_sets_lengths() -> None:

@@ -13,7 +13,7 @@ from pasdedeux.evaluation.detector_faults import KINDS, Faulty, JointCounts, cou
 from pasdedeux.reconstruction.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
-from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
+from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 
 LEAST_RECALL = {"stolen": 0.6, "merged": 0.6}
 """Places that are the partner's cannot be told where the partner's limb is nearly there."""

@@ -18,7 +18,7 @@ from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_
 from pasdedeux.reconstruction.reconstruct import Method, ReconstructionOptions, Searcher, match_track, reconstruct_track
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
-from tests.walkers import random_poses, walk
+from tests.builders.walkers import random_poses, walk
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def searcher() -> Searcher:
 
 
 def parallel_track(world: np.ndarray, *, noise_m: float = 0.0, seed: int = 0) -> tuple[Track, np.ndarray]:
-    """Give the track of a walker seen from far away, 300 pixels a metre, and the truth."""
+    """Return the track of a walker seen from far away, 300 pixels a metre, and the truth."""
     points = world[..., :2] + np.random.default_rng(seed).normal(0.0, noise_m, (*world.shape[:2], 2))
     px = points * np.array([300.0, -300.0]) + 1000.0
     return Track(px, np.ones(px.shape[:2]), 24.0, Lens(1e7, (1000.0, 1000.0))), world

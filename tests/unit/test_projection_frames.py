@@ -26,7 +26,7 @@ from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import straighten_rays
 from pasdedeux.reconstruction.smoothing import OneEuro, smooth_one_euro
 from pasdedeux.skeletons import OP14
-from tests.walkers import random_poses, walk
+from tests.builders.walkers import random_poses, walk
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from pasdedeux.reconstruction.identity import (
     identity_switches,
 )
 from pasdedeux.reconstruction.identity_kernels import match_costs, predict_joints, update_joints
-from tests.crowds import SALSA_TAKES, duet_couple, salsa_couple
-from tests.walkers import walk
+from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
+from tests.builders.walkers import walk
 
 
 def follow(seen: Detections, options: IdentityOptions | None = None) -> FollowedRows:

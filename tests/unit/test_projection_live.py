@@ -19,7 +19,7 @@ from pasdedeux.reconstruction.live.fixed_lag import FixedLagViterbi
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.temporal import choose_viterbi
 from pasdedeux.skeletons import OP14
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 RATE_HZ = 30.0
 

@@ -30,7 +30,7 @@ from pasdedeux.reconstruction.reconstruct import (
 )
 from pasdedeux.reconstruction.tracks import Lens, Track, rate_from_times, tracks_from_rows
 from pasdedeux.skeletons import OP14
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 FOCAL_PX = 0.72 * 1920
 
@@ -50,7 +50,7 @@ def searcher() -> Searcher:
 def film(
     world: np.ndarray, *, yaw: float = 0.4, pitch: float = 0.0, distance_m: float = 4.0
 ) -> tuple[Track, np.ndarray]:
-    """Give the track of a walker seen by a pinhole, and the truth in camera axes."""
+    """Return the track of a walker seen by a pinhole, and the truth in camera axes."""
     camera: PinholeCamera = look_at_camera(
         mid_hip(world).mean(axis=0), distance_m=distance_m, yaw_rad=yaw, pitch_rad=pitch, focal_px=FOCAL_PX
     )

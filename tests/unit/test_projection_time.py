@@ -27,7 +27,7 @@ from pasdedeux.reconstruction.temporal import (
     choose_window,
     viterbi_path,
 )
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 
 def rotations(num_frames: int, seed: int = 0) -> np.ndarray:

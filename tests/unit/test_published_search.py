@@ -19,7 +19,7 @@ from pasdedeux.projections.published import (
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.scale import bounding_box_height
 from pasdedeux.projections.search import Neighbours, look_at_all, prepare_query
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 
 def look_at_scaled(database: Database, query: np.ndarray) -> Neighbours:

@@ -12,7 +12,7 @@ from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.smoothing import OneEuro, smooth_one_euro
 from pasdedeux.reconstruction.temporal import choose_window
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 
 def published_filter(values: np.ndarray, rate: float, least: float, beta: float, derivative: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from storage_schema import (
     list_datasets,
     open_dataset,
 )
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 
 @pytest.fixture

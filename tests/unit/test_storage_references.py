@@ -20,7 +20,7 @@ from storage_schema import (
     record_latest,
     resolve,
 )
-from tests.storage_rows import commit_rows, random_columns
+from tests.builders.storage_rows import commit_rows, random_columns
 
 
 @pytest.fixture

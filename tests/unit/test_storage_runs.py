@@ -22,7 +22,7 @@ from storage_schema import (
     read_latest,
     record_latest,
 )
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from storage_schema import (
     artifact_key,
 )
 from storage_schema.parquet_files import ROW_GROUP_ROWS
-from tests.storage_rows import assert_same_values, commit_rows, random_columns
+from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
 
 KEY = artifact_key(stage="seeds", version=1, parameters={}, input_digests=[], seed=0)
 

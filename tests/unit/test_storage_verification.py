@@ -15,7 +15,7 @@ from storage_schema import (
     source_files,
     verify,
 )
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from flows.console.study_new import new_study, write_new_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats import guess_motion, read_bvh, write_bvh
 from tasks.ingest import IngestParameters
-from tests.source_samples import bvh_text, csv_text, figure_motion, openpose_text
+from tests.builders.source_samples import bvh_text, csv_text, figure_motion, openpose_text
 
 
 def ingest_of(text: str) -> IngestParameters:

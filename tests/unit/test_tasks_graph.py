@@ -6,7 +6,7 @@ import pytest
 
 from tasks.graph import Graph, GraphError, load_graph
 from tasks.stage import Stage
-from tests.toys import TOYS, AsideParameters, plan_aside, run_aside
+from tests.builders.toys import TOYS, AsideParameters, plan_aside, run_aside
 
 
 def stage(name: str, reads: tuple[str, ...], writes: tuple[str, ...]) -> Stage:

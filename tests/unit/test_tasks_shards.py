@@ -24,7 +24,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.stage import Shard, StageInputs
-from tests.toys import GrowParameters, plan_grow, run_grow
+from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
 
 @pytest.fixture(scope="module")

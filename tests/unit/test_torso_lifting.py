@@ -17,7 +17,7 @@ from pasdedeux.cameras.torso import NOISE_SHARE
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from tests.unit.test_joint_limits import wild
+from tests.builders.poses import wild
 
 BASIS = proportions_torso_basis()
 

@@ -23,7 +23,7 @@ from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.pitch import sized_by_height
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track
 from pasdedeux.skeletons import OP14
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 
 @pytest.fixture(scope="module")

@@ -15,41 +15,14 @@ from pasdedeux.cameras import (
     frame_take,
     metres_from_pixels,
     pair_in_metres,
-    proportions_torso_basis,
-    sample_views,
     swap_people,
     true_direction,
     view_accuracy,
 )
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
-from tests.unit.test_joint_limits import standing
-
-BASIS = proportions_torso_basis()
-
-
-def dancers(seed: int, count: int) -> np.ndarray:
-    """Standing people 0.4 to 1 m apart, turned any way, leaning by about 10 degrees."""
-    rng = np.random.default_rng(seed)
-    pose = standing() - [0, 1, 0]
-    lean = rotmat_from_unitquat(unitquat_from_rotvec(rng.normal(scale=0.15, size=(count, 2, 3)) * [1, 0, 1]))
-    turn = yaw_rotmat(rng.uniform(-np.pi, np.pi, size=(count, 2))) @ lean
-    pairs = np.einsum("npij,kj->npki", turn, pose)
-    angle, gap = rng.uniform(-np.pi, np.pi, size=count), rng.uniform(0.4, 1.0, size=count)
-    pairs[:, 1] += np.stack([gap * np.sin(angle), 0 * gap, gap * np.cos(angle)], axis=-1)[:, None]
-    return pairs + np.array([0, 1, 0])
-
-
-def filmed(pairs: np.ndarray, seed: int, distance_m: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (n, 2, 17, 2) and true views (n, 3) from random cameras."""
-    angles = sample_views(np.random.default_rng(seed), len(pairs))
-    px, truth = [], []
-    for pair, yaw, pitch in zip(pairs, angles.yaw_rad, angles.pitch_rad, strict=True):
-        view = frame_take(pair, pair[:, 0], distance_m=distance_m, yaw_rad=yaw, pitch_rad=pitch)
-        px.append(view.camera.project(pair).px)
-        truth.append(true_direction(pair, view.camera))
-    return np.array(px), np.array(truth)
+from tests.builders.poses import BASIS, dancers, filmed, standing
 
 
 def test_views_of_filmed_pairs_are_found_and_apparent_size_is_what_finds_them() -> None:

@@ -18,7 +18,7 @@ from pasdedeux.reconstruction.live.vote_kernels import extend_signs, noise_of, p
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
 from pasdedeux.reconstruction.live.window_kernels import fit_window
 from pasdedeux.skeletons import OP14
-from tests.walkers import walk
+from tests.builders.walkers import walk
 
 RATE_HZ = 24.0
 ONES = np.ones(14)

@@ -80,7 +80,7 @@ class LivePeople:
         return poses
 
     def finish(self) -> list[LivePose]:
-        """Give all poses that still wait."""
+        """Return all poses that still wait."""
         return [pose for person in sorted(self._people) for pose in self._people[person].finish()]
 
 

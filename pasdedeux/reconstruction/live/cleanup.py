@@ -89,7 +89,7 @@ class LiveCleanUp:
         return self._is_planted.copy()
 
     def step(self, frame: int, positions_m: Array) -> Array:
-        """Give a pose (14, 3), upright axes (y up, z towards the camera), cleaned up; bones keep their lengths.
+        """Return a pose (14, 3), upright axes (y up, z towards the camera), cleaned up; bones keep their lengths.
 
         Args:
             frame: Its number, after that of the pose before.
@@ -123,7 +123,7 @@ class LiveCleanUp:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _low_quantile(values: Array, share: float) -> float:
-    """Give the value that this share of the finite ones is below."""
+    """Return the value that this share of the finite ones is below."""
     known = np.sort(values[np.isfinite(values)])
     return known[int(share * (known.shape[0] - 1))]
 
@@ -140,7 +140,7 @@ def _clean_pose(
     shift: Array,
     options: tuple[float, float, float, float, float, float, float, float],
 ) -> Array:
-    """Give the cleaned pose (14, 3) and bring the state of both feet and of the way up to it."""
+    """Return the cleaned pose (14, 3) and bring the state of both feet and of the way up to it."""
     speed_limit, away_share, height_limit, way_s, hold_s, blend_s, most_bend, most_drift = options
     legs, up = _LEGS, _UP
     lower = min(positions[legs[0, 2], up], positions[legs[1, 2], up])
@@ -201,7 +201,7 @@ def _clean_pose(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _facing(positions: Array) -> Array:
-    """Give where the body faces (3,), level."""
+    """Return where the body faces (3,), level."""
     across = positions[_LEGS[0, 0]] - positions[_LEGS[1, 0]]
     facing = np.array([-across[2], 0.0, across[0]])
     length = np.sqrt((facing**2).sum())

@@ -95,7 +95,7 @@ def unify_image(points: Array, ratio: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def least_squares_scale(points: Array, weight: Array, match: Array) -> Array:
-    """Give what `scale.refine_placement` takes from a frame: metres per pixel, and the weighted means of both images.
+    """Return what `scale.refine_placement` takes from a frame: metres per pixel, and the weighted means of both images.
 
     Args:
         points: Joints (14, 2), pixels, y up.
@@ -146,7 +146,7 @@ def turn_poses(poses: npt.NDArray[np.float32], rows: Integers, yaw_rad: Array) -
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def metric_of(query: Array, weight: Array, images: Array) -> Array:
-    """Give eq. 1 over the joints seen, per unit of weight, of a query (14, 2) to images (k, 14, 2)."""
+    """Return eq. 1 over the joints seen, per unit of weight, of a query (14, 2) to images (k, 14, 2)."""
     out = np.zeros(images.shape[0])
     total = weight.sum()
     for at in range(images.shape[0]):
@@ -161,7 +161,7 @@ def metric_of(query: Array, weight: Array, images: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def transition_costs(pose: Array, ahead: Array, cost: Array, weight: float) -> tuple[Array, Integers]:
-    """Give the least cost (k,) of coming to each pose (k, 14, 3), and from which of (j, 14, 3); ties to the lower.
+    """Return the least cost (k,) of coming to each pose (k, 14, 3), and from which of (j, 14, 3); ties to the lower.
 
     Args:
         pose: Candidates of this frame.

@@ -219,11 +219,11 @@ class LivePerson:
         return self.advance(frame)
 
     def advance(self, frame: int) -> list[LivePose]:
-        """Give the poses that are due when the sequence is at `frame` and the person is not seen."""
+        """Return the poses that are due when the sequence is at `frame` and the person is not seen."""
         return self._poses(self._viterbi.decide_until(frame - self._options.lag))
 
     def finish(self) -> list[LivePose]:
-        """Give all poses that still wait."""
+        """Return all poses that still wait."""
         if not self._waiting:
             return []
         return self._poses(self._viterbi.decide_until(self._waiting[-1].frame))
@@ -278,7 +278,7 @@ class LivePerson:
         )
 
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
-        """Give the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
+        """Return the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
         if weights[_LEFT_HIP] > 0 and weights[_RIGHT_HIP] > 0:
             return np.asarray(0.5 * (points[_LEFT_HIP] + points[_RIGHT_HIP]))
         reference = self._searcher.reference
@@ -301,12 +301,12 @@ class LivePerson:
             )
 
     def _poses(self, decided: list[Decision]) -> list[LivePose]:
-        """Give the poses of frames that were just decided on."""
+        """Return the poses of frames that were just decided on."""
         path = self._viterbi.path
         return [self._pose(one, path[at:]) for at, one in enumerate(decided)]
 
     def _pose(self, decision: Decision, path: Integers) -> LivePose:
-        """Give the pose of the oldest frame; `path` has the candidates that it and all waiting frames follow."""
+        """Return the pose of the oldest frame; `path` has the candidates that it and all waiting frames follow."""
         waiting = self._waiting.popleft()
         assert waiting.frame == decision.frame, "every frame pushed is decided once, in order"
         rank = decision.rank
@@ -345,7 +345,7 @@ class _RotationFilter:
         self._velocity = np.zeros((OP14.num_joints, 3))
 
     def step(self, frame: int, value: Array) -> Array:
-        """Give the smoothed rotations (14, 4) of this frame."""
+        """Return the smoothed rotations (14, 4) of this frame."""
         if self._value is None:
             self._value = value
         else:
@@ -369,7 +369,7 @@ class _PointFilter:
         self._velocity = np.zeros(3)
 
     def step(self, frame: int, value: Array) -> Array:
-        """Give the smoothed point of this frame."""
+        """Return the smoothed point of this frame."""
         if self._value is None:
             self._value = value
         else:

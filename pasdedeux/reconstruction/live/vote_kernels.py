@@ -124,7 +124,7 @@ def extend_signs(
     lengths: Array,
     way: float,
 ) -> tuple[Array, Integers]:
-    """Give the cost of each choice of signs of a new frame, and the choice before that it is best come to from.
+    """Return the cost of each choice of signs of a new frame, and the choice before that it is best come to from.
 
     What it costs a bone to change sign is `depth._flip_costs`; `way` is what its end moves in depth between the frames.
     """
@@ -155,7 +155,7 @@ def extend_signs(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def trace_signs(cost: Array, back: Integers, slots: Integers) -> Array:
-    """Give the sign of each bone's depth (n, 14) in frames at these places of a ring, by the best path to the last."""
+    """Return sign of each bone's depth (n, 14) in frames at these places of a ring, by the best path to the last."""
     count = slots.shape[0]
     sign = np.ones((count, _JOINTS))
     for group in range(_GROUP_SIZES.shape[0]):
@@ -172,7 +172,7 @@ def trace_signs(cost: Array, back: Integers, slots: Integers) -> Array:
 def prior_of_frame(
     size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, kernel: float, lengths: Array
 ) -> tuple[Array, Array]:
-    """Give each bone as the candidates of its sign have it (14, 3), and its depth as image and candidates say (14,)."""
+    """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
     mean, depth = np.zeros((_JOINTS, 3)), np.zeros(_JOINTS)
     share = np.empty(vectors.shape[0])
     for joint in _ORDER:
@@ -225,7 +225,7 @@ def flatten_image(image: Array, pose: Array, distance: float) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def residuals_of(image: Array, pose: Array, distance: float) -> Array:
-    """Give how far each joint (14,) of a pose (14, 3) is from its image (14, 2); NaN where not seen."""
+    """Return how far each joint (14,) of a pose (14, 3) is from its image (14, 2); NaN where not seen."""
     flat = flatten_image(image, pose, distance)
     out = np.empty(_JOINTS)
     for joint in range(_JOINTS):

@@ -180,7 +180,7 @@ class WindowFit:
         self._has_newest = True
 
     def fit(self, ranks: Integers, proportions: Array) -> Array:
-        """Give the pose (14, 3) of the oldest frame, about its mid-hip, camera axes; the frame is then done with.
+        """Return the pose (14, 3) of the oldest frame, about its mid-hip, camera axes; the frame is then done with.
 
         Args:
             ranks: Candidate that each waiting frame follows by now, the oldest first.
@@ -246,10 +246,10 @@ class WindowFit:
         return np.asarray(pose - 0.5 * (pose[_LEFT_HIP] + pose[_RIGHT_HIP]))
 
     def _slot(self, place: Any) -> Any:
-        """Give where the frame of this place in the queue lies in the ring; -1 is the frame last done with."""
+        """Return where the frame of this place in the queue lies in the ring; -1 is the frame last done with."""
         return (self._first + place) % len(self._frame)
 
 
 def _behind(values: Array, count: int, filling: float = 0.0) -> Array:
-    """Give values (n, ...) behind `count` rows that do not matter."""
+    """Return values (n, ...) behind `count` rows that do not matter."""
     return np.concatenate([np.full((count, *values.shape[1:]), filling), values])

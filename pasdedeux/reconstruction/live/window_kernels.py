@@ -51,7 +51,7 @@ def prepare_window(
     followed_share: float,
     joint_noise: Array,
 ) -> tuple[Array, Array, Array, Array]:
-    """Give first guesses, images, weights of the image and bones of the candidates for frames at places of a ring.
+    """Return first guesses, images, weights of the image and bones of the candidates for frames at places of a ring.
 
     A frame that was fitted before starts from there, if its signs are still the same; another one from the image, its
     depths, and the followed candidate where nothing was seen.
@@ -89,7 +89,7 @@ def prepare_window(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _guess(image: Array, followed: Array, depth: Array, proportions: Array, distance: float) -> Array:
-    """Give a pose (14, 3) across as in the image, in depth as given, middle of the hips at z = 0."""
+    """Return a pose (14, 3) across as in the image, in depth as given, middle of the hips at z = 0."""
     pose = np.zeros((_JOINTS, 3))
     for joint in _ORDER:
         pose[joint, 2] = pose[_PARENTS[joint], 2] + proportions[joint] * depth[joint]
@@ -122,7 +122,7 @@ def fit_window(
     tolerance: float,
     most_solves: int,
 ) -> Array:
-    """Give the poses (n, 14, 3) of least energy near a first guess, the first `num_fixed` of them as they are.
+    """Return the poses (n, 14, 3) of least energy near a first guess, the first `num_fixed` of them as they are.
 
     Args:
         start: First guess (n, 14, 3), camera axes, metres.
@@ -210,7 +210,7 @@ def fit_window(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _placed(vector: Array, root: Array) -> Array:
-    """Give positions (n, 14, 3) of bones and roots."""
+    """Return positions (n, 14, 3) of bones and roots."""
     position = np.empty(vector.shape)
     for at in range(vector.shape[0]):
         for axis in range(3):
@@ -235,7 +235,7 @@ def _carried(pull: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _pull(off: Array, weight: Array, time_weight: Array, moved: Array, num_fixed: int) -> Array:
-    """Give half the gradient on joints of image (by `off`) and time (by `moved`); none on fixed frames."""
+    """Return half the gradient on joints of image (by `off`) and time (by `moved`); none on fixed frames."""
     out = np.zeros(off.shape)
     count = off.shape[0]
     for at in range(num_fixed, count):
@@ -290,7 +290,7 @@ def _energy(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _diagonal(weight: Array, bone_weight: Array, time_weight: Array, num_fixed: int) -> Array:
-    """Give the curvature along each bone and root (n, 14, 3) if nothing else moved."""
+    """Return the curvature along each bone and root (n, 14, 3) if nothing else moved."""
     count = weight.shape[0]
     out = np.zeros((count, _JOINTS, 3))
     for at in range(num_fixed, count):

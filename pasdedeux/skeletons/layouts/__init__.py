@@ -27,7 +27,7 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def find_layout(joint_names: Sequence[str]) -> Layout | None:
-    """Give the layout that these joint names belong to, None when no known one fits.
+    """Return the layout that these joint names belong to, None when no known one fits.
 
     Where several fit, the one with the longest signature wins.  A namespace that all joints share ('mixamorig:Hips')
     is part of the layout that is given.
@@ -46,7 +46,7 @@ def find_layout(joint_names: Sequence[str]) -> Layout | None:
 
 
 def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | None:
-    """Give the layout that these joint names come nearest to, and what they lack of it; None when none comes near.
+    """Return the layout that these joint names come nearest to, and what they lack of it; None when none comes near.
 
     Near is a layout of whose signature at least half is there.
     """
@@ -57,7 +57,7 @@ def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | Non
 
 
 def get_layout(name: str) -> Layout:
-    """Give the layout of this name, or an InputError that lists the known ones."""
+    """Return the layout of this name, or an InputError that lists the known ones."""
     if name not in LAYOUTS:
         raise InputError(f"layout '{name}' is not known; known layouts: {', '.join(LAYOUTS)}")
     return LAYOUTS[name]

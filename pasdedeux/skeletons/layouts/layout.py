@@ -57,7 +57,7 @@ class Layout:
     points: tuple[AddedPoint, ...] = ()
 
     def joint_map(self, skeleton_name: str) -> JointMap:
-        """Give the mapping to a working skeleton: pair17, op14 or body22.
+        """Return the mapping to a working skeleton: pair17, op14 or body22.
 
         Raises:
             InputError: The skeleton is not known, or its table is missing, incomplete or does not sum to 1.
@@ -80,7 +80,7 @@ class Layout:
         return self.signature.issubset(joint_names)
 
     def with_tables(self, tables: Mapping[str, Table]) -> Layout:
-        """Give this layout with single entries of its tables replaced."""
+        """Return this layout with single entries of its tables replaced."""
         for name in tables:
             if name not in WORKING_SKELETONS:
                 raise InputError(
@@ -90,7 +90,7 @@ class Layout:
         return replace(self, tables=merged)
 
     def with_prefix(self, prefix: str) -> Layout:
-        """Give this layout for joint names that all carry a namespace in front, such as 'mixamorig:'."""
+        """Return this layout for joint names that all carry a namespace in front, such as 'mixamorig:'."""
         added = {point.name for point in self.points}
 
         def put(name: str) -> str:

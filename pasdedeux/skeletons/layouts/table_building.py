@@ -21,7 +21,7 @@ def both_sides(limbs: Limbs) -> dict[str, str]:
 def working_tables(
     *, limbs: Limbs, trunk: Table, spine: Table, neck_base: str, head: Table, nose: str
 ) -> dict[str, Table]:
-    """Give the tables of the three working skeletons.
+    """Return the tables of the three working skeletons.
 
     Args:
         limbs: shoulder, elbow, wrist, hip, knee, ankle, toe.

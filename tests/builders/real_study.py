@@ -21,7 +21,7 @@ import psutil
 from flows.console.app import run_command_line
 from storage_schema import Store, read_latest
 from tasks.graph import Graph, load_graph
-from tests.toy_runs import ROOT, run_toys, wait_until
+from tests.builders.toy_runs import ROOT, run_toys, wait_until
 
 __all__ = [
     "SMALL",
@@ -81,7 +81,7 @@ clip_seconds = 0.5
 
 
 def graph() -> Graph:
-    """Give the graph of all real stages."""
+    """Return the graph of all real stages."""
     return load_graph()
 
 
@@ -92,7 +92,7 @@ def build_here(study: Path, store: Path, *settings: str) -> dict[str, int]:
 
 
 def digests(store: Path, study: str = "small") -> dict[tuple[str, str, str], str]:
-    """Give the content digest of every artifact of the last run by (stage, partition, shard)."""
+    """Return the content digest of every artifact of the last run by (stage, partition, shard)."""
     latest = read_latest(Store(store), study)
     assert latest is not None, f"nothing was built in {store}"
     return {
@@ -103,7 +103,7 @@ def digests(store: Path, study: str = "small") -> dict[tuple[str, str, str], str
 
 
 def committed(store: Path) -> dict[tuple[str, str, str], str]:
-    """Give when each artifact of a store was made, by (stage, partition, shard): a new time means computed again."""
+    """Return when each artifact of a store was made, by (stage, partition, shard): a new time means computed again."""
     return {(m.ref.stage, m.partition, m.name): m.created_at for m in Store(store).artifacts()}
 
 
@@ -142,7 +142,7 @@ class BuiltStudy:
     answer: Answer
 
     def copy_store(self, folder: Path) -> Path:
-        """Give a copy of the store to compute in: an artifact's place is not in its key."""
+        """Return a copy of the store to compute in: an artifact's place is not in its key."""
         return Path(shutil.copytree(self.store, folder / "copy"))
 
 
@@ -196,11 +196,11 @@ class RealRun:
         return left
 
     def descendants(self) -> list[psutil.Process]:
-        """Give every process that this one has started."""
+        """Return every process that this one has started."""
         return psutil.Process(self.process.pid).children(recursive=True)
 
     def workers(self) -> list[psutil.Process]:
-        """Give the Dask workers: processes that Python's multiprocessing spawned and that listen to the scheduler."""
+        """Return the Dask workers: processes that Python's multiprocessing spawned and that listen to the scheduler."""
         return [p for p in self.descendants() if _command(p).find("spawn_main") >= 0]
 
 

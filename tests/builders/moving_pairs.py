@@ -13,7 +13,7 @@ _MIDDLE = {"spine1": 0.10, "spine2": 0.12, "spine3": 0.13, "neck": 0.22, "head":
 
 
 def standing_person() -> npt.NDArray[np.float64]:
-    """Give a person (22, 3) who stands on the floor, faces +Z and holds both arms out in front, metres."""
+    """Return a person (22, 3) who stands on the floor, faces +Z and holds both arms out in front, metres."""
     place = {"pelvis": np.array([0.0, 0.95, 0.0])}
     height = 0.95
     for name, step in _MIDDLE.items():
@@ -32,7 +32,7 @@ def standing_person() -> npt.NDArray[np.float64]:
 
 
 def swaying_pair(num_frames: int = 24, *, apart_m: float = 0.72, seed: int = 0) -> npt.NDArray[np.float64]:
-    """Give a pair (frame, 2, 22, 3) that sways on planted feet, B facing A, bone lengths constant, metres."""
+    """Return a pair (frame, 2, 22, 3) that sways on planted feet, B facing A, bone lengths constant, metres."""
     generator = np.random.default_rng(seed)
     phase = np.linspace(0.0, 2.0 * np.pi * num_frames / 60.0, num_frames)
     people = []

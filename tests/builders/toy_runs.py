@@ -18,9 +18,9 @@ from flows.study import load_study
 from storage_schema import Store, read_latest
 from tasks.graph import Graph
 from tasks.shards import run_serially
-from tests.toys import TOYS
+from tests.builders.toys import TOYS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 STUDY = '[study]\nname = "toy"\nseed = 7\n'
 
 
@@ -57,14 +57,14 @@ def serial(run: Run, plan: Any) -> None:
 
 
 def digests(store: Path, study: str = "toy") -> dict[str, list[str]]:
-    """Give the content digests of every stage of the last run."""
+    """Return the content digests of every stage of the last run."""
     latest = read_latest(Store(store), study)
     assert latest is not None
     return {stage: [ref.content_digest for ref in latest.refs(stage)] for stage in latest.stages}
 
 
 def states(plan: Plan) -> dict[str, str]:
-    """Give each stage's state in a word, or its counts."""
+    """Return each stage's state in a word, or its counts."""
     words = {}
     for stage in plan.stages:
         counts: dict[str, int] = {}
@@ -85,7 +85,7 @@ class Started:
         environment = {**os.environ, "TOY_FOLDER": str(gates), "PREFECT_HOME": str(prefect_home)}
         environment.pop("PREFECT_API_URL", None)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.toys", *arguments],
+            [sys.executable, "-m", "tests.builders.toys", *arguments],
             cwd=ROOT,
             env=environment,
             stdout=subprocess.PIPE,
@@ -99,12 +99,12 @@ class Started:
         os.killpg(self.process.pid, signal.SIGINT)
 
     def ran(self) -> list[str]:
-        """Give the shards whose computation began, in that order."""
+        """Return the shards whose computation began, in that order."""
         path = self.gates / "ran.txt"
         return [line.split()[0] for line in path.read_text().splitlines()] if path.exists() else []
 
     def worker_of(self, name: str) -> int:
-        """Give the process that began to compute a shard last."""
+        """Return the process that began to compute a shard last."""
         lines = [line.split() for line in (self.gates / "ran.txt").read_text().splitlines()]
         return int(next(pid for shard, pid in reversed(lines) if shard == name))
 

@@ -41,7 +41,7 @@ FIGURE_REST_M = {
 
 
 def figure_motion(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) -> Motion:
-    """Give a person who lifts the left arm and knee, looks to the left, turns and walks: nothing of it is symmetric."""
+    """Return person who lifts the left arm and knee, looks to the left, turns and walks: nothing of it is symmetric."""
     rest = np.array([FIGURE_REST_M[name] for name in BODY22.joint_names])
     offsets = np.array([rest[j] - rest[p] if p >= 0 else np.zeros(3) for j, p in enumerate(BODY22.parents)])
     rng = np.random.default_rng(seed)
@@ -62,7 +62,7 @@ def figure_motion(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) ->
 
 
 def bvh_text(num_frames: int = 12, rate_hz: float = 30.0, seed: int = 0) -> str:
-    """Give the figure as BVH in centimetres."""
+    """Return the figure as BVH in centimetres."""
     return write_bvh(figure_motion(num_frames, rate_hz, seed))
 
 
@@ -176,7 +176,7 @@ ltibia 45
 
 
 def openpose_text(layout: str = "coco18", *, people: int = 1, seed: int = 0, missing: tuple[int, ...] = ()) -> str:
-    """Give one OpenPose frame of plausible people; `missing` keypoints are (0, 0, 0)."""
+    """Return one OpenPose frame of plausible people; `missing` keypoints are (0, 0, 0)."""
     found = []
     for person in range(people):
         px = person_px(layout, seed=seed) + np.array([300.0 * person, 0.0])
@@ -201,14 +201,14 @@ _PERSON_PX = {
 
 
 def person_px(layout: str, seed: int = 0) -> np.ndarray:
-    """Give the keypoints (K, 2) of a person who faces the camera, with a little noise."""
+    """Return the keypoints (K, 2) of a person who faces the camera, with a little noise."""
     names = KEYPOINT_LAYOUTS[layout].keypoint_names
     exact = np.array([_PERSON_PX[name] for name in names], dtype=np.float64)
     return exact + np.random.default_rng(seed).normal(0.0, 1.0, exact.shape)
 
 
 def coco_text(num_frames: int = 3, people: int = 2) -> str:
-    """Give COCO annotations; the right wrist of everybody is not labelled."""
+    """Return COCO annotations; the right wrist of everybody is not labelled."""
     names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
     annotations = []
     for frame in range(num_frames):
@@ -222,7 +222,7 @@ def coco_text(num_frames: int = 3, people: int = 2) -> str:
 
 
 def csv_text(num_frames: int = 3) -> str:
-    """Give our table of annotations of one person in pair17."""
+    """Return our table of annotations of one person in pair17."""
     lines = ["# layout: pair17", "# image_size: 640x480", "# rate_hz: 25", "frame,person,joint,x,y,confidence"]
     for frame in range(num_frames):
         for name, (x, y) in zip(KEYPOINT_LAYOUTS["pair17"].keypoint_names, person_px("pair17", frame), strict=True):
@@ -231,7 +231,7 @@ def csv_text(num_frames: int = 3) -> str:
 
 
 def positions_npz() -> bytes:
-    """Give the figure's positions without rotations."""
+    """Return the figure's positions without rotations."""
     positions, _ = figure_motion().world()
     out = io.BytesIO()
     np.savez_compressed(out, positions_m=positions, joint_names=np.array(BODY22.joint_names), rate_hz=np.array(30.0))

@@ -13,7 +13,7 @@ _WORDS = np.array(["waltz", "hug", "judo", "push", "", "Tänzer Ω", "a,b|c"], d
 
 
 def random_columns(table: str | Table, num_rows: int, seed: int = 0) -> dict[str, Any]:
-    """Give random values of every column: NaN in floats, nulls in nullable columns, empty and long lists."""
+    """Return random values of every column: NaN in floats, nulls in nullable columns, empty and long lists."""
     definition = TABLES[table] if isinstance(table, str) else table
     rng = np.random.default_rng(seed)
     return {column.name: _values(column, num_rows, rng) for column in definition.columns}

@@ -4,7 +4,7 @@ A step is a call that opens, makes, renames or removes something under the store
 every death the store is looked at, then the action is run to its end and the store is looked at again.  Prints one JSON
 object.
 
-Usage: `python -m tests.fault.storage_killer ACTION FOLDER`
+Usage: `python -m tests.builders.storage_killer ACTION FOLDER`
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from storage_schema import (
     record_latest,
     verify,
 )
-from tests.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows
 
 EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "shutil.rmtree"}
 

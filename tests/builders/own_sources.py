@@ -117,7 +117,7 @@ class FilmedDuet:
     body22_m: Array
 
     def keypoints_px(self, layout: str) -> Array:
-        """Give the keypoints (frame, person, K, 2) of a layout; NaN for those that the bodies have not got: eyes."""
+        """Return the keypoints (frame, person, K, 2) of a layout; NaN for those that the bodies have not got: eyes."""
         names = KEYPOINT_LAYOUTS[layout].keypoint_names
         found = np.full((*self.op14_m.shape[:2], len(names), 2), np.nan)
         for column, name in enumerate(names):

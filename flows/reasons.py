@@ -64,7 +64,7 @@ def why_not_fresh(
         words.append(f"stage version {old.version} -> {shard.version}")
     if old.seed != shard.seed:
         words.append(f"study.seed {old.seed} -> {shard.seed}")
-    own = _changes(stage.name, old.parameters, shard.parameters)
+    own = _changes(stage.name, old.parameters, shard.values)
     if own:
         words.extend(settings or own)
     words.extend(_file_changes(old, shard))
@@ -103,13 +103,13 @@ def _input_changes(old: ShardRecord, shard: Shard, inputs: Mapping[str, tuple[In
     read = [record for record in old.inputs if record.stage != shard.stage]
     before = {names.get(_call(record), _call(record)): record.content_digest for record in read}
     now: dict[str, str] = {}
-    for ref in shard.inputs:
+    for ref in shard.all_inputs:
         now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
     words = _differences(before, now)
     if len(words) <= _MOST:
         return words
     digests = {record.content_digest for record in read}
-    stages = dict.fromkeys(ref.stage for ref in shard.inputs if ref.content_digest not in digests)
+    stages = dict.fromkeys(ref.stage for ref in shard.all_inputs if ref.content_digest not in digests)
     return [f"input {name} changed" for name in stages] or ["inputs are gone"]
 
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
+from pasdedeux.settings import Settings
+from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 
 __all__ = [
@@ -23,14 +24,20 @@ __all__ = [
     "artifact_fields",
     "commit",
     "merge_takes",
+    "named_refs",
     "stream",
+    "verdict_of",
 ]
 
+VERDICT_FACT = "verdict"
+"""Name under which a shard's verdict stands among its facts."""
 
-class Parameters(BaseModel):
-    """Base of every stage's parameters: frozen, and unknown names are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Parameters(Settings):
+    """Base of every stage's section in a study, and of what its shards are told."""
+
+
+P = TypeVar("P", bound=Parameters)
 
 
 @dataclass(frozen=True)
@@ -62,8 +69,10 @@ class Shard:
         version: Version of the stage, raised by hand when its results change.
         partition: What a person sees as one step: a take, a seed, a split.
         name: Name of the shard, unique in its partition.
-        parameters: JSON values: everything of the study and of the plan that decides the result.
-        inputs: Artifacts read; their content digests enter the key.
+        parameters: Everything of the study and of the plan that decides the result.  A stage with several kinds of
+            shards has a model for each kind.
+        inputs: Artifacts read, by what they are to the shard ("seed", "views", ...); names and content digests enter
+            the key.
         files: Outside files read; their digests enter the key.
         after: Keys of other shards of the same plan that this one reads; they enter the key.
         seed: Seed of the study.
@@ -73,23 +82,55 @@ class Shard:
     version: int
     partition: str
     name: str
-    parameters: Mapping[str, Any]
-    inputs: tuple[ArtifactRef, ...] = ()
+    parameters: Any
+    inputs: Any = field(default_factory=dict)
     files: tuple[SourceFile, ...] = ()
     after: tuple[str, ...] = ()
     seed: int = 0
 
+    @property
+    def values(self) -> Mapping[str, Any]:
+        """The parameters as JSON values, as the key and the manifest have them."""
+        if not isinstance(self.parameters, Parameters):  # until every stage is typed
+            return dict(self.parameters)
+        return self.parameters.model_dump(mode="json")
+
     @cached_property
     def key(self) -> str:
         """Return the sha256 that names the shard's artifact."""
+        if isinstance(self.inputs, tuple):  # until every stage names its inputs
+            digests = [ref.content_digest for ref in self.inputs]
+        else:
+            digests = [f"{name}:{ref.content_digest}" for name in sorted(self.inputs) for ref in self.inputs[name]]
         return artifact_key(
             stage=self.stage,
             version=self.version,
-            parameters={"partition": self.partition, "name": self.name, **self.parameters},
-            input_digests=[ref.content_digest for ref in self.inputs] + [file.sha256 for file in self.files],
+            parameters={"partition": self.partition, "name": self.name, **self.values},
+            input_digests=digests + [file.sha256 for file in self.files],
             after=self.after,
             seed=self.seed,
         )
+
+    @property
+    def all_inputs(self) -> tuple[ArtifactRef, ...]:
+        """Every artifact that the shard reads, once each, in the order in which they are named."""
+        if isinstance(self.inputs, tuple):  # until every stage names its inputs
+            return self.inputs
+        return tuple(dict.fromkeys(ref for refs in self.inputs.values() for ref in refs))
+
+    def options(self, kind: type[P]) -> P:
+        """Return the parameters, which are of this model."""
+        assert isinstance(self.parameters, kind)
+        return self.parameters
+
+    def refs(self, name: str) -> tuple[ArtifactRef, ...]:
+        """Return the inputs of this name; none where the shard has none."""
+        return self.inputs.get(name, ())
+
+    def ref(self, name: str) -> ArtifactRef:
+        """Return the one input of this name."""
+        (ref,) = self.inputs[name]
+        return ref
 
 
 @dataclass(frozen=True)
@@ -133,9 +174,9 @@ def artifact_fields(shard: Shard, store: Store) -> dict[str, Any]:
         "partition": shard.partition,
         "name": shard.name,
         "version": shard.version,
-        "parameters": shard.parameters,
+        "parameters": shard.values,
         "seed": shard.seed,
-        "inputs": (*shard.inputs, *_committed(shard, store)),
+        "inputs": (*shard.all_inputs, *_committed(shard, store)),
         "files": [(Path(file.path).name, file.sha256) for file in shard.files],
     }
 
@@ -148,18 +189,31 @@ def commit(
     facts: Mapping[str, Any],
     attachments: Mapping[str, bytes] | None = None,
     sources: Sequence[SourceCredit] = (),
+    verdict: Verdict | None = None,
 ) -> ArtifactRef:
     """Commit a shard's tables under its key; `facts` are the small JSON facts that later planning reads.
 
-    The manifest names the shard's inputs and the artifacts of the shards it follows.
+    A verdict is kept with the facts, for the console and the report.  The manifest names the shard's inputs and the
+    artifacts of the shards it follows.
     """
     return store.commit(
         **artifact_fields(shard, store),
         tables=tables,
         attachments=attachments or {},
-        facts=facts,
+        facts=facts if verdict is None else {**facts, VERDICT_FACT: verdict.to_json()},
         sources=sources,
     )
+
+
+def verdict_of(manifest: Manifest) -> Verdict | None:
+    """Return what a shard thinks of its result; None where it judged nothing."""
+    values = manifest.facts.get(VERDICT_FACT)
+    return None if values is None else Verdict.from_json(values)
+
+
+def named_refs(**inputs: Sequence[Manifest]) -> dict[str, tuple[ArtifactRef, ...]]:
+    """Return inputs of a shard by name from the manifests that planning sees; names without any are left out."""
+    return {name: tuple(manifest.ref for manifest in found) for name, found in inputs.items() if found}
 
 
 def _committed(shard: Shard, store: Store) -> list[ArtifactRef]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import pkgutil
 from collections.abc import Callable
@@ -13,17 +12,14 @@ from typing import Annotated
 
 import typer
 
-import pasdedeux
+import pasdedeux.benchmarks
 from flows.console.context import JsonOption, print_json
 from flows.console.display import format_table
 from flows.planning import PlanError
-from pasdedeux.benchmark import BenchmarkResult
+from pasdedeux.benchmarks.benchmark import BenchmarkResult
 from tasks.shards import worker_environment
 
 __all__ = ["find_benchmarks", "register"]
-
-_ROOM_OF_STAGE = {"chains": "sampling", "projections": "reconstruction"}
-"""Stages whose benchmarks go by the name of a part of the science."""
 
 
 def register(app: typer.Typer) -> None:
@@ -32,9 +28,7 @@ def register(app: typer.Typer) -> None:
 
 
 def bench(
-    room: Annotated[
-        str | None, typer.Argument(metavar="[ROOM]", help="One part of the science or a stage; all when none.")
-    ] = None,
+    stage: Annotated[str | None, typer.Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
     large: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Also measure databases of N projections; 2 GB for 10^7."),
@@ -44,17 +38,16 @@ def bench(
     """Measure and show a table."""
     os.environ.update(worker_environment())
     found = find_benchmarks(large=large)
-    room = _ROOM_OF_STAGE.get(room or "", room)
-    if room is not None and room not in found:
-        raise PlanError(f"there are no benchmarks for '{room}'; there are for: {', '.join(found) or 'nothing yet'}")
+    if stage is not None and stage not in found:
+        raise PlanError(f"there are no benchmarks for '{stage}'; there are for: {', '.join(found)}")
     results: list[tuple[str, BenchmarkResult]] = []
     for name, functions in found.items():
-        if room in (None, name):
+        if stage in (None, name):
             for label, function in functions.items():
                 typer.echo(f"measuring {name}: {label}", err=True)
                 results.append((name, function()))
     if as_json:
-        print_json([{"room": name, **asdict(result), "ratio": result.ratio} for name, result in results])
+        print_json([{"stage": name, **asdict(result), "ratio": result.ratio} for name, result in results])
         return
     rows = [(r.name, _rate(r.fast_per_s), _rate(r.plain_per_s), f"{r.unit}/s", f"x {r.ratio:.1f}") for _, r in results]
     header, *lines = format_table(("benchmark", "fast", "plain", "", "ratio"), rows)
@@ -65,17 +58,14 @@ def bench(
 
 
 def find_benchmarks(*, large: int | None = None) -> dict[str, dict[str, Callable[[], BenchmarkResult]]]:
-    """Return the benchmarks of every part of the science that has a module `benchmarks`, by its name.
+    """Return the benchmarks of every stage that has a module of its name in `pasdedeux.benchmarks`.
 
     Those of its `LARGE_BENCHMARKS`, which take a size, are among them when a size is given.
     """
     found: dict[str, dict[str, Callable[[], BenchmarkResult]]] = {}
-    for module in pkgutil.iter_modules(pasdedeux.__path__):
-        if not module.ispkg:
-            continue
-        name = f"pasdedeux.{module.name}.benchmarks"
-        if importlib.util.find_spec(name) is not None:
-            benchmarks = importlib.import_module(name)
+    for module in pkgutil.iter_modules(pasdedeux.benchmarks.__path__):
+        benchmarks = importlib.import_module(f"pasdedeux.benchmarks.{module.name}")
+        if hasattr(benchmarks, "BENCHMARKS"):
             found[module.name] = dict(benchmarks.BENCHMARKS)
             if large is not None:
                 for label, function in getattr(benchmarks, "LARGE_BENCHMARKS", {}).items():

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import project_pair
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.synthetic import random_pairs
 from storage_schema import Manifest, SourceCredit, Store, artifact_key
 from tasks import seeds
 from tasks.seeds import SeedsParameters

@@ -19,7 +19,7 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.graph import Graph
-from tasks.stage import Parameters, Shard, SourceFile, Stage, StageInputs, commit, merge_takes, stream
+from tasks.stage import Parameters, Shard, SourceFile, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
 __all__ = ["TOYS"]
 
@@ -47,6 +47,12 @@ class GrowParameters(Parameters):
     num_segments: int = Field(3, ge=1, description="Segments of each take, each from the one before")
     scale: float = Field(1.0, gt=0, description="Scale of the values")
     source: Path | None = Field(None, description="A file whose bytes enter")
+
+
+class SegmentParameters(Parameters):
+    take: int
+    segment: int
+    scale: float
 
 
 class BendParameters(Parameters):
@@ -78,7 +84,7 @@ def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
                 version=1,
                 partition=f"t{take}",
                 name=f"s{segment}",
-                parameters={"take": take, "segment": segment, "scale": parameters.scale},
+                parameters=SegmentParameters(take=take, segment=segment, scale=parameters.scale),
                 files=files,
                 after=before,
                 seed=inputs.seed,
@@ -90,13 +96,13 @@ def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
 
 def run_grow(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
-    value = 0.0
+    options, value = shard.options(SegmentParameters), 0.0
     for key in shard.after:
         before = store.find("grow", key)
         assert before is not None, "the segment before is not committed"
         value = float(store.read(before.ref, "training_log")["value"][-1])
-    noise = stream(shard.seed, "grow", shard.partition, int(shard.parameters["segment"])).normal(size=5)
-    values = value + np.cumsum(np.abs(noise)) * shard.parameters["scale"]
+    noise = stream(shard.seed, "grow", shard.partition, options.segment).normal(size=5)
+    values = value + np.cumsum(np.abs(noise)) * options.scale
     return commit(
         shard,
         store,
@@ -121,8 +127,8 @@ def plan_bend(inputs: StageInputs, parameters: BendParameters) -> list[Shard]:
             version=1,
             partition=manifest.partition,
             name=manifest.name,
-            parameters={"step": parameters.step},
-            inputs=(manifest.ref,),
+            parameters=parameters,
+            inputs=named_refs(log=[manifest]),
             seed=inputs.seed,
         )
         for manifest in inputs.of("training_log")
@@ -131,8 +137,8 @@ def plan_bend(inputs: StageInputs, parameters: BendParameters) -> list[Shard]:
 
 def run_bend(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
-    step = shard.parameters["step"]
-    values = np.floor(store.read(shard.inputs[0], "training_log")["value"] / step) * step
+    step = shard.options(BendParameters).step
+    values = np.floor(store.read(shard.ref("log"), "training_log")["value"] / step) * step
     return commit(
         shard,
         store,
@@ -145,7 +151,7 @@ def run_bend(shard: Shard, store: Store) -> ArtifactRef:
                 "values": [values],
             }
         },
-        facts={"takes": merge_takes(store.manifest(shard.inputs[0]))},
+        facts={"takes": merge_takes(store.manifest(shard.ref("log")))},
     )
 
 
@@ -157,8 +163,8 @@ def plan_judge(inputs: StageInputs, parameters: JudgeParameters) -> list[Shard]:
             version=1,
             partition="all",
             name="all",
-            parameters={"title": parameters.title},
-            inputs=tuple(manifest.ref for manifest in manifests),
+            parameters=parameters,
+            inputs=named_refs(models=manifests),
             seed=inputs.seed,
         )
     ]
@@ -166,7 +172,7 @@ def plan_judge(inputs: StageInputs, parameters: JudgeParameters) -> list[Shard]:
 
 def run_judge(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
-    total = sum(float(store.read(ref, "models")["values"][0].sum()) for ref in shard.inputs)
+    total = sum(float(store.read(ref, "models")["values"][0].sum()) for ref in shard.refs("models"))
     return commit(
         shard,
         store,
@@ -181,11 +187,11 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
                 "at": [float("nan")],
                 "value": [total],
                 "unit": [""],
-                "count": [len(shard.inputs)],
+                "count": [len(shard.refs("models"))],
             }
         },
         facts={"takes": []},
-        attachments={"report.html": f"<h1>{shard.parameters['title']}</h1>".encode()},
+        attachments={"report.html": f"<h1>{shard.options(JudgeParameters).title}</h1>".encode()},
     )
 
 
@@ -196,7 +202,7 @@ def plan_aside(inputs: StageInputs, parameters: AsideParameters) -> list[Shard]:
             version=1,
             partition="aside",
             name="all",
-            parameters={"size": parameters.size},
+            parameters=parameters,
             seed=inputs.seed,
         )
     ]
@@ -204,7 +210,7 @@ def plan_aside(inputs: StageInputs, parameters: AsideParameters) -> list[Shard]:
 
 def run_aside(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
-    size = shard.parameters["size"]
+    size = shard.options(AsideParameters).size
     columns = {
         "cluster": np.arange(size),
         "representative_m": np.zeros((size, 14, 2)),
@@ -225,6 +231,6 @@ TOYS = Graph(
 
 if __name__ == "__main__":
     from flows.console import main
-    from tests import toys  # by its name: workers must find the stages there, not in __main__
+    from tests.builders import toys  # by its name: workers must find the stages there, not in __main__
 
     main(sys.argv[1:], graph=toys.TOYS)

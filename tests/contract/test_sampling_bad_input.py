@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from pasdedeux.sampling import gauge_fix, kernel_from_json
 from pasdedeux.sampling.parameters import PairChart, block_indices
-from pasdedeux.sampling.synthetic import standing_pair
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks import chains

@@ -13,10 +13,10 @@ from flows.console.exporting import export_reference
 from flows.execution import Run, begin, execute
 from flows.planning import Selection, make_plan
 from flows.study import Study
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
 from pasdedeux.sampling import gauge_fix
-from pasdedeux.sampling.synthetic import random_pairs
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
 from tasks.graph import Graph

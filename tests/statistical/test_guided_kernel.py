@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import ChainState, Evaluation, GaussianBlocks, MoveMixture, Proposed, run_segment
@@ -17,7 +18,6 @@ from pasdedeux.sampling.guided import Guided, GuidedStep, Guides
 from pasdedeux.sampling.guided_kernels import move_by
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, POSITION_INDICES
 from pasdedeux.sampling.proposals import Local
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs
 from tests.statistical.test_pair_kernels import (
     CHART,
     EVERYTHING,

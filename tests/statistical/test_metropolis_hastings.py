@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.sampling import (
     ChainState,
     Evaluation,
@@ -24,7 +25,6 @@ from pasdedeux.sampling import (
 )
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES
-from pasdedeux.sampling.synthetic import standing_pair
 
 LEAST_ESS = 400.0
 NUM_ERRORS = 4.5

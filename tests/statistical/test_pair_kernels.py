@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import (
@@ -36,7 +37,6 @@ from pasdedeux.sampling import (
 from pasdedeux.sampling.diagnostics import effective_sample_size
 from pasdedeux.sampling.parameters import POSITION_INDICES, block_indices
 from pasdedeux.sampling.proposals import Local
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.skeletons import PAIR17
 
 NUM_ERRORS = 4.5

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling import PairDensity, PhysicalPrior, diagnose, invariants
 from pasdedeux.sampling.diagnostics import MOST_AT_CEILING
 from pasdedeux.sampling.parameters import PairChart
-from pasdedeux.sampling.synthetic import random_pairs, standing_pair
 
 SEED = standing_pair()
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion import (
     DrawIndex,
@@ -32,7 +33,6 @@ from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility.capsules import capsule_model, penetration
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.synthetic import random_pairs, standing_pair
 from pasdedeux.skeletons import PAIR17
 
 PAIRS = random_pairs(np.random.default_rng(0), 700, spread_rad=0.3)

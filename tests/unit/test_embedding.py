@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, realism_scores, union_scores
 from pasdedeux.evaluation.embedding import PairMap, map_figure
@@ -13,7 +14,6 @@ from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.interaction.shape_context import pair_shape_dissimilarity
 from pasdedeux.sampling.coverage import coverage_curve
-from pasdedeux.sampling.synthetic import random_pairs
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import ViewOptions
 from pasdedeux.evaluation.lifting import (
     HIDDEN,
@@ -18,7 +19,6 @@ from pasdedeux.evaluation.lifting import (
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.views import CONDITIONS, view_robustness
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.sampling.synthetic import random_pairs
 from tests.builders.poses import BASIS, dancers, filmed
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.evaluation.coverage import (
     as_good_as_real_frames,
@@ -29,7 +30,6 @@ from pasdedeux.evaluation.variants import (
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve
-from pasdedeux.sampling.synthetic import random_pairs
 
 
 def _by_method(scores: list[Score], metric: str) -> dict[str, float]:

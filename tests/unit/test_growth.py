@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
@@ -17,7 +18,6 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
 from pasdedeux.sampling.growth import _Views, view_residuals
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs
 from pasdedeux.skeletons import PAIR17
 
 ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
@@ -14,7 +15,6 @@ from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model, penetr
 from pasdedeux.sampling import build_bank
 from pasdedeux.sampling.combination import Combination
 from pasdedeux.sampling.judging import Corruption, Judge, corrupt, seen_from, separation, told_apart
-from pasdedeux.sampling.synthetic import random_annotations
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 

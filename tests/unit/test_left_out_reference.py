@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import angle_between_directions
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.sampling.reference import left_out_dissimilarity, left_out_log_likelihood
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs
 
 
 def test_left_out_annotations_are_compared_with_all_others_seen_alike() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import interaction_dissimilarity
@@ -16,7 +17,6 @@ from pasdedeux.sampling.measured_likelihood import (
     image_dissimilarity,
     matched_scale,
 )
-from pasdedeux.sampling.synthetic import random_annotations
 from tests.builders.poses import dancers
 
 PAIRS = dancers(5, 8)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.pair_file import (
     PairFile,
@@ -19,7 +20,6 @@ from pasdedeux.formats.pair_file import (
     write_pair_json,
 )
 from pasdedeux.sampling import gauge_fix
-from pasdedeux.sampling.synthetic import random_pairs
 from pasdedeux.skeletons import PAIR17
 
 PAIRS = random_pairs(np.random.default_rng(1), 30, spread_rad=0.5)

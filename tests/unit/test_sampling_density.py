@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.errors import InputError
@@ -38,7 +39,6 @@ from pasdedeux.sampling.parameters import (
     ROTATION_INDICES,
     block_indices,
 )
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.skeletons import PAIR17
 
 SEED = gauge_fix(standing_pair())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.shape_context import (
     ShapeCoverage,
@@ -13,7 +14,6 @@ from pasdedeux.interaction.shape_context import (
     shape_bins,
 )
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.sampling.synthetic import random_pairs
 
 PAIRS = random_pairs(np.random.default_rng(0), 40)
 

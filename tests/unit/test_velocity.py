@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
     GaussianBlocks,
@@ -22,7 +23,6 @@ from pasdedeux.sampling import (
 )
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
 from pasdedeux.sampling.proposal_kernels import _log_ratio
-from pasdedeux.sampling.synthetic import standing_pair
 from pasdedeux.skeletons import PAIR17
 
 ELBOW, WRIST = PAIR17.indices(("left_elbow", "left_wrist"))

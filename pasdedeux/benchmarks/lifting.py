@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, plain_nearest
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.synthetic import random_pairs
 
 __all__ = ["BENCHMARKS", "retrieval_problem"]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solvebanded_matrix, choleskybanded_matrix
 
 from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
 from pasdedeux.augmentation.descent import descend
@@ -17,7 +17,7 @@ from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
-from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.fitting import FitSettings
 from pasdedeux.kinematics import place_bones
 from pasdedeux.skeletons import BODY22
@@ -123,7 +123,7 @@ def shared_factor() -> BenchmarkResult:
     problem = build_problem(benchmark_source())
     factor = factorise(problem.matrix[0], problem.lag1[0], problem.lag2[0]).astype(np.float64)
     rhs = np.random.default_rng(1).normal(size=(1, factor.num_blocks, 2 * NUM_POINTS, _VARIANTS))
-    banded = cholesky_banded(_banded(problem), lower=True)
+    banded = choleskybanded_matrix(banded_matrix(problem), lower=True)
     flat = rhs.reshape(-1, _VARIANTS)[: _FRAMES * NUM_POINTS]
     return BenchmarkResult(
         name="augmentation: solves with the shared factor",
@@ -131,12 +131,12 @@ def shared_factor() -> BenchmarkResult:
         fast_name="block form",
         fast_per_s=measure_rate(lambda: solve(factor, rhs.copy(), np.array([0])), count=_VARIANTS),
         plain_name="LAPACK banded",
-        plain_per_s=measure_rate(lambda: cho_solve_banded((banded, True), flat), count=_VARIANTS),
+        plain_per_s=measure_rate(lambda: cho_solvebanded_matrix((banded, True), flat), count=_VARIANTS),
         note=f"{_FRAMES} frames of {NUM_POINTS} unknowns, {_VARIANTS} right-hand sides, 64 bits",
     )
 
 
-def _banded(problem: Problem) -> Array:
+def banded_matrix(problem: Problem) -> Array:
     """Return the horizontal matrix in LAPACK's lower banded form (2 * 44 + 1, T * 44)."""
     frames, n = problem.num_frames, NUM_POINTS
     banded = np.zeros((2 * n + 1, frames * n))

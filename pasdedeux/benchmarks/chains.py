@@ -8,7 +8,8 @@ from functools import cache, partial
 
 import numpy as np
 
-from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
 from pasdedeux.cameras import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.interaction.graph import delaunay_edges
@@ -30,7 +31,6 @@ from pasdedeux.sampling.measured_likelihood import ImageMeasure, MeasuredLikelih
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import GaussianBlocks
-from pasdedeux.sampling.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
 
 __all__ = ["BENCHMARKS"]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_solvebanded_matrix, choleskybanded_matrix
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
 from pasdedeux.augmentation.descent import descend
@@ -123,7 +123,7 @@ def shared_factor() -> BenchmarkResult:
     problem = build_problem(benchmark_source())
     factor = factorise(problem.matrix[0], problem.lag1[0], problem.lag2[0]).astype(np.float64)
     rhs = np.random.default_rng(1).normal(size=(1, factor.num_blocks, 2 * NUM_POINTS, _VARIANTS))
-    banded = choleskybanded_matrix(banded_matrix(problem), lower=True)
+    banded = cholesky_banded(banded_matrix(problem), lower=True)
     flat = rhs.reshape(-1, _VARIANTS)[: _FRAMES * NUM_POINTS]
     return BenchmarkResult(
         name="augmentation: solves with the shared factor",
@@ -131,7 +131,7 @@ def shared_factor() -> BenchmarkResult:
         fast_name="block form",
         fast_per_s=measure_rate(lambda: solve(factor, rhs.copy(), np.array([0])), count=_VARIANTS),
         plain_name="LAPACK banded",
-        plain_per_s=measure_rate(lambda: cho_solvebanded_matrix((banded, True), flat), count=_VARIANTS),
+        plain_per_s=measure_rate(lambda: cho_solve_banded((banded, True), flat), count=_VARIANTS),
         note=f"{_FRAMES} frames of {NUM_POINTS} unknowns, {_VARIANTS} right-hand sides, 64 bits",
     )
 

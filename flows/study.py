@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
+from flows.renamed import renamed_key
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
@@ -141,7 +142,10 @@ def study_from_tree(
             problems.append(f"{origin}: {problem}")
         overridden.append(path)
     known = (_HEAD, *graph.names)
-    problems.extend(_unknown(section, known) for section in tree if section not in known)
+    for name in tree:
+        if name not in known:
+            renamed = renamed_key([name])
+            problems.append(_unknown(name, known) if renamed is None else f"{name}: {renamed}")
     head = _validate(StudyHead, tree.get(_HEAD, {}), _HEAD, problems)
     parameters: dict[str, Parameters] = {}
     for stage in graph.stages:
@@ -237,6 +241,9 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
     """Say one validation error as a sentence with the full path of the key."""
     location = [str(step) for step in item["loc"]]
     path = ".".join([section, *location])
+    renamed = renamed_key([section, *item["loc"]], item["input"])
+    if renamed is not None:
+        return f"{path}: {renamed}"
     if item["type"] == "extra_forbidden":
         return _unknown(path, _known_names(model, item["loc"][:-1]), location[-1])
     if item["type"] == "missing":

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
+from flows.renamed import RENAMED_KEYS
 from flows.study import Study, StudyError, load_study, shipped_studies
 from tasks.graph import Graph
 from tasks.stage import Parameters, Stage
@@ -82,6 +83,24 @@ def test_unknown_keys_are_named_with_the_nearest_known_name(tmp_path: Path) -> N
 def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path) -> None:
     found = problems(write(tmp_path, '[[load.people]]\npath = "a.bvh"\nmeters_per_unit = 1.0\n'))
     assert any("load.people.0.meters_per_unit: unknown; did you mean metres_per_unit?" in p for p in found)
+
+
+def test_an_old_key_or_value_gets_the_sentence_that_is_kept_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(RENAMED_KEYS, "grow.least_takes", "is grow.num_takes now")
+    monkeypatch.setitem(RENAMED_KEYS, "load.people.unit", "is metres_per_unit now")
+    monkeypatch.setitem(RENAMED_KEYS, "grow.scale=big", "numbers are needed now")
+    monkeypatch.setitem(RENAMED_KEYS, "ben?", "is bend now")
+    text = '[grow]\nleast_takes = 2\nscale = "big"\n[[load.people]]\npath = "a.bvh"\nunit = 1\n'
+    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__LEAST_TAKES": "3"})
+    said = [problem.split(": ", 1)[1] for problem in found]
+    assert sorted(said) == [
+        "bent: is bend now",
+        "grow.least_takes: is grow.num_takes now",
+        "grow.scale: numbers are needed now",
+        "load.people.0.unit: is metres_per_unit now",
+    ]
 
 
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:

@@ -1,0 +1,28 @@
+"""What studies and commands of earlier versions said, and what to say now: one sentence for each old name.
+
+A study key is written with its section, `"chains.old_key"`; a position in a list is left out, and `*` stands for a name
+that the user chose (`"chains.variants.*.old_key"`).  A whole section is its name alone.  The value of a key that is no
+longer allowed is `"chains.some_key=old_value"`.  Tables and columns are in `storage_schema.renamed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+__all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
+
+RENAMED_KEYS: dict[str, str] = {}
+"""Old study key, or key=value, to one sentence with the new name or what became of it."""
+
+RENAMED_COMMANDS: dict[str, str] = {}
+"""Old command of `pasdedeux` to one sentence with the new one."""
+
+
+def renamed_key(path: Sequence[str | int], value: object = None) -> str | None:
+    """Return the sentence for an old key, or for an old value of a key; None when the key was never another."""
+    name = ".".join(str(step) for step in path if not str(step).isdigit())
+    for old, sentence in RENAMED_KEYS.items():
+        if fnmatchcase(name, old) or (isinstance(value, str) and fnmatchcase(f"{name}={value}", old)):
+            return sentence
+    return None

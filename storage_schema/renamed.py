@@ -1,0 +1,11 @@
+"""Tables and columns of earlier versions, and what to say when a reference or a reader names one: one sentence each."""
+
+from __future__ import annotations
+
+__all__ = ["RENAMED_COLUMNS", "RENAMED_TABLES"]
+
+RENAMED_TABLES: dict[str, str] = {}
+"""Old table to one sentence with the new name or what became of it."""
+
+RENAMED_COLUMNS: dict[str, str] = {}
+"""Old column, with its table (`"draws.old_column"`), to one sentence with the new name or what became of it."""

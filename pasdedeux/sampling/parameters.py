@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths
+from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths, rotation_kernels
 from pasdedeux.kinematics.rotations import (
     multiply,
     rotate,
@@ -188,31 +188,22 @@ def _place(parameters, directions, axes, lengths, order, parents, positions):  #
             joint = order[at]
             parent = parents[joint]
             if parent < 0:
-                tx, ty, tz = parameters[start], parameters[start + 1], parameters[start + 2]
-            else:
-                first = start + 3 + 3 * joint
-                u, v = parameters[first], parameters[first + 1]
-                tx = u * axes[person, joint, 0, 0] + v * axes[person, joint, 1, 0]
-                ty = u * axes[person, joint, 0, 1] + v * axes[person, joint, 1, 1]
-                tz = u * axes[person, joint, 0, 2] + v * axes[person, joint, 1, 2]
-            angle = np.sqrt(tx * tx + ty * ty + tz * tz)
-            factor = 0.5 if angle < 1e-8 else np.sin(0.5 * angle) / angle
-            x, y, z, w = tx * factor, ty * factor, tz * factor, np.cos(0.5 * angle)
-            if parent < 0:
-                frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = x, y, z, w
+                turn = rotation_kernels.unitquat_from_rotvec(
+                    (parameters[start], parameters[start + 1], parameters[start + 2])
+                )
+                frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = turn
                 for axis in range(3):
                     positions[person, joint, axis] = parameters[start + 3 + axis]
                 continue
-            px, py, pz, pw = frames[parent, 0], frames[parent, 1], frames[parent, 2], frames[parent, 3]
-            qx = pw * x + px * w + py * z - pz * y
-            qy = pw * y - px * z + py * w + pz * x
-            qz = pw * z + px * y - py * x + pz * w
-            qw = pw * w - px * x - py * y - pz * z
-            frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = qx, qy, qz, qw
-            dx, dy, dz = directions[person, joint, 0], directions[person, joint, 1], directions[person, joint, 2]
-            # v + 2 w (q x v) + 2 q x (q x v)
-            cx, cy, cz = 2.0 * (qy * dz - qz * dy), 2.0 * (qz * dx - qx * dz), 2.0 * (qx * dy - qy * dx)
+            first = start + 3 + 3 * joint
+            one, two = rotation_kernels.row_of(axes[person, joint], 0), rotation_kernels.row_of(axes[person, joint], 1)
+            turn = rotation_kernels.unitquat_from_rotvec(
+                rotation_kernels.mix(parameters[first], one, parameters[first + 1], two)
+            )
+            above = (frames[parent, 0], frames[parent, 1], frames[parent, 2], frames[parent, 3])
+            frame = rotation_kernels.multiply(above, turn)
+            frames[joint, 0], frames[joint, 1], frames[joint, 2], frames[joint, 3] = frame
+            bone = rotation_kernels.rotate(frame, rotation_kernels.row_of(directions[person], joint))
             length = lengths[person, joint] * (1.0 + parameters[start + 5 + 3 * joint])
-            positions[person, joint, 0] = positions[person, parent, 0] + length * (dx + qw * cx + qy * cz - qz * cy)
-            positions[person, joint, 1] = positions[person, parent, 1] + length * (dy + qw * cy + qz * cx - qx * cz)
-            positions[person, joint, 2] = positions[person, parent, 2] + length * (dz + qw * cz + qx * cy - qy * cx)
+            for axis in range(3):
+                positions[person, joint, axis] = positions[person, parent, axis] + length * bone[axis]

@@ -6,28 +6,9 @@ import math
 
 import numba
 
+from pasdedeux.kinematics.rotation_kernels import multiply, rotvec_from_unitquat, unitquat_from_rotvec
+
 __all__ = ["log_ratio_of_steps", "move_blocks"]
-
-
-@numba.njit(cache=True, nogil=True)
-def _turn_by(tx, ty, tz, parameters, start):  # type: ignore[no-untyped-def]
-    """Put a rotation vector's turn before the rotation vector at `start`, in place."""
-    angle = math.sqrt(tx * tx + ty * ty + tz * tz)
-    factor = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
-    px, py, pz, pw = tx * factor, ty * factor, tz * factor, math.cos(0.5 * angle)
-    tx, ty, tz = parameters[start], parameters[start + 1], parameters[start + 2]
-    angle = math.sqrt(tx * tx + ty * ty + tz * tz)
-    factor = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
-    x, y, z, w = tx * factor, ty * factor, tz * factor, math.cos(0.5 * angle)
-    qx = pw * x + px * w + py * z - pz * y
-    qy = pw * y - px * z + py * w + pz * x
-    qz = pw * z + px * y - py * x + pz * w
-    qw = pw * w - px * x - py * y - pz * z
-    if qw < 0.0:
-        qx, qy, qz, qw = -qx, -qy, -qz, -qw
-    sine = math.sqrt(qx * qx + qy * qy + qz * qz)
-    factor = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, qw) / sine
-    parameters[start], parameters[start + 1], parameters[start + 2] = qx * factor, qy * factor, qz * factor
 
 
 @numba.njit(cache=True, nogil=True)
@@ -51,7 +32,10 @@ def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, 
         start = person * (3 + 3 * num_joints)
         size = factors[at] * turn[block]
         if joint == 0:
-            _turn_by(size * noise[at, 0], size * noise[at, 1], size * noise[at, 2], parameters, start)
+            turn_by = unitquat_from_rotvec((size * noise[at, 0], size * noise[at, 1], size * noise[at, 2]))
+            before = unitquat_from_rotvec((parameters[start], parameters[start + 1], parameters[start + 2]))
+            after = rotvec_from_unitquat(multiply(turn_by, before))
+            parameters[start], parameters[start + 1], parameters[start + 2] = after
             for axis in range(3):
                 parameters[start + 3 + axis] += factors[at] * shift[person] * noise[at, 3 + axis]
             continue

@@ -2,40 +2,24 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
 from flows.renamed import renamed_key
+from flows.study_files import HEAD, StudyError, StudyTree, read_study_tree, unknown
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shipped_studies", "study_from_tree"]
+__all__ = ["Study", "StudyError", "StudyHead", "load_study", "study_from_tree"]
 
-ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
-_HEAD = "study"
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-
-
-class StudyError(Exception):
-    """A study cannot be used; `problems` has one clear sentence for each thing that is wrong."""
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        super().__init__(list(problems))
-        self.problems = list(problems)
-
-    def __str__(self) -> str:
-        """Return the problems, one a line."""
-        return "\n".join(self.problems)
 
 
 class StudyHead(BaseModel):
@@ -44,6 +28,11 @@ class StudyHead(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(description="Name of the study: letters, digits, '-' and '_'; runs are recorded under it")
+    extends: str | None = Field(
+        None,
+        exclude=True,
+        description="Study whose keys hold where this one does not say otherwise: one that ships, or a path from here",
+    )
     title: str = Field(
         "", description="One line for people, shown where studies are listed; the report has `evaluation.title`"
     )
@@ -74,14 +63,7 @@ class Study(BaseModel):
     def resolved(self) -> dict[str, Any]:
         """Return the whole study as JSON values, as it could have been written in its file."""
         sections = {name: model.model_dump(mode="json") for name, model in self.parameters.items()}
-        return {_HEAD: self.head.model_dump(mode="json"), **sections}
-
-
-def shipped_studies() -> dict[str, str]:
-    """Return the text of every study that comes with the package, by name."""
-    folder = resources.files("flows").joinpath("studies")
-    files = sorted((item for item in folder.iterdir() if item.name.endswith(".toml")), key=lambda item: item.name)
-    return {item.name.removesuffix(".toml"): item.read_text(encoding="utf-8") for item in files}
+        return {HEAD: self.head.model_dump(mode="json"), **sections}
 
 
 def load_study(
@@ -94,137 +76,59 @@ def load_study(
 ) -> tuple[Study, Graph]:
     """Read a study that ships (by name) or a file (by path), with its overrides; give it with the graph of its stages.
 
-    What is said first wins: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, the defaults.
-    Relative paths are relative to the study's file; those of settings, of the environment and of a shipped study to
-    `folder` (the current one).
+    What is said first wins: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, what it extends,
+    the defaults.  Tables are merged, lists replaced.  Relative paths are relative to the file that says them; those of
+    settings, of the environment and of a shipped study to `folder` (the current one).
 
     Raises:
         StudyError: Lists every problem: no such study, not TOML, unknown keys, values that are not allowed.
     """
     here = (folder or Path.cwd()).resolve()
-    text, base, label = _find(name_or_path, here)
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise StudyError([f"study {label} is not valid TOML: {error}"]) from None
-    return study_from_tree(tree, graph, label=label, base=base, here=here, settings=settings, environment=environment)
+    return study_from_tree(
+        read_study_tree(name_or_path, here), graph, here=here, settings=settings, environment=environment
+    )
 
 
 def study_from_tree(
-    tree: dict[str, Any],
+    tree: StudyTree,
     graph: Graph,
     *,
-    label: str,
-    base: Path,
     here: Path,
     settings: Sequence[str] = (),
     environment: Mapping[str, str] | None = None,
 ) -> tuple[Study, Graph]:
-    """Make a study of what its file says, section by section, with its overrides, as `load_study` does.
+    """Make a study of what its files say, section by section, with its overrides, as `load_study` does.
 
     Args:
-        tree: The file's tables; overrides are put into it.
+        tree: What its files say; overrides are put into it.
         graph: All stages.
-        label: What to call the study in messages.
-        base: Folder that the file's relative paths start from.
-        here: Folder that those of overrides start from.
+        here: Folder that the relative paths of overrides start from.
         settings: Overrides, "a.b=c".
         environment: Environment with further ones, the process's own when None.
 
     Raises:
         StudyError: Lists every problem.
     """
-    problems: list[str] = []
-    overridden: list[tuple[str, ...]] = []
-    for path, value, origin in _overrides(settings, os.environ if environment is None else environment, problems):
-        problem = _put(tree, path, value)
-        if problem:
-            problems.append(f"{origin}: {problem}")
-        overridden.append(path)
-    known = (_HEAD, *graph.names)
-    for name in tree:
+    problems = tree.override(settings, os.environ if environment is None else environment, here)
+    known = (HEAD, *graph.names)
+    for name in tree.values:
         if name not in known:
             renamed = renamed_key([name])
-            problems.append(_unknown(name, known) if renamed is None else f"{name}: {renamed}")
-    head = _validate(StudyHead, tree.get(_HEAD, {}), _HEAD, problems)
+            problems.append(unknown(name, known) if renamed is None else f"{name}: {renamed}")
+    head = _validate(StudyHead, tree.values.get(HEAD, {}), HEAD, problems)
     parameters: dict[str, Parameters] = {}
     for stage in graph.stages:
-        section = _validate(stage.parameters, tree.get(stage.name, {}), stage.name, problems)
+        section = _validate(stage.parameters, tree.values.get(stage.name, {}), stage.name, problems)
         if section is not None:
-            parameters[stage.name] = _with_absolute_paths(section, (stage.name,), base, here, overridden)
+            parameters[stage.name] = _with_absolute_paths(section, (stage.name,), tree)
     if head is not None and head.stages is not None:
         problems.extend(
-            _unknown(f"{_HEAD}.stages: '{name}'", graph.names, name) for name in head.stages if name not in graph.names
+            unknown(f"{HEAD}.stages: '{name}'", graph.names, name) for name in head.stages if name not in graph.names
         )
     if problems or head is None:
-        raise StudyError([f"study {label}: {problem}" for problem in problems])
+        raise StudyError([f"study {tree.label}: {problem}" for problem in problems])
     wanted = graph if head.stages is None else graph.only(head.stages)
     return Study(head=head, parameters={name: parameters[name] for name in wanted.names}), wanted
-
-
-def _find(name_or_path: str, here: Path) -> tuple[str, Path, str]:
-    """Return a study's text, the folder its relative paths start from, and what to call it in messages."""
-    shipped = shipped_studies()
-    if name_or_path in shipped:
-        return shipped[name_or_path], here, name_or_path
-    path = here / Path(name_or_path).expanduser()
-    looks_like_path = name_or_path.endswith(".toml") or "/" in name_or_path or os.sep in name_or_path
-    if not looks_like_path and not path.is_file():
-        raise StudyError([_unknown(f"study '{name_or_path}'", tuple(shipped), name_or_path) + "; or give a .toml file"])
-    try:
-        return path.read_text(encoding="utf-8"), path.resolve().parent, name_or_path
-    except FileNotFoundError:
-        raise StudyError([f"study file {name_or_path} does not exist"]) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise StudyError([f"study file {name_or_path} cannot be read: {error}"]) from None
-
-
-def _overrides(
-    settings: Sequence[str], environment: Mapping[str, str], problems: list[str]
-) -> Iterable[tuple[tuple[str, ...], Any, str]]:
-    """Return the overrides, weakest first, as (path, value, where it was said)."""
-    for variable in sorted(environment):
-        if variable.startswith(ENVIRONMENT_PREFIX):
-            path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))
-            yield path, _value(environment[variable]), variable
-    for setting in settings:
-        name, equals, text = setting.partition("=")
-        path = tuple(name.strip().split("."))
-        if not equals or not all(path) or len(path) < 2:
-            problems.append(f"--set {setting}: expected section.name=value, for example chains.num_chains=4")
-            continue
-        yield path, _value(text), f"--set {setting}"
-
-
-def _value(text: str) -> Any:
-    """Read a value as TOML would (4, 0.5, true, [1, 2], "text"); anything else is text as it stands."""
-    try:
-        return tomllib.loads(f"value = {text.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-
-
-def _put(tree: dict[str, Any], path: tuple[str, ...], value: Any) -> str:
-    """Put a value at a path of tables and list positions; the problem in words, or nothing."""
-    node: Any = tree
-    for depth, step in enumerate(path):
-        is_last = depth == len(path) - 1
-        where = ".".join(path[: depth + 1])
-        if isinstance(node, list):
-            if not step.isdigit() or int(step) >= len(node):
-                return f"{where}: expected a position from 0 to {len(node) - 1}"
-            if is_last:
-                node[int(step)] = value
-            else:
-                node = node[int(step)]
-        elif isinstance(node, dict):
-            if is_last:
-                node[step] = value
-            else:
-                node = node.setdefault(step, {})
-        else:
-            return f"{'.'.join(path[:depth])} is a single value, so {where} cannot be set"
-    return ""
 
 
 def _validate(model: type[M], values: Any, section: str, problems: list[str]) -> M | None:
@@ -245,7 +149,9 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
     if renamed is not None:
         return f"{path}: {renamed}"
     if item["type"] == "extra_forbidden":
-        return _unknown(path, _known_names(model, item["loc"][:-1]), location[-1])
+        return unknown(path, _known_names(model, item["loc"][:-1]), location[-1])
+    if item["type"] == "missing" and path == f"{HEAD}.name":
+        return f"{path}: missing; a study without a name is not run, it is there for others to extend"
     if item["type"] == "missing":
         return f"{path}: missing, a value is needed"
     message = str(item["msg"]).removeprefix("Value error, ")
@@ -255,14 +161,6 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
         message = message.replace("Input should", "should", 1)
     found = item["input"]
     return f"{path}: {message}" + ("" if isinstance(found, dict | BaseModel) else f"; found {found!r}")
-
-
-def _unknown(path: str, known: Sequence[str], name: str | None = None) -> str:
-    """Say that a name is unknown, with the nearest known name or all of them."""
-    near = difflib.get_close_matches(name or path, known, n=1, cutoff=0.5)
-    if near:
-        return f"{path}: unknown; did you mean {near[0]}?"
-    return f"{path}: unknown; known: {', '.join(known) or 'none'}"
 
 
 def _known_names(model: type[BaseModel], location: Sequence[str | int]) -> tuple[str, ...]:
@@ -282,22 +180,17 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     return [found for argument in get_args(annotation) for found in _models_in(argument)]
 
 
-def _with_absolute_paths(
-    value: V, path: tuple[str, ...], base: Path, here: Path, overridden: list[tuple[str, ...]]
-) -> V:
+def _with_absolute_paths(value: V, path: tuple[str, ...], tree: StudyTree) -> V:
     """Return a validated value with every relative path in it made absolute."""
     if isinstance(value, Path):
-        start = here if any(path[: len(other)] == other for other in overridden) else base
-        return start / value.expanduser()
+        return tree.folder_of(path) / value.expanduser()
     if isinstance(value, BaseModel):
         changed = {
-            name: _with_absolute_paths(getattr(value, name), (*path, name), base, here, overridden)
-            for name in type(value).model_fields
+            name: _with_absolute_paths(getattr(value, name), (*path, name), tree) for name in type(value).model_fields
         }
         return value.model_copy(update={k: v for k, v in changed.items() if v is not getattr(value, k)})
     if isinstance(value, Mapping):
-        return {k: _with_absolute_paths(v, (*path, str(k)), base, here, overridden) for k, v in value.items()}  # type: ignore[return-value]
+        return {k: _with_absolute_paths(v, (*path, str(k)), tree) for k, v in value.items()}  # type: ignore[return-value]
     if isinstance(value, list | tuple):
-        items = [_with_absolute_paths(v, (*path, str(i)), base, here, overridden) for i, v in enumerate(value)]
-        return type(value)(items)
+        return type(value)([_with_absolute_paths(v, (*path, str(i)), tree) for i, v in enumerate(value)])
     return value

@@ -12,6 +12,7 @@ from flows.console.context import Context, JsonOption, StoreOption, open_store
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
+from flows.study_files import StudyTree
 from storage_schema import Store, latest_studies
 
 if TYPE_CHECKING:
@@ -71,10 +72,8 @@ def restart(
     if num_chains is not None:
         tree["chains"]["num_chains"] = num_chains
     study, graph = study_from_tree(
-        tree,
+        StudyTree(name, tree, {(): Path.cwd()}),
         context.find_object(Context).graph,  # type: ignore[union-attr]
-        label=name,
-        base=Path.cwd(),
         here=Path.cwd(),
         settings=settings or (),
     )

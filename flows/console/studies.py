@@ -10,7 +10,7 @@ import typer
 
 from flows.console import fetch
 from flows.console.context import JsonOption, print_json
-from flows.study import shipped_studies
+from flows.study_files import shipped_studies
 
 __all__ = ["register"]
 

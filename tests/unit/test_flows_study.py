@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from pathlib import Path
 
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from flows.renamed import RENAMED_KEYS
-from flows.study import Study, StudyError, load_study, shipped_studies
-from tasks.graph import Graph
+from flows.study import Study, StudyError, load_study
+from flows.study_files import shipped_studies
+from tasks.graph import Graph, load_graph
 from tasks.stage import Parameters, Stage
 from tests.builders.toys import TOYS, plan_aside, run_aside
 
@@ -171,10 +173,87 @@ def test_the_real_environment_is_read_when_none_is_given(tmp_path: Path, monkeyp
     assert study.resolved()["grow"]["num_takes"] == 9
 
 
-def test_every_study_that_ships_has_a_name_and_a_title() -> None:
-    import tomllib
+def chain_of(tmp_path: Path, **texts: str) -> Path:
+    """Write studies `name.toml` and return the path of the last one."""
+    for name, text in texts.items():
+        path = tmp_path / f"{name}.toml"
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_text(text)
+    return path
 
-    for name, text in shipped_studies().items():
-        head = tomllib.loads(text)["study"]
-        assert head["name"] == name
+
+def test_a_study_takes_over_what_it_does_not_say_itself_through_several_levels(tmp_path: Path) -> None:
+    path = chain_of(
+        tmp_path,
+        base='[study]\ntitle = "a base"\nseed = 7\n[grow]\nnum_takes = 2\nnum_segments = 4\n[judge]\ntitle = "old"\n',
+        middle='[study]\nname = "middle"\nextends = "base.toml"\n[grow]\nnum_takes = 3\n',
+        mine='[study]\nname = "mine"\nextends = "./middle.toml"\n[judge]\ntitle = "new"\n',
+    )
+    study = load(path, "grow.num_segments=5", environment={"PASDEDEUX_SET__GROW__SCALE": "6.0"})
+    assert (study.name, study.head.title, study.head.seed) == ("mine", "", 7)
+    assert grow(study)["num_takes"] == 3
+    assert (grow(study)["num_segments"], grow(study)["scale"]) == (5, 6.0)
+    assert study.resolved()["judge"]["title"] == "new"
+
+
+def test_lists_of_an_extended_study_are_replaced_not_joined(tmp_path: Path) -> None:
+    path = chain_of(
+        tmp_path,
+        base='[[load.people]]\npath = "a.bvh"\n[[load.people]]\npath = "b.bvh"\n[load]\nrate_hz = 60\n',
+        mine='[study]\nname = "mine"\nextends = "base.toml"\n[[load.people]]\npath = "c.bvh"\n',
+    )
+    section = load(path).resolved()["load"]
+    assert [person["path"] for person in section["people"]] == [str(tmp_path / "c.bvh")]
+    assert section["rate_hz"] == 60
+
+
+def test_relative_paths_are_relative_to_the_file_that_says_them(tmp_path: Path) -> None:
+    path = chain_of(
+        tmp_path,
+        **{
+            "shared/base": '[load]\nfolder = "data"\n[[load.people]]\npath = "a.bvh"\n',
+            "own/mine": '[study]\nname = "mine"\nextends = "../shared/base.toml"\n',
+            "own/other": '[study]\nname = "other"\nextends = "mine.toml"\n[load]\nfolder = "here"\n',
+        },
+    )
+    section = load(path).resolved()["load"]
+    assert section["folder"] == str(tmp_path / "own" / "here")
+    assert section["people"][0]["path"] == str(tmp_path / "shared" / "a.bvh")
+    study, _ = load_study(str(path), GRAPH, settings=["load.folder=x"], environment={}, folder=tmp_path)
+    assert study.resolved()["load"]["folder"] == str(tmp_path / "x")
+
+
+@pytest.mark.parametrize(
+    ("texts", "sentence"),
+    [
+        ({"mine": 'extends = "mine.toml"'}, "extends itself: "),
+        ({"a": 'extends = "mine.toml"', "mine": 'extends = "a.toml"'}, "a.toml -> "),
+        ({"mine": 'extends = "duetts"'}, "study.extends: study 'duetts': unknown; did you mean duets?"),
+        ({"mine": 'extends = "none.toml"'}, "study.extends: study file none.toml does not exist"),
+        ({"mine": "extends = 3"}, "study.extends: should be the name or the path of one study"),
+        ({"a": "name = ", "mine": 'extends = "a.toml"'}, "study a.toml is not valid TOML"),
+    ],
+)
+def test_a_study_that_extends_nothing_or_itself_is_one_sentence(
+    tmp_path: Path, texts: dict[str, str], sentence: str
+) -> None:
+    found = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
+    assert len(found) == 1
+    assert sentence in found[0]
+
+
+def test_what_a_study_extends_is_said_in_its_file_only(tmp_path: Path) -> None:
+    assert any(
+        "study.extends: can be said in a study's file only" in p
+        for p in problems(write(tmp_path, ""), "study.extends=duets")
+    )
+
+
+def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> None:
+    heads = {name: tomllib.loads(text)["study"] for name, text in shipped_studies().items()}
+    extended = {head.get("extends") for head in heads.values()}
+    for name, head in heads.items():
         assert head["title"]
+        assert name in extended if "name" not in head else head["name"] == name
+        if "name" in head:
+            assert load_study(name, load_graph(), environment={})[0].name == name

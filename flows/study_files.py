@@ -1,0 +1,204 @@
+"""Files of studies: those that ship and those of a user, what each takes over from the one it extends, overrides."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+__all__ = ["HEAD", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "unknown"]
+
+ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
+HEAD = "study"
+"""Section of a study that says what it is called, what it extends, and which stages it has."""
+
+_NOT_INHERITED = ("name", "title")
+
+
+class StudyError(Exception):
+    """A study cannot be used; `problems` has one clear sentence for each thing that is wrong."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__(list(problems))
+        self.problems = list(problems)
+
+    def __str__(self) -> str:
+        """Return the problems, one a line."""
+        return "\n".join(self.problems)
+
+
+@dataclass
+class StudyTree:
+    """What a study says, before anything is checked: its own file, what that extends, and overrides, as one.
+
+    Args:
+        label: What to call the study in messages.
+        values: Its tables.
+        folders: For a key the folder that relative paths at and below it start from; the longest key that fits counts.
+    """
+
+    label: str
+    values: dict[str, Any] = field(default_factory=dict)
+    folders: dict[tuple[str, ...], Path] = field(default_factory=dict)
+
+    def folder_of(self, path: Sequence[str]) -> Path:
+        """Return the folder that a relative path at this key starts from."""
+        return next(self.folders[key] for i in range(len(path), -1, -1) if (key := tuple(path[:i])) in self.folders)
+
+    def merge(self, values: Mapping[str, Any], folder: Path, path: tuple[str, ...] = ()) -> None:
+        """Put tables over those that are here, table by table; lists and single values take the place of what was."""
+        node: Any = self.values
+        for step in path:
+            node = node[step]
+        for name, value in values.items():
+            if isinstance(value, dict) and isinstance(node.get(name), dict):
+                self.merge(value, folder, (*path, name))
+            else:
+                node[name] = deepcopy(value)
+                self._say_folder((*path, name), folder)
+
+    def override(self, settings: Sequence[str], environment: Mapping[str, str], here: Path) -> list[str]:
+        """Put overrides in, those of the environment first; gives what is wrong with them, in words."""
+        problems: list[str] = []
+        for path, value, origin in _overrides(settings, environment, problems):
+            problem = _put(self.values, path, value)
+            if problem:
+                problems.append(f"{origin}: {problem}")
+            self._say_folder(path, here)
+        if "extends" in self.values.get(HEAD, {}):
+            problems.append(f"{HEAD}.extends: can be said in a study's file only")
+        return problems
+
+    def _say_folder(self, path: tuple[str, ...], folder: Path) -> None:
+        self.folders = {key: old for key, old in self.folders.items() if key[: len(path)] != path}
+        self.folders[path] = folder
+
+
+def shipped_studies() -> dict[str, str]:
+    """Return the text of every study that comes with the package, by name."""
+    folder = resources.files("flows").joinpath("studies")
+    files = sorted((item for item in folder.iterdir() if item.name.endswith(".toml")), key=lambda item: item.name)
+    return {item.name.removesuffix(".toml"): item.read_text(encoding="utf-8") for item in files}
+
+
+def read_study_tree(name_or_path: str, here: Path) -> StudyTree:
+    """Read a study that ships (by name) or a file (by path), with all that it extends.
+
+    Relative paths start from the file that says them, those of a study that ships from `here`.  The name and the title
+    of a study are its own.
+
+    Raises:
+        StudyError: There is no such study, it is not TOML, or it extends what does not exist or itself.
+    """
+    tree = StudyTree(name_or_path, folders={(): here})
+    _merge_study(tree, name_or_path, here, here, ())
+    return tree
+
+
+def unknown(path: str, known: Sequence[str], name: str | None = None) -> str:
+    """Say that a name is unknown, with the nearest known name or all of them."""
+    near = difflib.get_close_matches(name or path, known, n=1, cutoff=0.5)
+    if near:
+        return f"{path}: unknown; did you mean {near[0]}?"
+    return f"{path}: unknown; known: {', '.join(known) or 'none'}"
+
+
+def _merge_study(tree: StudyTree, said: str, here: Path, folder: Path, children: tuple[str, ...]) -> None:
+    """Put a study into a tree, over what it extends.
+
+    Args:
+        tree: Where to.
+        said: Name or path of the study, as somebody said it.
+        here: Where the relative paths of studies that ship start from.
+        folder: Where `said` starts from.
+        children: The studies that extend this one, the first one first.
+    """
+    context = f"study {children[-1]}: {HEAD}.extends: " if children else ""
+    text, folder, label = _find(said, here, folder, context)
+    if label in children:
+        raise StudyError([f"study {children[0]} extends itself: {' -> '.join([*children, label])}"])
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError([f"{context}study {said} is not valid TOML: {error}"]) from None
+    head = values.get(HEAD)
+    if isinstance(head, dict):
+        parent = head.pop("extends", None)
+        for name in _NOT_INHERITED if children else ():
+            head.pop(name, None)
+        if isinstance(parent, str):
+            _merge_study(tree, parent, here, folder, (*children, label))
+        elif parent is not None:
+            raise StudyError([f"study {said}: {HEAD}.extends: should be the name or the path of one study"])
+    tree.merge(values, folder)
+
+
+def _find(said: str, here: Path, folder: Path, context: str) -> tuple[str, Path, str]:
+    """Return a study's text, the folder its relative paths start from, and what to call it in messages."""
+    shipped = shipped_studies()
+    if said in shipped:
+        return shipped[said], here, said
+    path = folder / Path(said).expanduser()
+    looks_like_path = said.endswith(".toml") or "/" in said or os.sep in said
+    if not looks_like_path and not path.is_file():
+        raise StudyError([unknown(f"{context}study '{said}'", tuple(shipped), said) + "; or give a .toml file"])
+    try:
+        return path.read_text(encoding="utf-8"), path.resolve().parent, str(path.resolve())
+    except FileNotFoundError:
+        raise StudyError([f"{context}study file {said} does not exist"]) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise StudyError([f"{context}study file {said} cannot be read: {error}"]) from None
+
+
+def _overrides(
+    settings: Sequence[str], environment: Mapping[str, str], problems: list[str]
+) -> Iterator[tuple[tuple[str, ...], Any, str]]:
+    """Return the overrides, weakest first, as (path, value, where it was said)."""
+    for variable in sorted(environment):
+        if variable.startswith(ENVIRONMENT_PREFIX):
+            path = tuple(variable.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"))
+            yield path, _value(environment[variable]), variable
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        path = tuple(name.strip().split("."))
+        if not equals or not all(path) or len(path) < 2:
+            problems.append(f"--set {setting}: expected section.name=value, for example chains.num_chains=4")
+            continue
+        yield path, _value(text), f"--set {setting}"
+
+
+def _value(text: str) -> Any:
+    """Read a value as TOML would (4, 0.5, true, [1, 2], "text"); anything else is text as it stands."""
+    try:
+        return tomllib.loads(f"value = {text.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _put(tree: dict[str, Any], path: tuple[str, ...], value: Any) -> str:
+    """Put a value at a path of tables and list positions; the problem in words, or nothing."""
+    node: Any = tree
+    for depth, step in enumerate(path):
+        is_last = depth == len(path) - 1
+        where = ".".join(path[: depth + 1])
+        if isinstance(node, list):
+            if not step.isdigit() or int(step) >= len(node):
+                return f"{where}: expected a position from 0 to {len(node) - 1}"
+            if is_last:
+                node[int(step)] = value
+            else:
+                node = node[int(step)]
+        elif isinstance(node, dict):
+            if is_last:
+                node[step] = value
+            else:
+                node = node.setdefault(step, {})
+        else:
+            return f"{'.'.join(path[:depth])} is a single value, so {where} cannot be set"
+    return ""

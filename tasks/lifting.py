@@ -25,7 +25,7 @@ from pasdedeux.completion import (
     straight_between,
 )
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import DrawSet, draw_manifests, join_draws, read_draw_sets
 from tasks.priors import read_limits

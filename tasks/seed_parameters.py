@@ -18,7 +18,6 @@ GROWTH_PARAMETERS = (
     "farthest_m",
     "num_neighbours",
     "num_sweeps",
-    "is_refined",
 )
 """Those that decide what grows."""
 
@@ -56,11 +55,6 @@ class SeedsParameters(Parameters):
     )
     num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
     num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
-
-    is_refined: bool = Field(
-        False,
-        description="Whether every grown pair at last becomes the likeliest lift of its image; takes as long as growth",
-    )
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import GrowthOptions, grow
-from pasdedeux.sampling.lifting import lift_seeds
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
-from tasks.priors import read_limits, read_occupancy
+from tasks.priors import read_limits
 from tasks.seed_files import SeedFile, credits_of, load_seed, read_seed
 from tasks.seed_parameters import GROWTH_PARAMETERS, SeedFrame, SeedsParameters
 from tasks.stage import Shard, Stage, StageInputs, commit, merge_takes, stream
@@ -181,7 +181,15 @@ def _columns(
 ) -> dict[str, Any]:
     """Return the table of seeds of one origin; what is not known of them is empty."""
     count = len(pairs_m)
-    unknown = ("take_id", "take_frame", "sequence_id", "sequence_frame", "parent_seed_index", "made_from", "gap_m")
+    unknown = (
+        "take_id",
+        "take_frame",
+        "sequence_id",
+        "sequence_frame",
+        "parent_seed_index",
+        "made_from",
+        "image_distance_m",
+    )
     return {
         "seed_index": indices,
         "origin": [origin] * count,
@@ -262,7 +270,6 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
             num_neighbours=int(options["num_neighbours"]),
             num_sweeps=int(options["num_sweeps"]),
         ),
-        occupancy=read_occupancy(shard, store) if options["is_refined"] else None,
     )
     first, count = int(options["first_index"]), len(growth.pairs_m)
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
@@ -278,7 +285,7 @@ def _grow(shard: Shard, store: Store) -> ArtifactRef:
         sequence_frame=[frame for _, frame in places],
         parent_seed_index=growth.parent,
         generation=growth.generation,
-        gap_m=growth.gap_m,
+        image_distance_m=growth.image_distance_m,
     )
     facts = {
         "kind": "grown_seeds",
@@ -333,7 +340,7 @@ def _read_pairs(store: Store, ref: ArtifactRef, frames: np.ndarray) -> np.ndarra
 STAGE = Stage(
     name="seeds",
     version=VERSION,
-    reads=("poses", "annotations", "views", "torso_basis", "joint_limits", "pose_prior"),
+    reads=("poses", "annotations", "views", "torso_basis", "joint_limits"),
     writes=("seeds",),
     parameters=SeedsParameters,
     plan=plan,

@@ -12,13 +12,14 @@ from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
 from pasdedeux.cameras import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.agreement import Agreement, plain_agreement
 from pasdedeux.sampling.chain import ChainState, run_segment
-from pasdedeux.sampling.coverage import Coverage, plain_coverage
+from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.density import Likelihood, PairDensity
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
@@ -201,6 +202,20 @@ def _coverage() -> BenchmarkResult:
         plain_per_s=measure_rate(lambda: plain_coverage(truth[:4], draws[:4]), count=16),
         note="200 real pairs, 100 draws, tetrahedra of the draws and of the real pairs included",
     )
+
+
+def plain_coverage(truth_m: np.ndarray, draws_m: np.ndarray) -> tuple[float, float]:
+    """Return C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
+    truth, draws = _centred(truth_m), _centred(draws_m)
+    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in truth]
+    cartesian = cartesian_dissimilarity(draws[None], truth[:, None]).min(axis=1)
+    return float(np.mean(interaction)), float(cartesian.mean())
+
+
+def _centred(pairs_m: np.ndarray) -> np.ndarray:
+    points = np.asarray(pairs_m, dtype=np.float64)
+    points = points.reshape(len(points), -1, 3)
+    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
 
 
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {

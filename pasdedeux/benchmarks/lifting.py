@@ -10,10 +10,11 @@ import numpy as np
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import project_pair
-from pasdedeux.completion.draw_index import DrawIndex, plain_nearest
+from pasdedeux.completion import DrawIndex, Nearest
+from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = ["BENCHMARKS", "retrieval_problem"]
+__all__ = ["BENCHMARKS", "plain_nearest", "retrieval_problem"]
 
 NUM_DRAWS, NUM_PLACES = 100_000, 4_000
 
@@ -30,6 +31,26 @@ def retrieval_problem(num_draws: int = NUM_DRAWS) -> tuple[np.ndarray, np.ndarra
     views = normalise(rng.normal(size=(64, 3)) * [1.0, 0.2, 1.0])
     images = project_pair(random_pairs(rng, 64, spread_rad=0.3), views) + rng.normal(scale=0.02, size=(64, 2, 17, 2))
     return draws, images, views
+
+
+def plain_nearest(pairs_m: np.ndarray, image_m: np.ndarray, directions: np.ndarray, *, count: int = 1) -> Nearest:
+    """Return the nearest draws draw by draw and view by view: what `DrawIndex.nearest` must give."""
+    is_seen = np.isfinite(image_m).all(axis=-1).ravel()
+    image = image_m.reshape(-1, 2)[is_seen]
+    squared = np.stack(
+        [
+            plane_residual(project_pair(pairs_m, view).reshape(len(pairs_m), -1, 2)[:, is_seen], image)
+            for view in directions
+        ],
+        axis=1,
+    )
+    best = squared.min(axis=1)
+    order = np.lexsort((np.arange(len(best)), best))[:count]
+    return Nearest(
+        draw=order.astype(np.int64),
+        view=np.argmin(squared[order], axis=1).astype(np.int64),
+        distance_m=np.sqrt(best[order] / is_seen.sum()),
+    )
 
 
 def _retrieval(count: int) -> BenchmarkResult:

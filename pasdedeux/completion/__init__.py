@@ -1,7 +1,7 @@
 """What draws are good for: lifting annotations by retrieval, completing occluded joints, in-betweens, and baselines."""
 
-from pasdedeux.completion.draw_index import DrawIndex, Nearest, plain_nearest
-from pasdedeux.completion.enhanced_lifting import lift_by_ik, sample_naively
+from pasdedeux.completion.baselines import lift_by_ik, sample_naively
+from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.completion.fit import FitOptions, fit_pair, fit_people, pooled_lengths
 from pasdedeux.completion.in_betweens import InBetweenOptions, fill_between, straight_between
 from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction, nearest_rigid
@@ -25,7 +25,6 @@ __all__ = [
     "lift_by_ik",
     "nearest_by_interaction",
     "nearest_rigid",
-    "plain_nearest",
     "pooled_lengths",
     "retrieve",
     "sample_naively",

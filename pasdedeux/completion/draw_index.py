@@ -2,7 +2,7 @@
 
 The distance is that of the image under the view after the best turn in the plane, over the joints that are seen.  Over
 fewer joints it is never greater, so a few far-apart joints rule nearly every draw out; what is left is measured in
-full.  The answer is the exact one, ties aside: `plain_nearest` is the definition.
+full.  The answer is the exact one, ties aside.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.cameras import pair_frame, project_pair
+from pasdedeux.cameras import pair_frame
 from pasdedeux.cameras.orthographic import view_rotmat
 from pasdedeux.completion.kernels import LANES, fill_residuals, refill_residuals
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["DrawIndex", "Nearest", "plain_nearest"]
+__all__ = ["DrawIndex", "Nearest"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -183,26 +182,6 @@ class DrawIndex:
             refill_residuals(self._rows, world, draws, image, joints, ceiling_m2, own)
             squared[:, view] = own
         return squared
-
-
-def plain_nearest(pairs_m: Array, image_m: Array, directions: Array, *, count: int = 1) -> Nearest:
-    """Return same straight from the definition, draw by draw and view by view: the oracle of `DrawIndex.nearest`."""
-    is_seen = np.isfinite(image_m).all(axis=-1).ravel()
-    image = image_m.reshape(-1, 2)[is_seen]
-    squared = np.stack(
-        [
-            plane_residual(project_pair(pairs_m, view).reshape(len(pairs_m), -1, 2)[:, is_seen], image)
-            for view in directions
-        ],
-        axis=1,
-    )
-    best = squared.min(axis=1)
-    order = np.lexsort((np.arange(len(best)), best))[:count]
-    return Nearest(
-        draw=order.astype(np.int64),
-        view=np.argmin(squared[order], axis=1).astype(np.int64),
-        distance_m=np.sqrt(best[order] / is_seen.sum()),
-    )
 
 
 def _comparison_order() -> Indices:

@@ -105,7 +105,7 @@ def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, gro
     scores = []
     for method, curve in curves.items():
         if method != grown:
-            least = np.minimum(curve.least_cartesian_m, curves[grown].least_cartesian_m)
+            least = np.minimum(curve.min_cartesian_m, curves[grown].min_cartesian_m)
             worth = as_good_as_real_frames(float(least.mean()), levels.cartesian_m, levels.num_draws)
             for metric, value, unit in (
                 ("coverage_D_C", float(least.mean()), "m"),

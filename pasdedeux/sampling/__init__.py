@@ -13,9 +13,9 @@ from pasdedeux.sampling.chain import (
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
+from pasdedeux.sampling.direct_lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.growth import Growth, GrowthOptions, grow
 from pasdedeux.sampling.guided import Guided, Guides
-from pasdedeux.sampling.lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.likelihood import (
     AnnotatedPairs,
     InteractionLikelihood,

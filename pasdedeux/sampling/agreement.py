@@ -114,23 +114,15 @@ class Agreement:
         self._centred, self._offset, self._limbs = centred, offset, limbs
         self._work = np.empty((2 + _NUM_LIMBS, len(centred)))
 
-    def among(self, pairs_m: Array, *, most: int = 400, without: int | None = None) -> Agreement:
+    def among(self, pairs_m: Array, *, most: int = 400) -> Agreement:
         """Return the same over fewer grown pairs: the `most` posed most like each of some pairs (n, 2, 17, 3), metres.
 
         For pairs close to these its terms are those of all, but for what the grown pairs left out would have added.
-        The grown pair `without` never counts.
-
-        Raises:
-            InputError: No other grown pair is there.
         """
         kept = np.zeros(len(self._centred), dtype=bool)
         for pair in pairs_m:
             self.terms(pair)
             kept[np.argsort(-self._work[0], kind="stable")[:most]] = True
-        if without is not None:
-            kept[without] = False
-        if not kept.any():
-            raise InputError("agreement needs a grown pair beside the one left out")
         fewer = copy(self)
         fewer._hold(*(np.ascontiguousarray(part[kept]) for part in (self._centred, self._offset, self._limbs)))
         return fewer

@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.nearest import lower_minima, pair_table
 from pasdedeux.interaction.shape_context import ShapeCoverage
 
-__all__ = ["Coverage", "CoverageCurve", "coverage_curve", "plain_coverage"]
+__all__ = ["Coverage", "CoverageCurve", "coverage_curve"]
 
 Array = npt.NDArray[np.float64]
 
@@ -35,14 +34,14 @@ class CoverageCurve:
         interaction_m: C(G, S) in D_I, (point,), metres.
         cartesian_m: C(G, S) in D_C, (point,), metres.
         shape: C(G, S) in D_S, (point,), from 0 to 1.
-        least_cartesian_m: Least D_C of each real pair to any of the draws, (truth,), metres; empty where not kept.
+        min_cartesian_m: Smallest D_C of each real pair to any of the draws, (truth,), metres; empty where not kept.
     """
 
     num_draws: npt.NDArray[np.int64]
     interaction_m: Array
     cartesian_m: Array
     shape: Array
-    least_cartesian_m: Array = field(default_factory=lambda: np.empty(0))
+    min_cartesian_m: Array = field(default_factory=lambda: np.empty(0))
 
 
 class Coverage:
@@ -76,12 +75,12 @@ class Coverage:
 
     @property
     def interaction_m(self) -> Array:
-        """Least D_I of each real pair to any draw so far, (truth,), metres; inf before the first."""
+        """Smallest D_I of each real pair to any draw so far, (truth,), metres; inf before the first."""
         return self._best[0].copy()
 
     @property
     def cartesian_m(self) -> Array:
-        """Least D_C of each real pair to any draw so far, (truth,), metres; inf before the first."""
+        """Smallest D_C of each real pair to any draw so far, (truth,), metres; inf before the first."""
         return self._best[1].copy()
 
     @property
@@ -122,19 +121,5 @@ def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> 
         interaction_m=np.array(interaction),
         cartesian_m=np.array(cartesian),
         shape=np.array(shape),
-        least_cartesian_m=coverage.cartesian_m,
+        min_cartesian_m=coverage.cartesian_m,
     )
-
-
-def plain_coverage(truth_m: Array, draws_m: Array) -> tuple[float, float]:
-    """Return C(G, S) in D_I and in D_C, metres, straight from the definition: the oracle of `Coverage`."""
-    truth, draws = _centred(truth_m), _centred(draws_m)
-    interaction = [min(interaction_dissimilarity(draw, one) for draw in draws) for one in truth]
-    cartesian = cartesian_dissimilarity(draws[None], truth[:, None]).min(axis=1)
-    return float(np.mean(interaction)), float(cartesian.mean())
-
-
-def _centred(pairs_m: Array) -> Array:
-    points = np.asarray(pairs_m, dtype=np.float64)
-    points = points.reshape(len(points), -1, 3)
-    return np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))

@@ -16,22 +16,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import Occupancy
 from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
-from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
-from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
-from pasdedeux.sampling.image_odds import LiftDensity
 from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import seed_quality
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Growth", "GrowthOptions", "grow", "view_residuals"]
+__all__ = ["Growth", "GrowthOptions", "ViewedImages", "grow"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -41,36 +39,19 @@ _PARENTS = np.array(PAIR17.parents)
 _NUM_POINTS = 2 * PAIR17.num_joints
 
 
-@dataclass(frozen=True)
-class GrowthOptions:
-    """How annotations are lifted from lifted pairs.
+class GrowthOptions(Settings):
+    """How annotations are lifted from lifted pairs."""
 
-    Args:
-        image_deviation_m: Error of an annotated joint, metres.
-        depth_deviation_m: Error of a bone's depth taken from the pairs that look alike, metres.
-        farthest_m: An annotation farther than this from everything lifted is left; root mean square over the joints.
-        num_neighbours: Pairs that a depth is averaged over, at most.
-        neighbour_deviation_m: Width of their weights, by how much farther they are than the nearest, metres.
-        num_sweeps: How often neighbours agree at the end.
-        most_invalid: Joint angles out of range beyond which a grown pair is refused.
-
-    Raises:
-        InputError: A width is not positive or a count is out of range.
-    """
-
-    image_deviation_m: float = 0.02
-    depth_deviation_m: float = 0.05
-    farthest_m: float = 0.25
-    num_neighbours: int = 8
-    neighbour_deviation_m: float = 0.03
-    num_sweeps: int = 3
-    most_invalid: int = MOST_INVALID_ANGLES
-
-    def __post_init__(self) -> None:
-        """Check widths and counts."""
-        widths = (self.image_deviation_m, self.depth_deviation_m, self.farthest_m, self.neighbour_deviation_m)
-        if not all(width > 0.0 for width in widths) or self.num_neighbours < 1 or self.num_sweeps < 0:
-            raise InputError(f"growth needs positive widths, a neighbour and no negative number of sweeps: {self}")
+    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
+    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
+    farthest_m: float = Field(
+        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
+    )
+    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over, at most")
+    neighbour_deviation_m: float = Field(
+        0.03, gt=0, description="Width of their weights, by how much farther they are than the nearest, metres"
+    )
+    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
 
     @property
     def tightness(self) -> float:
@@ -88,7 +69,7 @@ class Growth:
         parent: What each was lifted from, the nearest one: indices below the number of seeds are seeds, (n,); later
             ones are grown pairs, counted on from there.
         generation: Steps from a seed, (n,), from 1.
-        gap_m: Distance of the annotation from the parent under the annotation's view, (n,), metres.
+        image_distance_m: Distance of the annotation from the parent under the annotation's view, (n,), metres.
         log_prior: Log of eq. 2 (Yin et al. 2018) with `sigma_p` 0.05 m and the pair's own bone lengths, (n,).
         is_possible: Whether the joint limits are kept, (n,): agreeing on depths may have changed it.
         num_refused: Annotations whose lifted pair was refused.
@@ -99,7 +80,7 @@ class Growth:
     entry: Indices
     parent: Indices
     generation: Indices
-    gap_m: Array
+    image_distance_m: Array
     log_prior: Array
     is_possible: npt.NDArray[np.bool_]
     num_refused: int
@@ -113,15 +94,11 @@ def grow(
     *,
     num_grown: int,
     options: GrowthOptions | None = None,
-    occupancy: Occupancy | None = None,
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
     the pair lifted from.  No randomness; ties go to the entry that comes first.
-
-    With a pose prior `occupancy` every grown pair at last becomes the likeliest lift of its image (`image_odds`): limbs
-    on the wrong side of the image plane and people in the wrong place are put right.
 
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
@@ -130,83 +107,50 @@ def grow(
     if not len(seeds_m) or not np.isfinite(seeds_m).all():
         raise InputError("growth needs at least one seed, all of its positions finite")
     frontier = _Frontier(annotated, options)
-    is_possible = _Limiter(limits, options.most_invalid)
     for seed in seeds_m:
-        frontier.add(np.asarray(seed, dtype=np.float64), entry=-1, parent=-1, gap_m=0.0)
+        frontier.add(np.asarray(seed, dtype=np.float64), entry=-1, parent=-1, image_distance_m=0.0)
     num_refused = 0
     while len(frontier.pairs) - len(seeds_m) < num_grown:
         entry = frontier.nearest()
         if entry < 0:
             break
         pair = frontier.lift(entry)
-        if not is_possible(pair):
+        if limits.num_invalid(pair).sum() > MOST_INVALID_ANGLES:
             num_refused += 1
             continue
-        frontier.add(
-            pair, entry=entry, parent=int(frontier.which[entry, 0]), gap_m=float(frontier.distance_m[entry, 0])
-        )
+        nearest, distance_m = int(frontier.which[entry, 0]), float(frontier.distance_m[entry, 0])
+        frontier.add(pair, entry=entry, parent=nearest, image_distance_m=distance_m)
     for _ in range(options.num_sweeps):
         frontier.agree(len(seeds_m))
-    if occupancy is not None:
-        frontier.refine(len(seeds_m), limits, occupancy)
     return frontier.growth(len(seeds_m), limits, num_refused)
 
 
-def view_residuals(pair_m: Array, images: Array, directions: Array) -> Array:
-    """Return how far a pair, seen from views, is from images: root mean square after the best turn in the plane.
+class ViewedImages:
+    """Images and views of some entries, ready for the residuals of any pair.
 
     Args:
-        pair_m: Pair (person=2, joint=17, 3), metres.
         images: Centred images, coordinate before joint, (entry, 2, 34), metres.
         directions: Views (entry, 3) in the pair's local frame.
 
-    Returns:
-        Distances (entry,), metres.  With C = sum p X' the covariance of image and pair and w the direction to the
-        camera, |a + ib|^2 of the best turn is |C_x|^2 - (C_x w)^2 + |C_y|^2 - (C_y w)^2 + 2 w (C_x x C_y), so no image
-        is made at all.
+    With C = sum p X' the covariance of image and pair and w the direction to the camera, |a + ib|^2 of the best turn in
+    the plane is |C_x|^2 - (C_x w)^2 + |C_y|^2 - (C_y w)^2 + 2 w (C_x x C_y), so the pair is never projected at all.
     """
-    points = pair_m.reshape(_NUM_POINTS, 3)
-    points = points - points.mean(axis=0)
-    count = len(images)
-    covariance = (images.reshape(2 * count, _NUM_POINTS) @ points).reshape(count, 2, 3)
-    towards = pair_frame(pair_m).direction(directions)
-    along = np.einsum("ncx,nx->nc", covariance, towards)
-    volume = np.einsum("nx,nx->n", towards, np.cross(covariance[:, 0], covariance[:, 1]))
-    best = (covariance**2).sum(axis=(1, 2)) - (along**2).sum(axis=1) + 2.0 * volume
-    spread_m2 = points.T @ points
-    own = np.trace(spread_m2) - np.einsum("nx,xy,ny->n", towards, spread_m2, towards)
-    squared = own + (images**2).sum(axis=(1, 2)) - 2.0 * np.sqrt(np.maximum(best, 0.0))
-    return np.sqrt(np.maximum(squared, 0.0) / _NUM_POINTS)
-
-
-class _Views:
-    """Images and views of some entries, ready for the residuals of any pair."""
 
     def __init__(self, images: Array, directions: Array) -> None:
         self._images, self._directions = np.ascontiguousarray(images), np.ascontiguousarray(directions)
         self._squares = (images**2).sum(axis=(1, 2))
 
     def residuals(self, pair_m: Array) -> Array:
+        """Return how far a pair (2, 17, 3), metres, under the views is from the images, (entry,), metres.
+
+        Root mean square over the joints, after the best turn in the plane.
+        """
         points = pair_m.reshape(_NUM_POINTS, 3)
         points = np.ascontiguousarray((points - points.mean(axis=0)).T)
         axes = np.ascontiguousarray(pair_frame(pair_m).axes)
         residual = np.empty(len(self._images))
         fill_residuals(points, points @ points.T, axes, self._directions, self._images, self._squares, residual)
         return residual
-
-
-class _Limiter:
-    """Tells whether the prior of a pair (2, 17, 3) is above 0."""
-
-    def __init__(self, limits: JointLimits, most_invalid: int) -> None:
-        self._limits = np.stack([limits.lower_rad, limits.upper_rad])
-        self._most_invalid = most_invalid
-        self._work = np.empty(self._limits.shape)
-        self._valid = np.empty((PAIR17.num_joints, 3))
-
-    def __call__(self, pair: Array) -> bool:
-        invalid = [move_to_nearest_valid(person, self._limits, self._work, self._valid)[0] for person in pair]
-        return sum(invalid) <= self._most_invalid
 
 
 class _Frontier:
@@ -218,26 +162,26 @@ class _Frontier:
         self.options = options
         self.images = np.ascontiguousarray(np.swapaxes(points, 1, 2))
         self.directions = annotated.directions
-        self._views = _Views(self.images, self.directions)
+        self._views = ViewedImages(self.images, self.directions)
         self.annotation = annotated.annotation_index
         self.is_done = np.zeros(len(points), dtype=bool)
         self.distance_m, self.which = self._nobody(len(points))
         self.pairs: list[Array] = []
         self.entries: list[int] = []
         self.parents: list[int] = []
-        self.gaps: list[float] = []
+        self.image_distances: list[float] = []
         self.lengths: list[Array] = []
 
     def _nobody(self, count: int) -> tuple[Array, Indices]:
         shape = (count, self.options.num_neighbours)
         return np.full(shape, np.inf), np.full(shape, -1, dtype=np.int64)
 
-    def add(self, pair: Array, *, entry: int, parent: int, gap_m: float) -> None:
+    def add(self, pair: Array, *, entry: int, parent: int, image_distance_m: float) -> None:
         """Take a pair in: it may lift what it looks like."""
         self.pairs.append(pair)
         self.entries.append(entry)
         self.parents.append(parent)
-        self.gaps.append(gap_m)
+        self.image_distances.append(image_distance_m)
         self.lengths.append(bone_lengths(PAIR17, pair) if parent < 0 else self.lengths[parent])
         residual = self._views.residuals(pair)
         keep_nearest(residual, len(self.pairs) - 1, self.distance_m, self.which)
@@ -277,7 +221,7 @@ class _Frontier:
         if not len(entries) or len(self.pairs) < 2:
             return
         distance_m, which = self._nobody(len(entries))
-        views = _Views(self.images[entries], self.directions[entries])
+        views = ViewedImages(self.images[entries], self.directions[entries])
         for index, pair in enumerate(self.pairs):
             residual = views.residuals(pair)
             if index >= num_seeds:
@@ -287,14 +231,6 @@ class _Frontier:
             self._placed(int(entry), distance_m[row], which[row], self.lengths[num_seeds + row])
             for row, entry in enumerate(entries)
         ]
-
-    def refine(self, num_seeds: int, limits: JointLimits, occupancy: Occupancy) -> None:
-        """Make every grown pair the likeliest lift of its image, given all the others as they were before."""
-        if len(self.pairs) < num_seeds + 2:
-            return
-        grown = np.stack(self.pairs[num_seeds:])
-        density = LiftDensity(Agreement(grown), limits, occupancy)
-        self.pairs[num_seeds:] = [density.likeliest(pair, without=index) for index, pair in enumerate(grown)]
 
     def growth(self, num_seeds: int, limits: JointLimits, num_refused: int) -> Growth:
         """Turn every pair upright as its parent and give them all."""
@@ -311,9 +247,9 @@ class _Frontier:
             entry=np.array(self.entries[num_seeds:], dtype=np.int64),
             parent=np.array(self.parents[num_seeds:], dtype=np.int64),
             generation=np.array(generation[num_seeds:], dtype=np.int64),
-            gap_m=np.array(self.gaps[num_seeds:], dtype=np.float64),
+            image_distance_m=np.array(self.image_distances[num_seeds:], dtype=np.float64),
             log_prior=quality.log_prior,
-            is_possible=quality.num_invalid <= self.options.most_invalid,
+            is_possible=quality.is_possible,
             num_refused=num_refused,
             num_left=len(np.unique(self.annotation)) - len(grown) - num_refused,
         )

@@ -73,7 +73,7 @@ def place_bones(
 def fill_residuals(
     points: Array, spread: Array, axes: Array, directions: Array, images: Array, squares: Array, residual: Array
 ) -> None:
-    """Write `growth.view_residuals` of one pair.
+    """Write how far a pair under many views is from their images (`growth.ViewedImages`).
 
     Args:
         points: Centred joints of both people, coordinate before joint, (3, n), metres.

@@ -29,8 +29,6 @@ BONE_WEIGHT = 0.5
 """Weight of the summed pose prior: its bones are not independent."""
 CONTACT_WEIGHT = 0.5
 """Weight of the penetration of one body by the other: captured bodies are in each other too."""
-LEAST_GAIN = 1.0
-"""Gain of the log below which another lift is no better: of grown pairs on salsa half of such changes are wrong."""
 _WHOLE_BODIES = [0, 1, 14]
 """Which of the other lifts mirror both people, person A and person B."""
 
@@ -86,14 +84,14 @@ class LiftDensity:
     limits: JointLimits
     occupancy: Occupancy
 
-    def logs(self, lifts_m: Array, *, without: int | None = None) -> Array:
+    def logs(self, lifts_m: Array) -> Array:
         """Return the log of the density of lifts (n, 2, 17, 3), metres, of one image, up to a constant, (n,).
 
         Only the grown pairs that are posed like the first lift, or like what it is when either person or both are
-        mirrored, count for all of them, and never the grown pair `without`.
+        mirrored, count for all of them.
         """
         mirrored = other_lifts(lifts_m[0])[_WHOLE_BODIES]
-        likely = self.agreement.among(np.concatenate([lifts_m[:1], mirrored]), without=without)
+        likely = self.agreement.among(np.concatenate([lifts_m[:1], mirrored]))
         terms = [likely.terms(lift) for lift in lifts_m]
         agreed = np.array([one.total - (1.0 - CONTACT_WEIGHT) * one.contact for one in terms])
         bones = self.occupancy.bone_logs(lifts_m).sum(axis=(1, 2))
@@ -110,13 +108,3 @@ class LiftDensity:
             logs = self.logs(np.concatenate([pair[None], other_lifts(pair)]))
             odds[row] = logs[0] - np.logaddexp.reduce(logs)
         return odds
-
-    def likeliest(self, seen_m: Array, *, without: int | None = None) -> Array:
-        """Return the lift (2, 17, 3) of the image of a pair (2, 17, 3), metres, in camera axes, that is the likeliest.
-
-        The pair itself unless another one's log is greater by `LEAST_GAIN`.  The grown pair `without` never counts.
-        """
-        lifts = np.concatenate([seen_m[None], other_lifts(seen_m)])
-        logs = self.logs(lifts, without=without)
-        best = int(np.argmax(logs))
-        return np.asarray(lifts[best if logs[best] - logs[0] >= LEAST_GAIN else 0])

@@ -5,7 +5,9 @@ from __future__ import annotations
 from storage_schema.columns import Table
 from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKES
 from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
-from storage_schema.tables.lifting import (
+from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_FRAMES, VARIANT_QUALITY, VARIANTS
+from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
+from storage_schema.tables.sampling import (
     CHAIN_INFO,
     CHAIN_STATES,
     DRAWS,
@@ -15,8 +17,6 @@ from storage_schema.tables.lifting import (
     TORSO_BASIS,
     VIEWS,
 )
-from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_FRAMES, VARIANT_QUALITY, VARIANTS
-from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
 
 __all__ = ["TABLES"]
 

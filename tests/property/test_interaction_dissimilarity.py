@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.chains import plain_coverage
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import (
@@ -19,7 +20,7 @@ from pasdedeux.interaction.kernels import best_turn
 from pasdedeux.interaction.nearest import interaction_distances, lower_minima, pair_table
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.sampling.coverage import Coverage, coverage_curve, plain_coverage
+from pasdedeux.sampling.coverage import Coverage, coverage_curve
 
 seeds = st.integers(0, 2**31 - 1)
 

@@ -13,7 +13,7 @@ from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import ChainState, Evaluation, GaussianBlocks, MoveMixture, Proposed, run_segment
-from pasdedeux.sampling.growth import view_residuals
+from pasdedeux.sampling.growth import ViewedImages
 from pasdedeux.sampling.guided import Guided, GuidedStep, Guides
 from pasdedeux.sampling.guided_kernels import move_by
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, POSITION_INDICES
@@ -123,7 +123,7 @@ def test_the_ratio_is_that_of_the_normal_densities_of_one_displacement_at_both_e
             mean = (1.0 - z) * propose.guides.way(point, pair, axes, step.entry, blocks)
             logs = norm.logpdf(displacement, mean, np.sqrt(z) * np.maximum(deviation, 1e-9))[deviation > 0.0]
             images = np.swapaxes(propose.guides.images.reshape(6, 34, 2), 1, 2)
-            residual = view_residuals(pair, images, propose.guides.annotated.directions)
+            residual = ViewedImages(images, propose.guides.annotated.directions).residuals(pair)
             chance = np.exp(-0.5 * (residual / 0.5) ** 2)
             ends.append(logs.sum() + np.log(chance[step.entry] / chance.sum()))
         found = propose.log_density(there, step.back()) - propose.log_density(here, step)
@@ -156,12 +156,12 @@ def test_the_way_to_an_annotation_leads_to_what_it_shows_and_back() -> None:
     here = CHART.seed_parameters()
     pair = CHART.positions(here)
     axes = np.ascontiguousarray(pair_frame(pair).axes)
-    before = view_residuals(pair, images, found.annotated.directions)
+    before = ViewedImages(images, found.annotated.directions).residuals(pair)
     for entry in range(20):
         way = found.way(here, pair, axes, entry, EVERY_BLOCK)
         there = here.copy()
         assert move_by(there, EVERY_BLOCK, way, NUM_JOINTS)
-        after = view_residuals(CHART.positions(there), images, found.annotated.directions)[entry]
+        after = ViewedImages(images, found.annotated.directions).residuals(CHART.positions(there))[entry]
         assert after < 0.5 * before[entry]
         assert move_by(there, EVERY_BLOCK, -way, NUM_JOINTS)
         np.testing.assert_allclose(there, here, atol=1e-12)
@@ -172,7 +172,7 @@ def test_annotations_near_the_pair_are_preferred_as_much_as_the_width_says() -> 
     axes = np.ascontiguousarray(pair_frame(pair).axes)
     near, even = (guides(20, width_m=width).log_chances(pair, axes) for width in (0.03, np.inf))
     images = np.swapaxes(guides(20, width_m=1.0).images.reshape(20, 34, 2), 1, 2)
-    residual = view_residuals(pair, images, guides(20, width_m=1.0).annotated.directions)
+    residual = ViewedImages(images, guides(20, width_m=1.0).annotated.directions).residuals(pair)
     np.testing.assert_allclose(np.exp(even), 0.05)
     np.testing.assert_allclose(near - near[0], -0.5 * (residual**2 - residual[0] ** 2) / 0.03**2, atol=1e-6)
     assert np.exp(near).sum() == pytest.approx(1.0)

@@ -66,7 +66,7 @@ def test_a_bank_keeps_what_is_posed_alike() -> None:
     assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
 
 
-def test_fewer_grown_pairs_say_the_same_of_what_is_near_them_and_one_may_be_left_out() -> None:
+def test_fewer_grown_pairs_say_the_same_of_what_is_near_them() -> None:
     whole = Agreement(GROWN)
     fewer = whole.among(NEAR[:2], most=60)
     for pair in NEAR[:2]:
@@ -74,11 +74,6 @@ def test_fewer_grown_pairs_say_the_same_of_what_is_near_them_and_one_may_be_left
         assert (few.pose, few.placement, few.limbs) == pytest.approx(
             (every.pose, every.placement, every.limbs), abs=0.02
         )
-    without = whole.among(GROWN[3:4], without=3)
-    plain = plain_agreement(GROWN[3], np.delete(GROWN, 3, axis=0))
-    assert without.terms(GROWN[3]).placement == pytest.approx(plain[1], abs=1e-6)
-    with pytest.raises(InputError, match="beside the one left out"):
-        Agreement(GROWN[:1]).among(GROWN[:1], without=0)
 
 
 def test_the_nearest_grown_pairs_are_as_far_as_their_joints() -> None:

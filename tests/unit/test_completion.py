@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.lifting import plain_nearest
 from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion import (
@@ -20,13 +21,12 @@ from pasdedeux.completion import (
     lift_by_ik,
     nearest_by_interaction,
     nearest_rigid,
-    plain_nearest,
     pooled_lengths,
     retrieve,
     sample_naively,
     straight_between,
 )
-from pasdedeux.completion.enhanced_lifting import resolve_penetration
+from pasdedeux.completion.baselines import resolve_penetration
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics import align_rigid, bone_lengths

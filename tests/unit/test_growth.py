@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import project_pair
@@ -13,10 +14,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.plausibility import Occupancy
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
-from pasdedeux.sampling.growth import _Views, view_residuals
+from pasdedeux.sampling.growth import ViewedImages
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.skeletons import PAIR17
 
@@ -46,9 +46,7 @@ def test_view_residuals_are_those_of_projected_images() -> None:
         seen = project_pair(pair, entries.directions).reshape(40, 34, 2)
         expected = np.sqrt(plane_residual(seen, images) / 34)
         across = np.ascontiguousarray(np.swapaxes(images, 1, 2))
-        plain = view_residuals(pair, across, entries.directions)
-        np.testing.assert_allclose(plain, expected, atol=1e-7)
-        np.testing.assert_allclose(_Views(across, entries.directions).residuals(pair), plain, atol=1e-7)
+        np.testing.assert_allclose(ViewedImages(across, entries.directions).residuals(pair), expected, atol=1e-7)
 
 
 def placed(image: np.ndarray, depth: np.ndarray, lengths: np.ndarray, tightness: float) -> np.ndarray:
@@ -127,18 +125,6 @@ def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth() -> None:
     assert errors(agreed, pairs).mean() < errors(lifted, pairs).mean()
 
 
-def test_refining_changes_some_pairs_keeps_their_bones_and_lifts_the_same_annotations() -> None:
-    pairs, entries = annotated(60)
-    plain = grow(pairs[:1], entries, WIDE, num_grown=40)
-    refined = grow(pairs[:1], entries, WIDE, num_grown=40, occupancy=Occupancy.empty().extended(pairs))
-    np.testing.assert_array_equal(refined.entry, plain.entry)
-    np.testing.assert_allclose(bone_lengths(PAIR17, refined.pairs_m), bone_lengths(PAIR17, plain.pairs_m), atol=1e-9)
-    changed = np.abs(errors(refined, pairs) - errors(plain, pairs)) > 1e-6
-    # So few pairs cannot agree on much: that refining helps is for real data to show.
-    assert 0 < changed.sum() < 40
-    assert len(grow(pairs[:1], entries, WIDE, num_grown=1, occupancy=Occupancy.empty()).pairs_m) == 1
-
-
 def test_growth_does_not_depend_on_where_the_seed_stands_and_repeats_exactly() -> None:
     pairs, entries = annotated(60)
     once = grow(pairs[:1], entries, WIDE, num_grown=40)
@@ -187,5 +173,5 @@ def test_seeds_that_cannot_grow_are_refused_with_the_reason() -> None:
     _, entries = annotated(5)
     with pytest.raises(InputError, match="at least one seed"):
         grow(np.zeros((0, 2, 17, 3)), entries, WIDE, num_grown=1)
-    with pytest.raises(InputError, match="positive widths"):
+    with pytest.raises(ValidationError, match="greater than 0"):
         GrowthOptions(image_deviation_m=0.0)

@@ -43,11 +43,3 @@ def test_the_odds_are_the_share_among_all_lifts_and_prefer_what_grew() -> None:
         assert odds[0] == pytest.approx(logs[0] - np.logaddexp.reduce(logs))
         assert odds[0] <= 0.0
         assert (odds[0] > odds[1:]).all()
-
-
-def test_the_likeliest_lift_puts_a_person_back_and_leaves_what_is_right() -> None:
-    for pair in NEAR[:4]:
-        np.testing.assert_array_equal(DENSITY.likeliest(pair), pair)
-        slid = pair.copy()
-        slid[1, :, 2] += 0.4
-        np.testing.assert_allclose(DENSITY.likeliest(slid), pair, atol=1e-9)

@@ -13,7 +13,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, lift_seeds
-from pasdedeux.sampling.lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 

@@ -97,7 +97,7 @@ SEEDS = Table(
         ),
         integer("generation", "Steps of growth from a seed that did not grow; 0 for those"),
         float64(
-            "gap_m",
+            "image_distance_m",
             "Root mean square distance of the annotated joints from the parent seen from their view; else null",
             unit="m",
             is_nullable=True,

@@ -12,7 +12,9 @@ from fnmatch import fnmatchcase
 
 __all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
 
-RENAMED_KEYS: dict[str, str] = {}
+RENAMED_KEYS: dict[str, str] = {
+    "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
+}
 """Old study key, or key=value, to one sentence with the new name or what became of it."""
 
 RENAMED_COMMANDS: dict[str, str] = {}

@@ -7,5 +7,7 @@ __all__ = ["RENAMED_COLUMNS", "RENAMED_TABLES"]
 RENAMED_TABLES: dict[str, str] = {}
 """Old table to one sentence with the new name or what became of it."""
 
-RENAMED_COLUMNS: dict[str, str] = {}
+RENAMED_COLUMNS: dict[str, str] = {
+    "seeds.gap_m": "seeds.gap_m is now seeds.image_distance_m",
+}
 """Old column, with its table (`"draws.old_column"`), to one sentence with the new name or what became of it."""

@@ -25,8 +25,8 @@ __all__ = [
     "StageRunner",
     "begin",
     "execute",
+    "outcome_of_fresh",
     "partitions_to_run",
-    "settle",
 ]
 
 
@@ -141,7 +141,7 @@ def begin(run: Run, plan: Plan) -> RunFolder:
     return folder
 
 
-def settle(run: Run, plan: Plan) -> Outcome:
+def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     """Return the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
     last = read_last_run(run.store, run.study.name)
     is_on_record = last is not None and all(

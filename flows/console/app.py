@@ -11,7 +11,7 @@ from typing import Any
 import typer
 import typer.core
 
-from flows.console import bench, building, datasets, doctor, looking, reconstruct, restart, studies
+from flows.console import bench, datasets, doctor, reconstruct, restart, run, show, status, studies
 from flows.console.context import Context
 from flows.planning import PlanError
 from flows.renamed import RENAMED_COMMANDS
@@ -111,8 +111,9 @@ def _app() -> typer.Typer:
     ) -> None:
         context.obj.is_debug = debug
 
-    building.register(app)
-    looking.register(app)
+    run.register(app)
+    status.register(app)
+    show.register(app)
     datasets.register(app)
     studies.register(app)
     restart.register(app)

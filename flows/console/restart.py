@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.console.building import SettingOption, build_and_tell
 from flows.console.context import Context, JsonOption, StoreOption, open_store
+from flows.console.run import SettingOption, build_and_report
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
@@ -81,7 +81,7 @@ def restart(
     path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
         typer.echo(f"the draw is the seed in {path}; its study is {name}")
-    build_and_tell(study, graph, opened, Selection(until="chains"), workers=workers, as_json=as_json)
+    build_and_report(study, graph, opened, Selection(until="chains"), workers=workers, as_json=as_json)
     if not as_json:
         typer.echo(f"new draws: pasdedeux show draws:{name}")
         typer.echo(f"how the chains went: pasdedeux show chain_info:{name}")

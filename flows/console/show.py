@@ -1,4 +1,4 @@
-"""`show`, `verify` and `export`: look at what was built, check it, and take it out."""
+"""`show` and `export`: look at rows of what was built, or write them into files."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
-from storage_schema import TABLES, Store, UnknownReference, lineage, parse_reference, resolve, source_files
-from storage_schema import verify as verify_store
+from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files
 
 __all__ = ["register"]
 
@@ -24,9 +23,6 @@ _SHOW = """Show what a reference names: columns, rows, a look at the first ones,
   pasdedeux show scores:duets --rows 20
   pasdedeux show draws@3fa9c0#17             one row
 """
-_VERIFY = (
-    """Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."""
-)
 _EXPORT = """Write what a reference names into files, with licence and credits beside them.
 
 \b
@@ -41,7 +37,6 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("show", help=_SHOW)(show)
-    app.command("verify", help=_VERIFY)(verify)
     app.command("export", help=_EXPORT)(export)
 
 
@@ -75,31 +70,6 @@ def show(
         typer.echo(f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})")
     for source in described["sources"]:
         typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
-
-
-def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Read every file of the store again."""
-    opened = open_store(store)
-    if not store.is_dir():
-        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
-    found = verify_store(opened)
-    if as_json:
-        print_json(
-            {
-                "is_ok": found.is_ok,
-                "num_artifacts": found.num_artifacts,
-                "num_files": found.num_files,
-                "num_bytes": found.num_bytes,
-                "problems": [str(problem) for problem in found.problems],
-            }
-        )
-    else:
-        for problem in found.problems:
-            typer.echo(str(problem))
-        size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
-        typer.echo(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
-    if not found.is_ok:
-        raise typer.Exit(1)
 
 
 def export(
@@ -155,8 +125,6 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
 
 
 def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:
-    from storage_schema import iter_rows
-
     rows: list[dict[str, Any]] = []
     for batch in iter_rows(text, store):
         for index in range(min(batch.num_rows, count - len(rows))):

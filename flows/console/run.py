@@ -1,4 +1,4 @@
-"""`run`, `plan` and `status`: build a study, say what a build would do, say what was built."""
+"""`run` and `plan`: build a study, or say what a build would do."""
 
 from __future__ import annotations
 
@@ -6,23 +6,22 @@ import os
 import shutil
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from flows.console.context import Context, JsonOption, StoreOption, StudyArgument, open_store, print_json
-from flows.console.display import format_table, make_listener, outcome_lines, plan_lines
-from flows.execution import Outcome, Run, settle
+from flows.console.display import make_listener, outcome_lines, plan_lines
+from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.planning import Plan, PlanError, Selection, make_plan
-from flows.records import describe_runs, read_last_run
 from flows.study import Study, load_study
-from storage_schema import Store, latest_studies
+from storage_schema import Store
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["SettingOption", "build_and_tell", "register"]
+__all__ = ["SettingOption", "build_and_report", "register"]
 
-_LEAST_FREE_BYTES = 64 * 1024**2
+_MIN_FREE_BYTES = 64 * 1024**2
 _GIB = 1024**3
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
@@ -34,7 +33,6 @@ Examples:
   pasdedeux run my.toml --set chains.num_chains=4 --until chains
   pasdedeux run my.toml --scheduler tcp://cluster:8786
 """
-_STATUS = "Say what lies in a store: the studies built in it, its runs and its size."
 _PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
 
 \b
@@ -59,7 +57,6 @@ def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command("run", help=_RUN)(run)
     app.command("plan", help=_PLAN)(plan)
-    app.command("status", help=_STATUS)(status)
 
 
 def run(
@@ -84,7 +81,7 @@ def run(
     """Build a study."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
-    build_and_tell(
+    build_and_report(
         chosen,
         graph,
         open_store(store),
@@ -96,7 +93,7 @@ def run(
     )
 
 
-def build_and_tell(
+def build_and_report(
     chosen: Study,
     graph: Graph,
     opened: Store,
@@ -111,7 +108,7 @@ def build_and_tell(
     started = time.perf_counter()
     made = make_plan(chosen, graph, opened, selection)
     if made.is_fresh:
-        outcome = settle(Run(chosen, graph, opened, selection), made)
+        outcome = outcome_of_fresh(Run(chosen, graph, opened, selection), made)
     else:
         _refuse_full_disk(opened)
         worker_bytes = int(worker_memory * _GIB)
@@ -146,42 +143,14 @@ def plan(
 ) -> None:
     """Say what a run would compute and why."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, _, _, made = _prepare(context, study, settings, store, selection)
+    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    made = make_plan(chosen, graph, open_store(store), selection)
     if as_json:
         print_json({**made.to_json(), "settings": chosen.resolved()})
         return
     for line in plan_lines(made, is_long=is_long):
         typer.echo(line)
     typer.echo("everything is fresh" if made.is_fresh else "run it with: pasdedeux run " + study)
-
-
-def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Say what lies in a store: the studies built in it, its runs and its size."""
-    opened = open_store(store)
-    described = _describe(opened)
-    if as_json:
-        print_json(described)
-        return
-    if not described["studies"]:
-        typer.echo(f"store {store}: no study was built here yet")
-    for study in described["studies"]:
-        typer.echo(f"study {study['study']}, last run {study['run_id']}")
-        rows = [
-            (s["stage"], str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
-            for s in study["stages"]
-        ]
-        for line in format_table(("  stage", "shards", "there", "size"), [(f"  {row[0]}", *row[1:]) for row in rows]):
-            typer.echo(line)
-    for record in described["runs"][-5:]:
-        typer.echo(f"run {record['run_id']}: {record['status']}")
-
-
-def _prepare(
-    context: typer.Context, study: str, settings: list[str] | None, store: Path, selection: Selection
-) -> tuple[Study, Graph, Store, Plan]:
-    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
-    opened = open_store(store)
-    return chosen, graph, opened, make_plan(chosen, graph, opened, selection)
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:
@@ -213,23 +182,8 @@ def _refuse_full_disk(store: Store) -> None:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    if free < _LEAST_FREE_BYTES:
+    if free < _MIN_FREE_BYTES:
         raise PlanError(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
-
-
-def _describe(store: Store) -> dict[str, Any]:
-    studies = []
-    for name in latest_studies(store):
-        last = read_last_run(store, name)
-        if last is None:
-            continue
-        stages = []
-        for stage, records in last.stages.items():
-            found = [manifest for record in records if (manifest := store.find(stage, record.key)) is not None]
-            num_bytes = sum(manifest.num_bytes for manifest in found)
-            stages.append({"stage": stage, "num_shards": len(records), "num_there": len(found), "bytes": num_bytes})
-        studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
-    return {"store": str(store.root), "studies": studies, "runs": describe_runs(store)}
 
 
 def _shown(path: Path) -> str:

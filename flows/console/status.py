@@ -1,0 +1,86 @@
+"""`status` and `verify`: what lies in a store, and whether it is whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from flows.console.context import JsonOption, StoreOption, open_store, print_json
+from flows.console.display import format_table
+from flows.records import describe_runs, read_last_run
+from storage_schema import Store, UnknownReference, latest_studies
+from storage_schema import verify as verify_store
+
+__all__ = ["register"]
+
+_STATUS = "Say what lies in a store: the studies built in it, how good that is, its runs and its size."
+_VERIFY = "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("status", help=_STATUS)(status)
+    app.command("verify", help=_VERIFY)(verify)
+
+
+def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Say what lies in a store: the studies built in it, its runs and its size."""
+    opened = open_store(store)
+    described = _describe(opened)
+    if as_json:
+        print_json(described)
+        return
+    if not described["studies"]:
+        typer.echo(f"store {store}: no study was built here yet")
+    for study in described["studies"]:
+        typer.echo(f"study {study['study']}, last run {study['run_id']}")
+        rows = [
+            (s["stage"], str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
+            for s in study["stages"]
+        ]
+        for line in format_table(("  stage", "shards", "there", "size"), [(f"  {row[0]}", *row[1:]) for row in rows]):
+            typer.echo(line)
+    for record in described["runs"][-5:]:
+        typer.echo(f"run {record['run_id']}: {record['status']}")
+
+
+def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
+    """Read every file of the store again."""
+    opened = open_store(store)
+    if not store.is_dir():
+        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
+    found = verify_store(opened)
+    if as_json:
+        print_json(
+            {
+                "is_ok": found.is_ok,
+                "num_artifacts": found.num_artifacts,
+                "num_files": found.num_files,
+                "num_bytes": found.num_bytes,
+                "problems": [str(problem) for problem in found.problems],
+            }
+        )
+    else:
+        for problem in found.problems:
+            typer.echo(str(problem))
+        size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
+        typer.echo(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
+    if not found.is_ok:
+        raise typer.Exit(1)
+
+
+def _describe(store: Store) -> dict[str, Any]:
+    studies = []
+    for name in latest_studies(store):
+        last = read_last_run(store, name)
+        if last is None:
+            continue
+        stages = []
+        for stage, records in last.stages.items():
+            found = [manifest for record in records if (manifest := store.find(stage, record.key)) is not None]
+            num_bytes = sum(manifest.num_bytes for manifest in found)
+            stages.append({"stage": stage, "num_shards": len(records), "num_there": len(found), "bytes": num_bytes})
+        studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
+    return {"store": str(store.root), "studies": studies, "runs": describe_runs(store)}

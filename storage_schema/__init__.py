@@ -31,7 +31,7 @@ from storage_schema.runs import (
     read_latest,
     record_latest,
 )
-from storage_schema.store import Store
+from storage_schema.store import ArtifactFields, Store
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
 from storage_schema.verification import Problem, ProblemKind, Verification, verify
@@ -40,6 +40,7 @@ from storage_schema.version import SCHEMA_VERSION
 __all__ = [
     "SCHEMA_VERSION",
     "TABLES",
+    "ArtifactFields",
     "ArtifactRef",
     "ArtifactWriter",
     "Column",

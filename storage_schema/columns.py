@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pyarrow as pa
 
@@ -30,6 +30,10 @@ class Column:
         """Refuse a column whose axes do not describe its shape."""
         if len(self.shape) != len(self.axes):
             raise ValueError(f"column '{self.name}': {len(self.shape)} axes in its shape but {len(self.axes)} names")
+
+    def with_meaning(self, meaning: str, *, is_nullable: bool = False) -> Column:
+        """Return the same column with what it means in one table, or nullable there."""
+        return replace(self, meaning=meaning, is_nullable=is_nullable)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from storage_schema.artifact_writer import ArtifactWriter
 from storage_schema.credits import SourceCredit, merge_credits
@@ -28,11 +28,34 @@ from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
 from storage_schema.store_reader import RESERVED_NAMES, STORE_FILE, StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["Store"]
+__all__ = ["ArtifactFields", "Store"]
 
 _STAGE_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 _log = logging.getLogger(__name__)
+
+
+class ArtifactFields(TypedDict):
+    """What an artifact says about itself when it is written."""
+
+    stage: str
+    """Name of the stage."""
+    key: str
+    """Key of the artifact, from `artifact_key`."""
+    partition: str
+    """What a person sees as one step."""
+    name: str
+    """Name of the shard in its partition."""
+    version: int
+    """Version of the stage."""
+    parameters: Mapping[str, Any]
+    """JSON values that decided the result."""
+    seed: int
+    """Seed of the study."""
+    inputs: Sequence[ArtifactRef]
+    """Artifacts that were read; their sources are added to this one's."""
+    files: Sequence[tuple[str, str]]
+    """Outside files that were read: (file name, sha256)."""
 
 
 class Store(StoreReader):
@@ -45,40 +68,24 @@ class Store(StoreReader):
     def commit(
         self,
         *,
-        stage: str,
-        key: str,
-        partition: str,
-        name: str,
-        version: int,
-        parameters: Mapping[str, Any],
-        seed: int,
-        inputs: Sequence[ArtifactRef],
-        files: Sequence[tuple[str, str]],
         tables: Mapping[str, Mapping[str, Any]],
         attachments: Mapping[str, bytes] | None = None,
         facts: Mapping[str, Any] | None = None,
         sources: Sequence[SourceCredit] = (),
         timings: Mapping[str, float] | None = None,
+        **described: Unpack[ArtifactFields],
     ) -> ArtifactRef:
         """Write an artifact under its key, whole or not at all.
 
         When a valid artifact is already there (another process was first) this one is discarded and that one is given.
 
         Args:
-            stage: Name of the stage.
-            key: Key of the artifact, from `artifact_key`.
-            partition: What a person sees as one step.
-            name: Name of the shard in its partition.
-            version: Version of the stage.
-            parameters: JSON values that decided the result.
-            seed: Seed of the study.
-            inputs: Artifacts that were read; their sources are added to this one's.
-            files: Outside files that were read: (file name, sha256).
             tables: For each table its columns: name to list or array, rows first (see `encoding.encode`).
             attachments: Files of their own format, by file name.
             facts: Small JSON facts that later planning reads.
             sources: Licence and credit of new sources.
             timings: Seconds by name, in no digest.
+            described: What the artifact says about itself.
 
         Raises:
             SchemaError: A column is missing, unknown, of another length, shape or kind.
@@ -86,20 +93,7 @@ class Store(StoreReader):
             FullDisk: There is no room left.
             NewerSchema: The store was written by a newer program.
         """
-        with self.writer(
-            stage=stage,
-            key=key,
-            partition=partition,
-            name=name,
-            version=version,
-            parameters=parameters,
-            seed=seed,
-            inputs=inputs,
-            files=files,
-            facts=facts,
-            sources=sources,
-            timings=timings,
-        ) as writer:
+        with self.writer(facts=facts, sources=sources, timings=timings, **described) as writer:
             for table, columns in tables.items():
                 writer.append(table, columns)
             for file_name, data in (attachments or {}).items():
@@ -110,23 +104,16 @@ class Store(StoreReader):
     def writer(
         self,
         *,
-        stage: str,
-        key: str,
-        partition: str,
-        name: str,
-        version: int,
-        parameters: Mapping[str, Any],
-        seed: int,
-        inputs: Sequence[ArtifactRef],
-        files: Sequence[tuple[str, str]],
         facts: Mapping[str, Any] | None = None,
         sources: Sequence[SourceCredit] = (),
         timings: Mapping[str, float] | None = None,
+        **described: Unpack[ArtifactFields],
     ) -> Iterator[ArtifactWriter]:
         """Write an artifact piece by piece: rows are streamed to the disk, and the block's end commits.
 
         When the block raises, nothing stays behind.  Arguments and errors are those of `commit`.
         """
+        stage, key = described["stage"], described["key"]
         if not _STAGE_NAME.fullmatch(stage) or stage in RESERVED_NAMES:
             raise StorageError(f"'{stage}' cannot name a stage: lower-case letters, digits and _ are allowed")
         self.prepare()
@@ -134,22 +121,26 @@ class Store(StoreReader):
             staging = StagingFolder(self.staging_root)
         try:
             with ArtifactWriter(
-                staging.path, where=self.root, facts=facts or {}, timings=timings or {}, sources=sources
+                staging.path,
+                where=self.root,
+                facts=facts or {},
+                timings=timings or {},
+                sources=sources,
             ) as writer:
                 yield writer
                 parts, attachments = writer.finish()
             digests = {f"{table}.parquet": part.sha256 for table, part in parts.items()}
             digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
-            inherited = [self.manifest(ref).sources for ref in inputs]
+            inherited = [self.manifest(ref).sources for ref in described["inputs"]]
             manifest = Manifest(
                 ref=ArtifactRef(stage, key, content_digest(digests)),
-                partition=partition,
-                name=name,
-                version=version,
-                parameters=plain_json(dict(parameters), "parameters"),
-                seed=seed,
-                inputs=tuple(inputs),
-                files=tuple((file_name, digest) for file_name, digest in files),
+                partition=described["partition"],
+                name=described["name"],
+                version=described["version"],
+                parameters=plain_json(dict(described["parameters"]), "parameters"),
+                seed=described["seed"],
+                inputs=tuple(described["inputs"]),
+                files=tuple((file_name, digest) for file_name, digest in described["files"]),
                 tables=parts,
                 attachments=attachments,
                 facts=plain_json(writer.facts, "facts"),

@@ -13,7 +13,7 @@ import numpy as np
 
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key
+from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 
 __all__ = [
     "Parameters",
@@ -166,7 +166,7 @@ def merge_takes(*manifests: Manifest) -> list[str]:
     return sorted({take for manifest in manifests for take in manifest.facts.get("takes", [])})
 
 
-def artifact_fields(shard: Shard, store: Store) -> dict[str, Any]:
+def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
     """Return what `Store.commit` and `Store.writer` must know of a shard: its name, its key, and what it reads."""
     return {
         "stage": shard.stage,

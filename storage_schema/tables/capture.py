@@ -5,6 +5,18 @@ from __future__ import annotations
 import pyarrow as pa
 
 from storage_schema.columns import Table, array, boolean, float64, integer, text, text_list
+from storage_schema.tables.common import (
+    FRAME,
+    IMAGE_SIZE,
+    PERSON,
+    PERSON_ID,
+    SEQUENCE_ID,
+    TAKE_FRAME,
+    TAKE_ID,
+    TIME_S,
+    positions,
+    unitquats,
+)
 
 __all__ = ["ANNOTATIONS", "CAMERAS", "POSES", "TAKES"]
 
@@ -13,8 +25,8 @@ TAKES = Table(
     meaning="One row per take and person: where the motion came from and the skeleton it came with.",
     sorted_by=("take_id", "person"),
     columns=(
-        text("take_id", "Name of the take, unique in a study"),
-        integer("person", "Person of the take, from 0; 0 is person A"),
+        TAKE_ID,
+        PERSON,
         text("source_name", "File name (no folder) or built-in duet the motion was read from"),
         text("source_sha256", "sha256 of the source's bytes; of the parameters for a built-in duet"),
         text("source_format", "bvh, asf_amc, rotation_rows, positions_npz or duet"),
@@ -47,20 +59,19 @@ POSES = Table(
     meaning="One row per take, person and frame: the source's own rotations and the working skeletons' positions.",
     sorted_by=("take_id", "person", "frame"),
     columns=(
-        text("take_id", "Take the pose belongs to"),
-        integer("person", "Person of the take, from 0"),
-        integer("frame", "Frame at the study's rate, from 0"),
-        float64("time_s", "Time from the start of the take", unit="s"),
+        TAKE_ID,
+        PERSON,
+        FRAME.with_meaning("Frame of the take at the study's rate, from 0"),
+        TIME_S,
         array("root_translation_m", "World position of the source's root", axes={"xyz": 3}, unit="m"),
         array("local_unitquat", "Local unit quaternions (x, y, z, w) of the source's joints, (joint, 4) flattened"),
-        array("pair17_m", "World positions", axes={"joint": 17, "xyz": 3}, unit="m", joints="pair17"),
-        array("op14_m", "World positions", axes={"joint": 14, "xyz": 3}, unit="m", joints="op14"),
-        array("body22_m", "World positions", axes={"joint": 22, "xyz": 3}, unit="m", joints="body22"),
-        array(
+        positions("pair17", "World positions"),
+        positions("op14", "World positions"),
+        positions("body22", "World positions"),
+        unitquats(
             "body22_world_unitquat",
+            "body22",
             "World rotation (x, y, z, w) from the rest pose of the source joint that carries each body22 joint",
-            axes={"joint": 22, "xyzw": 4},
-            joints="body22",
         ),
     ),
 )
@@ -70,19 +81,17 @@ ANNOTATIONS = Table(
     meaning="One row per sequence, frame and person: 2D keypoints in pixels as given, and in the working skeletons.",
     sorted_by=("sequence_id", "frame", "person_id"),
     columns=(
-        text("sequence_id", "Sequence (one camera) the annotation belongs to"),
-        integer("frame", "Frame of the sequence"),
-        integer("person_id", "Person in the sequence; for virtual video the person of the take"),
-        float64("time_s", "Time from the start of the sequence", unit="s"),
+        SEQUENCE_ID,
+        FRAME,
+        PERSON_ID,
+        TIME_S,
         boolean("is_key", "The annotation is one of the annotated set; false for frames kept only for velocity"),
         boolean("is_virtual", "Made by projecting a take through a virtual camera"),
         boolean("is_held_out", "Seen in a held-out take: evaluated, never learned from"),
-        text(
-            "take_id",
-            "Take seen in virtual video, or named by the study for its own video; else null",
-            is_nullable=True,
+        TAKE_ID.with_meaning(
+            "Take seen in virtual video, or named by the study for its own video; else null", is_nullable=True
         ),
-        integer("take_frame", "Frame of that take in virtual video, else null", is_nullable=True),
+        TAKE_FRAME,
         text("layout", "Keypoint layout as given: coco18, body25, coco17, pair17 or op14"),
         array("keypoints_px", "Keypoints as given, (keypoint, 2) flattened; NaN where not detected", unit="px"),
         array("keypoint_confidence", "Confidence of each keypoint as given; 0 where not detected"),
@@ -90,8 +99,7 @@ ANNOTATIONS = Table(
         array("pair17_confidence", "Confidence; 0 where missing", axes={"joint": 17}, joints="pair17"),
         array("op14_px", "Keypoints; NaN where missing", axes={"joint": 14, "xy": 2}, unit="px", joints="op14"),
         array("op14_confidence", "Confidence; 0 where missing", axes={"joint": 14}, joints="op14"),
-        integer("image_width_px", "Width of the image, null when unknown", unit="px", is_nullable=True),
-        integer("image_height_px", "Height of the image, null when unknown", unit="px", is_nullable=True),
+        *(column.with_meaning(f"{column.meaning}, null when unknown", is_nullable=True) for column in IMAGE_SIZE),
     ),
 )
 
@@ -100,12 +108,11 @@ CAMERAS = Table(
     meaning="One row per sequence of virtual video: the true camera and the take it saw.",
     sorted_by=("sequence_id",),
     columns=(
-        text("sequence_id", "Sequence seen by this camera"),
-        text("take_id", "Take seen"),
+        SEQUENCE_ID,
+        TAKE_ID,
         boolean("is_held_out", "The take is held out"),
         float64("rate_hz", "Frame rate of the sequence", unit="Hz"),
-        integer("image_width_px", "Width of the image", unit="px"),
-        integer("image_height_px", "Height of the image", unit="px"),
+        *IMAGE_SIZE,
         float64("focal_px", "Focal length of the pinhole", unit="px"),
         array("principal_point_px", "Principal point", axes={"xy": 2}, unit="px", dtype=pa.float64()),
         float64("distance_m", "Distance from the camera to the point it looks at", unit="m"),

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from storage_schema.columns import Table, array, float64, integer, text
+from storage_schema.columns import Table, float64, integer, text
+from storage_schema.tables.common import FRAME, SEQUENCE_ID, positions
 
 __all__ = ["IN_BETWEENS", "LIFTED_PAIRS"]
 
-_PAIR = array(
-    "pair17_m",
+_PAIR = positions(
+    "pair17",
     "Positions of both people, camera axes (x right, y up, z towards the camera), the middle of the pair at the origin",
-    axes={"person": 2, "joint": 17, "xyz": 3},
-    unit="m",
-    joints="pair17",
+    num_people=2,
 )
 
 LIFTED_PAIRS = Table(
@@ -19,8 +18,8 @@ LIFTED_PAIRS = Table(
     meaning="One row per annotated pair and method: the 3D pair it was lifted to.",
     sorted_by=("sequence_id", "frame", "method"),
     columns=(
-        text("sequence_id", "Sequence of the annotation"),
-        integer("frame", "Frame of the annotation"),
+        SEQUENCE_ID,
+        FRAME,
         text(
             "method",
             "nearest (the nearest draw), neighbours (mean of near draws), fitted (that, fitted to the joints seen), "
@@ -40,8 +39,8 @@ IN_BETWEENS = Table(
     meaning="One row per frame between two lifted annotations of a sequence and method.",
     sorted_by=("sequence_id", "frame", "method"),
     columns=(
-        text("sequence_id", "Sequence"),
-        integer("frame", "Frame of the sequence"),
+        SEQUENCE_ID,
+        FRAME,
         text("method", "draws (led past draws) or straight (the baseline)"),
         integer("first_frame", "Lifted frame before"),
         integer("last_frame", "Lifted frame after"),

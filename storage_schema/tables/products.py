@@ -5,6 +5,7 @@ from __future__ import annotations
 import pyarrow as pa
 
 from storage_schema.columns import Table, array, boolean, float64, integer, text
+from storage_schema.tables.common import FRAME, MODEL_ID, TAKE_ID, TIME_S, VARIANT_ID, VERDICT, positions, unitquats
 
 __all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY"]
 
@@ -13,16 +14,16 @@ VARIANTS = Table(
     meaning="One row per variant of a take and frame: both people's body22 after augmentation.",
     sorted_by=("take_id", "variant_id", "frame"),
     columns=(
-        text("take_id", "Take the variant was made from"),
-        text("variant_id", "Name of the variant, e.g. A-uniform-0.80"),
-        integer("frame", "Frame of the take"),
-        float64("time_s", "Time from the start of the take", unit="s"),
-        array("body22_m", "World positions", axes={"person": 2, "joint": 22, "xyz": 3}, unit="m", joints="body22"),
-        array(
+        TAKE_ID,
+        VARIANT_ID,
+        FRAME,
+        TIME_S,
+        positions("body22", "World positions", num_people=2),
+        unitquats(
             "body22_unitquat",
+            "body22",
             "Local rotations (x, y, z, w): swing from the bones, twist from the source",
-            axes={"person": 2, "joint": 22, "xyzw": 4},
-            joints="body22",
+            num_people=2,
         ),
     ),
 )
@@ -32,8 +33,8 @@ VARIANT_QUALITY = Table(
     meaning="One row per variant: its proportions, how it was solved and how good it is.",
     sorted_by=("take_id", "variant_id"),
     columns=(
-        text("take_id", "Take the variant was made from"),
-        text("variant_id", "Name of the variant"),
+        TAKE_ID,
+        VARIANT_ID,
         array(
             "bone_scale",
             "Scale of each bone (bone = its child joint; the root's is the root height)",
@@ -98,8 +99,7 @@ VARIANT_QUALITY = Table(
         integer("num_fail_frames", "Frames with a figure that is a failure"),
         integer("num_iterations", "Iterations of the solver"),
         text("solver", "Solver that gave the result"),
-        text("verdict", "pass, warn or fail"),
-        text("reason", "What was not passed, in words; empty when passed"),
+        *VERDICT,
     ),
 )
 
@@ -108,9 +108,9 @@ VARIANT_FRAMES = Table(
     meaning="One row per variant of a take and frame: how good it is there.",
     sorted_by=("take_id", "variant_id", "frame"),
     columns=(
-        text("take_id", "Take the variant was made from"),
-        text("variant_id", "Name of the variant"),
-        integer("frame", "Frame of the take"),
+        TAKE_ID,
+        VARIANT_ID,
+        FRAME,
         integer("num_contact_pairs", "Joint pairs in contact in the source"),
         float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
         float64("contact_drift_m", "Mean change of the distance of contact pairs; NaN without one", unit="m"),
@@ -129,7 +129,7 @@ VARIANT_FRAMES = Table(
         ),
         float64("spine_bend_rad", "Greatest change of an angle between spine bones against the source", unit="rad"),
         float64("jerk_ratio", "Root mean square jerk over the greater of the source's there and over the take"),
-        text("verdict", "pass, warn or fail"),
+        VERDICT[0],
     ),
 )
 
@@ -138,8 +138,7 @@ MODELS = Table(
     meaning="One row per array of a trained model.",
     sorted_by=("split", "model", "array_name"),
     columns=(
-        text("split", "Split the model was trained on"),
-        text("model", "Name of the model"),
+        *MODEL_ID,
         text("array_name", "Name of the array"),
         array("array_shape", "Its shape", dtype=pa.int32()),
         array("values", "Its values, row-major", dtype=pa.float64()),
@@ -151,8 +150,7 @@ TRAINING_LOG = Table(
     meaning="One row per split, model and step of training.",
     sorted_by=("split", "model", "step", "quantity"),
     columns=(
-        text("split", "Split trained on"),
-        text("model", "Name of the model"),
+        *MODEL_ID,
         integer("step", "Step; 0 for closed-form models"),
         text("quantity", "What was measured"),
         float64("value", "Its value"),

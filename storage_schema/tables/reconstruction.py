@@ -5,6 +5,7 @@ from __future__ import annotations
 import pyarrow as pa
 
 from storage_schema.columns import Table, array, boolean, float64, integer, text
+from storage_schema.tables.common import FRAME, PERSON, PERSON_ID, SEQUENCE_ID, TAKE_ID, TIME_S, positions, unitquats
 
 __all__ = ["CODEBOOK", "MOTIONS", "PROJECTIONS"]
 
@@ -14,24 +15,17 @@ PROJECTIONS = Table(
     sorted_by=("origin", "take_id"),
     columns=(
         text("origin", "take, draw or variant"),
-        text("take_id", "Take the pose comes from; for a draw the take of its seed"),
-        integer("person", "Person of the take, from 0"),
-        integer("frame", "Frame at the database's rate; the row of the draw for draws"),
+        TAKE_ID.with_meaning("Take the pose comes from; for a draw the take of its seed"),
+        PERSON,
+        FRAME.with_meaning("Frame at the database's rate; the row of the draw for draws"),
         integer("partner_row", "Row of this table with the other person of the frame", is_nullable=True),
         boolean("is_sequence_start", "No previous frame of the same motion in the row above"),
-        array(
-            "op14_m",
-            "Proportions retargeted, mid-hip at the origin, body facing +Z",
-            axes={"joint": 14, "xyz": 3},
-            unit="m",
-            joints="op14",
-        ),
-        array(
+        positions("op14", "Proportions retargeted, mid-hip at the origin, body facing +Z"),
+        unitquats(
             "op14_unitquat",
+            "op14",
             "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
             "facing +Z; the neck carries the frame of the body, heading removed",
-            axes={"joint": 14, "xyzw": 4},
-            joints="op14",
         ),
         float64("heading_rad", "Heading removed: yaw of the body in its take", unit="rad"),
         array("root_translation_m", "World position of the mid-hip in its take", axes={"xyz": 3}, unit="m"),
@@ -67,25 +61,21 @@ MOTIONS = Table(
     meaning="One row per sequence, method, person and frame: the reconstructed motions.",
     sorted_by=("sequence_id",),
     columns=(
-        text("sequence_id", "Annotated sequence"),
-        integer("person_id", "Person in the sequence"),
-        integer("frame", "Frame of the sequence"),
-        float64("time_s", "Time from the start of the sequence", unit="s"),
+        SEQUENCE_ID,
+        PERSON_ID,
+        FRAME,
+        TIME_S,
         text("method", "How the motion was found: nearest, window, viterbi or fit"),
-        array(
-            "op14_m",
+        positions(
+            "op14",
             "Positions, camera axes (x right, y up, z towards the camera); the origin lies under the people of the "
             "first frame, on the floor that the lowest ankle stands on",
-            axes={"joint": 14, "xyz": 3},
-            unit="m",
-            joints="op14",
         ),
-        array(
+        unitquats(
             "op14_unitquat",
+            "op14",
             "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
             "facing the camera; the neck carries the frame of the body",
-            axes={"joint": 14, "xyzw": 4},
-            joints="op14",
         ),
         array("root_translation_m", "Position of the mid-hip", axes={"xyz": 3}, unit="m"),
         float64("metres_per_pixel", "Scale of the person in the image that was estimated", unit="m/px"),

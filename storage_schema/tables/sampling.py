@@ -5,6 +5,17 @@ from __future__ import annotations
 import pyarrow as pa
 
 from storage_schema.columns import Table, array, float64, integer, text
+from storage_schema.tables.common import (
+    CHAIN_ID,
+    FRAME,
+    LOG_TERMS,
+    SEED_INDEX,
+    SEQUENCE_ID,
+    TAKE_FRAME,
+    TAKE_ID,
+    VERDICT,
+    positions,
+)
 
 __all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "POSE_PRIOR", "SEEDS", "TORSO_BASIS", "VIEWS"]
 
@@ -53,8 +64,8 @@ VIEWS = Table(
     meaning="One row per annotated frame of a pair and view hypothesis.",
     sorted_by=("sequence_id", "frame", "hypothesis"),
     columns=(
-        text("sequence_id", "Sequence of the annotation"),
-        integer("frame", "Frame of the annotation"),
+        SEQUENCE_ID,
+        FRAME,
         integer("hypothesis", "Hypothesis of this annotation, from 0"),
         text("depth_rule", "How the relative depth of the roots was chosen"),
         integer("flip", "Depth flips of the two torsos: bit 0 for person A, bit 1 for person B"),
@@ -78,14 +89,14 @@ SEEDS = Table(
     meaning="One row per seed: a 3D pose pair from which chains start.",
     sorted_by=("seed_index",),
     columns=(
-        integer("seed_index", "Index of the seed in the study"),
+        SEED_INDEX,
         text(
             "origin",
             "frame (of a take), file, draw (a file written by a restart), lifted (from 2D alone) or grown (from seeds)",
         ),
-        text("take_id", "Take it came from, else null", is_nullable=True),
-        integer("take_frame", "Frame of that take, else null", is_nullable=True),
-        text("sequence_id", "Annotated sequence it was lifted from, else null", is_nullable=True),
+        TAKE_ID.with_meaning("Take it came from, else null", is_nullable=True),
+        TAKE_FRAME,
+        SEQUENCE_ID.with_meaning("Annotated sequence it was lifted from, else null", is_nullable=True),
         integer("sequence_frame", "Annotated frame of that sequence, else null", is_nullable=True),
         integer(
             "parent_seed_index", "Seed that a grown seed was lifted from, the nearest one; else null", is_nullable=True
@@ -103,21 +114,8 @@ SEEDS = Table(
             is_nullable=True,
         ),
         float64("log_prior", "Log of the prior (lift eq. 2) with the seed's own bone lengths, 0.05 m wide"),
-        array(
-            "pair17_m",
-            "World positions of both people",
-            axes={"person": 2, "joint": 17, "xyz": 3},
-            unit="m",
-            joints="pair17",
-            dtype=pa.float64(),
-        ),
+        positions("pair17", "World positions of both people", num_people=2, dtype=pa.float64()),
     ),
-)
-
-_CHAIN_COLUMNS = (
-    text("density", "Density sampled (ic, prior_only, ...), or the variant of a study's chains"),
-    integer("seed_index", "Seed the chain started from"),
-    integer("chain", "Chain of that seed"),
 )
 
 DRAWS = Table(
@@ -125,21 +123,17 @@ DRAWS = Table(
     meaning="One row per kept draw of a chain.",
     sorted_by=("density", "seed_index", "chain", "draw"),
     columns=(
-        *_CHAIN_COLUMNS,
+        *CHAIN_ID,
         integer("draw", "Index of the draw in its chain, from 0"),
-        array(
-            "pair17_m",
+        positions(
+            "pair17",
             "Positions, gauge-fixed (centroid of the pair at the origin, yaw of the line between the roots 0)",
-            axes={"person": 2, "joint": 17, "xyz": 3},
-            unit="m",
-            joints="pair17",
+            num_people=2,
         ),
         array("parameters", "Sampled parameters", axes={"parameter": 108}, dtype=pa.float64()),
-        float64("log_density", "Log of the target, up to a constant"),
-        float64("log_prior", "Log of the prior (lift eq. 2)"),
-        float64("log_likelihood", "Log of the likelihood (lift eq. 6)"),
+        *LOG_TERMS,
         integer("num_accepted", "Accepted proposals since the previous kept draw"),
-        text("take_id", "Take of the seed, else null", is_nullable=True),
+        TAKE_ID.with_meaning("Take of the seed, else null", is_nullable=True),
     ),
 )
 
@@ -148,13 +142,11 @@ CHAIN_STATES = Table(
     meaning="One row per finished segment of a chain: what an exact continuation needs.",
     sorted_by=("density", "seed_index", "chain", "segment"),
     columns=(
-        *_CHAIN_COLUMNS,
+        *CHAIN_ID,
         integer("segment", "Segment of the chain, from 0"),
         integer("num_draws", "Draws made up to the end of this segment"),
         array("parameters", "State of the chain", axes={"parameter": 108}, dtype=pa.float64()),
-        float64("log_density", "Log of the target at that state"),
-        float64("log_prior", "Log of the prior at that state"),
-        float64("log_likelihood", "Log of the likelihood at that state"),
+        *LOG_TERMS,
         text("generator_state", "State of the random generator, as JSON"),
         text("kernel_state", "State of the kernel (adapted scales), as JSON"),
     ),
@@ -165,7 +157,7 @@ CHAIN_INFO = Table(
     meaning="One row per chain: how it went.",
     sorted_by=("density", "seed_index", "chain"),
     columns=(
-        *_CHAIN_COLUMNS,
+        *CHAIN_ID,
         integer("num_draws", "Draws kept"),
         float64("acceptance_rate", "Accepted share of the proposals"),
         float64("ess_min", "Least effective sample size over the invariants of this chain"),
@@ -173,8 +165,8 @@ CHAIN_INFO = Table(
         float64("log_density_first", "Log density of the seed"),
         float64("log_density_mean", "Mean log density of the draws"),
         float64("travelled_m", "Mean joint distance between the last draw and the seed", unit="m"),
-        text("verdict", "ok, stuck or left_range"),
-        text("reason", "The verdict in words; empty when ok"),
+        VERDICT[0].with_meaning("ok, stuck or left_range"),
+        VERDICT[1],
         text("note", "What is unusual about the annotations it was sampled with; empty when nothing is"),
     ),
 )

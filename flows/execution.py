@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from flows.listener import Listener
-from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs
+from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs, stage_verdict
 from flows.records import begin_record, copy_report, end_record, read_last_run, record_stage, report_folder
 from flows.study import Study
+from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, MissingArtifact, RunFolder, StorageError, Store, new_run
 from tasks.graph import Graph
 from tasks.stage import Shard
@@ -66,6 +67,21 @@ class StageOutcome:
     num_computed: int
     seconds: float
     artifacts: tuple[ArtifactRef, ...]
+    verdict: Verdict | None = None
+    empty_reason: str = ""
+
+    @classmethod
+    def of(cls, plan: StagePlan, found: Sequence[Manifest], seconds: float) -> StageOutcome:
+        """Return what was done for a stage by this plan, which led to these artifacts."""
+        return cls(
+            name=plan.stage.name,
+            num_shards=len(plan.shards),
+            num_computed=len(plan.todo),
+            seconds=seconds,
+            artifacts=tuple(manifest.ref for manifest in found),
+            verdict=stage_verdict(found),
+            empty_reason=plan.empty_reason,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values."""
@@ -74,6 +90,7 @@ class StageOutcome:
             "num_shards": self.num_shards,
             "num_computed": self.num_computed,
             "seconds": round(self.seconds, 3),
+            "verdict": None if self.verdict is None else self.verdict.to_json(),
             "artifacts": [{"key": ref.key, "content_digest": ref.content_digest} for ref in self.artifacts],
         }
 
@@ -151,11 +168,7 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     report = report_folder(run.store, last.run_id) if last is not None else None
     if last is None or not is_on_record or (has_report and report is None):
         return execute(run, begin(run, plan), plan, _no_work)
-    outcomes = tuple(
-        StageOutcome(stage.stage.name, len(stage.shards), 0, 0.0, tuple(m.ref for m in stage.manifests))
-        for stage in plan.stages
-        if stage.is_selected
-    )
+    outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)
 
 
@@ -210,8 +223,8 @@ def _bring_up_to_date(
         found.append(manifest_or_none)
     record_stage(run.store, study.name, run_id, stage.name, found)
     seconds = time.perf_counter() - started
-    run.listener.stage_finished(plan, seconds)
-    outcome = StageOutcome(stage.name, len(found), len(plan.todo), seconds, tuple(m.ref for m in found))
+    outcome = StageOutcome.of(plan, found, seconds)
+    run.listener.stage_finished(plan, seconds, outcome.verdict)
     return outcome, tuple(found)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flows.planning import StagePlan
+from pasdedeux.verdict import Verdict
 from tasks.shards import ShardDone
 
 __all__ = ["Listener"]
@@ -23,8 +24,8 @@ class Listener:
     def shard_done(self, done: ShardDone) -> None:
         """Hear that a shard is committed."""
 
-    def stage_finished(self, plan: StagePlan, seconds: float) -> None:
-        """Hear that all of a stage is there."""
+    def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
+        """Hear that all of a stage is there, and whether it is good."""
 
     def close(self) -> None:
         """Hear that nothing more will come, whether the run ended well or not."""

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from flows.reasons import Past, describe_inputs, why_not_fresh
+from flows.reasons import StageRecord, describe_inputs, why_not_fresh
 from flows.records import last_sections, read_last_run
 from flows.study import Study
+from pasdedeux.verdict import Verdict, summarise_verdicts
 from storage_schema import Manifest, Store
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
-from tasks.stage import Shard, Stage, StageInputs
+from tasks.stage import Shard, Stage, StageInputs, verdict_of
 
 __all__ = [
     "Plan",
@@ -25,6 +26,7 @@ __all__ = [
     "make_plan",
     "plan_stage",
     "stage_inputs",
+    "stage_verdict",
 ]
 
 
@@ -86,13 +88,17 @@ class ShardPlan:
 
 @dataclass(frozen=True)
 class StagePlan:
-    """One stage and how its shards stand; a pending stage has no shards yet, but knows the partitions it had."""
+    """One stage and how its shards stand; a pending stage has no shards yet, but knows the partitions it had.
+
+    `absent_tables` are those it reads that nothing wrote.
+    """
 
     stage: Stage
     is_selected: bool
     shards: tuple[ShardPlan, ...] = ()
     pending_on: tuple[str, ...] = ()
     last_partitions: tuple[tuple[str, int], ...] = ()
+    absent_tables: tuple[str, ...] = ()
 
     @property
     def is_pending(self) -> bool:
@@ -108,6 +114,18 @@ class StagePlan:
     def pending_reason(self) -> str:
         """Return what the stage waits for, in words."""
         return f"depends on {', '.join(self.pending_on)}; rebuilt only if its bytes change"
+
+    @property
+    def empty_reason(self) -> str:
+        """Return why a planned stage has no shards, as far as that is known; empty where it has some."""
+        if self.is_pending or self.shards:
+            return ""
+        return "nothing to do" + (f" (there are no {', no '.join(self.absent_tables)})" if self.absent_tables else "")
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Return what the stage's finished shards think of their results, as one verdict."""
+        return stage_verdict(self.manifests)
 
     @property
     def todo(self) -> tuple[Shard, ...]:
@@ -139,7 +157,9 @@ class StagePlan:
             }
             for item in self.shards
         ]
-        return {**described, "state": "fresh" if self.is_fresh else "unfinished", "shards": shards}
+        state = "fresh" if self.is_fresh else "unfinished"
+        verdict = None if self.verdict is None else self.verdict.to_json()
+        return {**described, "state": state, "reason": self.empty_reason, "verdict": verdict, "shards": shards}
 
     def partitions(self) -> dict[str, list[ShardPlan]]:
         """Return the shards by partition, both in the order of the plan."""
@@ -199,28 +219,28 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     for stage in graph.stages:
         if stage.check is not None and stage.name in selected:
             stage.check(study.parameters[stage.name])
-    past = _Pasts(store, study.name)
+    last = _LastRun(store, study.name)
     plans: dict[str, StagePlan] = {}
     for stage in graph.stages:
         waiting = tuple(name for name in graph.upstream[stage.name] if not plans[name].is_fresh)
-        barred = [name for name in waiting if name not in selected]
-        if barred and stage.name in selected:
+        unselected = [name for name in waiting if name not in selected]
+        if unselected and stage.name in selected:
             raise PlanError(
-                f"stage {stage.name} needs {barred[0]}, which is not finished and not selected; "
-                f"run without --only and --from, or build it first with --until {barred[0]}"
+                f"stage {stage.name} needs {unselected[0]}, which is not finished and not selected; "
+                f"run without --only and --from, or build it first with --until {unselected[0]}"
             )
         if waiting:
             plans[stage.name] = StagePlan(
                 stage=stage,
                 is_selected=stage.name in selected,
                 pending_on=waiting,
-                last_partitions=_count_partitions(r.partition for r in past.of(stage.name).shards or ()),
+                last_partitions=_count_partitions(r.partition for r in last.stage(stage.name).shards or ()),
             )
             continue
         inputs = stage_inputs(
             stage, study.head.seed, {name: plans[name].manifests for name in graph.upstream[stage.name]}
         )
-        plan = _plan_stage(stage, study, inputs, store, past.of(stage.name), is_forced=stage.name in selection.force)
+        plan = _plan_stage(stage, study, inputs, store, last.stage(stage.name), is_forced=stage.name in selection.force)
         plans[stage.name] = replace(plan, is_selected=stage.name in selected)
     return Plan(study=study.name, stages=tuple(plans.values()))
 
@@ -238,11 +258,11 @@ def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manif
 
 def plan_stage(stage: Stage, study: Study, inputs: StageInputs, store: Store, *, is_forced: bool = False) -> StagePlan:
     """Ask a stage for its shards and tell how each stands against the store and the last run."""
-    return _plan_stage(stage, study, inputs, store, _Pasts(store, study.name).of(stage.name), is_forced=is_forced)
+    return _plan_stage(stage, study, inputs, store, _LastRun(store, study.name).stage(stage.name), is_forced=is_forced)
 
 
 def _plan_stage(
-    stage: Stage, study: Study, inputs: StageInputs, store: Store, past: Past, *, is_forced: bool
+    stage: Stage, study: Study, inputs: StageInputs, store: Store, last: StageRecord, *, is_forced: bool
 ) -> StagePlan:
     parameters = study.parameters[stage.name]
     section: dict[str, Any] = parameters.model_dump(mode="json")
@@ -261,21 +281,28 @@ def _plan_stage(
         elif manifest is not None:
             shards.append(ShardPlan(shard, State.STALE, "forced", manifest))
         else:
-            is_stale, reason = why_not_fresh(stage, section, shard, described, past)
+            is_stale, reason = why_not_fresh(stage, section, shard, described, last)
             shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))
-    return StagePlan(stage=stage, is_selected=True, shards=tuple(shards))
+    absent = tuple(table for table in stage.reads if not inputs.of(table))
+    return StagePlan(stage=stage, is_selected=True, shards=tuple(shards), absent_tables=absent)
 
 
-class _Pasts:
-    """Every stage as the last run of a study left it."""
+def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
+    """Return one verdict over these artifacts of a stage; None where none of them has one."""
+    verdicts = [verdict_of(manifest) for manifest in manifests]
+    return summarise_verdicts(verdict for verdict in verdicts if verdict is not None)
+
+
+class _LastRun:
+    """Every stage as the last run of a study recorded it."""
 
     def __init__(self, store: Store, study: str) -> None:
         self._last = read_last_run(store, study)
         self._sections = last_sections(store, self._last)
 
-    def of(self, stage: str) -> Past:
+    def stage(self, stage: str) -> StageRecord:
         shards = self._last.stages.get(stage) if self._last is not None else None
-        return Past(shards, self._sections.get(stage, {}))
+        return StageRecord(shards, self._sections.get(stage, {}))
 
 
 def _count_partitions(partitions: Iterable[str]) -> tuple[tuple[str, int], ...]:

@@ -11,15 +11,15 @@ from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
 from tasks.stage import Shard, Stage
 
-__all__ = ["Past", "describe_inputs", "why_not_fresh"]
+__all__ = ["StageRecord", "describe_inputs", "why_not_fresh"]
 
-_MOST = 3  # differences named one by one; more are counted
-_LONGEST = 40  # characters of a value shown
+_MAX_NAMED = 3  # differences named one by one; more are counted
+_MAX_CHARACTERS = 40  # of a value that is shown
 
 
 @dataclass(frozen=True)
-class Past:
-    """A stage as the last run left it: its shards (None when it never ran) and its section of the study then."""
+class StageRecord:
+    """A stage as the last run recorded it: its shards (None when it never ran) and its section of the study then."""
 
     shards: Sequence[ShardRecord] | None
     section: Mapping[str, Any]
@@ -31,7 +31,7 @@ def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecor
     for manifest in manifests:
         place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
         is_take = manifest.facts.get("kind") == "take"
-        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _call(place))
+        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _label(place))
     return described
 
 
@@ -40,7 +40,7 @@ def why_not_fresh(
     section: Mapping[str, Any],
     shard: Shard,
     inputs: Mapping[str, tuple[InputRecord, str]],
-    past: Past,
+    last: StageRecord,
 ) -> tuple[bool, str]:
     """Tell whether a shard without an artifact is stale (else it is missing), and why, in words.
 
@@ -49,14 +49,14 @@ def why_not_fresh(
         section: The stage's parameters now, as JSON values.
         shard: The shard that has no valid artifact.
         inputs: What `describe_inputs` says of everything the stage may read.
-        past: The stage in the last run.
+        last: The stage in the last run.
     """
-    if past.shards is None:
+    if last.shards is None:
         return False, "never built"
-    settings = _changes(stage.name, past.section, section) if past.section else []
-    old = next((r for r in past.shards if (r.partition, r.name) == (shard.partition, shard.name)), None)
+    settings = _changes(stage.name, last.section, section) if last.section else []
+    old = next((r for r in last.shards if (r.partition, r.name) == (shard.partition, shard.name)), None)
     if old is None:
-        return False, f"new: {_several(settings)}" if settings else "new"
+        return False, f"new: {_listed(settings)}" if settings else "new"
     if old.key == shard.key:
         return False, "its files are gone or not whole"
     words = []
@@ -71,7 +71,7 @@ def why_not_fresh(
     words.extend(_input_changes(old, shard, inputs))
     if not words and shard.after:
         words.append("a shard before it changed")
-    return True, _several(words) if words else "store schema or program changed"
+    return True, _listed(words) if words else "store schema or program changed"
 
 
 def _changes(prefix: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -99,14 +99,14 @@ def _input_changes(old: ShardRecord, shard: Shard, inputs: Mapping[str, tuple[In
 
     Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
     """
-    names = {_call(place): label for place, label in inputs.values()}
+    names = {_label(place): label for place, label in inputs.values()}
     read = [record for record in old.inputs if record.stage != shard.stage]
-    before = {names.get(_call(record), _call(record)): record.content_digest for record in read}
+    before = {names.get(_label(record), _label(record)): record.content_digest for record in read}
     now: dict[str, str] = {}
     for ref in shard.all_inputs:
         now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
     words = _differences(before, now)
-    if len(words) <= _MOST:
+    if len(words) <= _MAX_NAMED:
         return words
     digests = {record.content_digest for record in read}
     stages = dict.fromkeys(ref.stage for ref in shard.all_inputs if ref.content_digest not in digests)
@@ -121,7 +121,7 @@ def _differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]
     ]
 
 
-def _call(place: InputRecord) -> str:
+def _label(place: InputRecord) -> str:
     return f"{place.stage} {place.partition}" + ("" if place.name == place.partition else f" {place.name}")
 
 
@@ -136,9 +136,9 @@ def _leaves(prefix: str, value: Any) -> dict[str, Any]:
 
 def _short(value: Any) -> str:
     text = canonical_json(value).decode()
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
 
 
-def _several(words: Sequence[str]) -> str:
-    shown = ", ".join(words[:_MOST])
-    return shown if len(words) <= _MOST else f"{shown} and {len(words) - _MOST} more"
+def _listed(words: Sequence[str]) -> str:
+    shown = ", ".join(words[:_MAX_NAMED])
+    return shown if len(words) <= _MAX_NAMED else f"{shown} and {len(words) - _MAX_NAMED} more"

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-__all__ = ["HEAD", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "unknown"]
+__all__ = ["HEAD", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "study_text", "unknown"]
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"
@@ -85,6 +85,11 @@ def shipped_studies() -> dict[str, str]:
     folder = resources.files("flows").joinpath("studies")
     files = sorted((item for item in folder.iterdir() if item.name.endswith(".toml")), key=lambda item: item.name)
     return {item.name.removesuffix(".toml"): item.read_text(encoding="utf-8") for item in files}
+
+
+def study_text(name_or_path: str, here: Path) -> str:
+    """Return the text of a study that ships, or of a file; StudyError where there is none."""
+    return _find(name_or_path, here, here, "")[0]
 
 
 def read_study_tree(name_or_path: str, here: Path) -> StudyTree:

@@ -14,9 +14,21 @@ import typer
 from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
-__all__ = ["Context", "ExportFormat", "JsonOption", "StoreOption", "StudyArgument", "open_store", "print_json"]
+__all__ = [
+    "Context",
+    "ExportFormat",
+    "JsonOption",
+    "SettingOption",
+    "StoreOption",
+    "StudyArgument",
+    "open_store",
+    "print_json",
+]
 
 StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")]
+SettingOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
+]
 StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
 

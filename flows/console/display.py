@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import typer
@@ -13,9 +14,18 @@ import typer
 from flows.execution import Outcome
 from flows.listener import Listener
 from flows.planning import Plan, StagePlan, State
+from pasdedeux.verdict import Verdict
 from tasks.shards import ShardDone
 
-__all__ = ["BarListener", "LineListener", "format_table", "make_listener", "outcome_lines", "plan_lines"]
+__all__ = [
+    "BarListener",
+    "LineListener",
+    "format_table",
+    "make_listener",
+    "outcome_lines",
+    "plan_lines",
+    "verdict_text",
+]
 
 _BETWEEN_LINES_S = 5.0
 
@@ -47,8 +57,6 @@ class LineListener(Listener):
         self._last_line = time.monotonic()
         if plan.todo:
             self._say(f"{plan.stage.name}: {len(plan.todo)} of {len(plan.shards)} shards to compute")
-        else:
-            self._say(f"{plan.stage.name}: all {len(plan.shards)} shards are fresh")
 
     def shard_done(self, done: ShardDone) -> None:
         """Say now and then how far the stage is."""
@@ -61,10 +69,11 @@ class LineListener(Listener):
             text = f"{done.shard.stage}: {self._num_done} of {self._num_todo}"
         self._say(text)
 
-    def stage_finished(self, plan: StagePlan, seconds: float) -> None:
-        """Say that the stage is done."""
-        if plan.todo:
-            self._say(f"{plan.stage.name}: done in {seconds:.1f} s")
+    def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
+        """Say that the stage is done, and whether it is good."""
+        done = f"done in {seconds:.1f} s" if plan.todo else f"all {len(plan.shards)} shards are fresh"
+        words = [plan.empty_reason or done, *([verdict_text(verdict)] if verdict else [])]
+        self._say(f"{plan.stage.name}: {'; '.join(words)}")
 
     def _say(self, text: str) -> None:
         typer.echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
@@ -101,13 +110,14 @@ class BarListener(Listener):
         """Move the bar."""
         self._progress.update(self._bar, advance=1, last=f"{done.shard.partition} {done.shard.name}"[:40])
 
-    def stage_finished(self, plan: StagePlan, seconds: float) -> None:
-        """Let the finished bar stand."""
-        self._progress.update(self._bar, last="" if plan.todo else "fresh")
+    def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
+        """Let the finished bar stand, with whether the stage is good."""
+        words = verdict_text(verdict) if verdict else plan.empty_reason or ("" if plan.todo else "fresh")
+        self._progress.update(self._bar, last=words)
         self._progress.stop_task(self._bar)
 
     def close(self) -> None:
-        """Return the terminal back."""
+        """Give the terminal back."""
         self._progress.stop()
 
 
@@ -147,22 +157,39 @@ def outcome_lines(outcome: Outcome) -> list[str]:
             str(stage.num_shards - stage.num_computed),
             str(stage.num_computed),
             f"{stage.seconds:.1f}",
+            stage.empty_reason or verdict_text(stage.verdict),
         )
         for stage in outcome.stages
     ]
-    return format_table(("stage", "shards", "fresh", "computed", "seconds"), rows)
+    return format_table(("stage", "shards", "fresh", "computed", "seconds", "verdict"), rows, text_columns=(0, 5))
 
 
-def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return rows as aligned lines under a header; the first column to the left, the others to the right."""
+def verdict_text(verdict: Verdict | None) -> str:
+    """Return a verdict in one line: `warn: 2 of 8: hands drift; contact drift 0.012 m (forward kinematics 0.03 m)`."""
+    if verdict is None:
+        return ""
+    text = f"{verdict.level.value}: {verdict.reason}" if verdict.reason else verdict.level.value
+    if not verdict.figure or math.isnan(verdict.value):
+        return text
+    unit = f" {verdict.unit}" if verdict.unit else ""
+    figure = f"{verdict.figure} {verdict.value:.3g}{unit}"
+    if not math.isnan(verdict.baseline):
+        figure += f" ({verdict.baseline_name or 'baseline'} {verdict.baseline:.3g}{unit})"
+    return f"{text}; {figure}"
+
+
+def format_table(
+    header: Sequence[str], rows: Iterable[Sequence[str]], *, text_columns: Collection[int] = (0,)
+) -> list[str]:
+    """Return rows as aligned lines under a header; columns of text to the left, the others (numbers) to the right."""
     rows = [tuple(row) for row in rows]
     widths = [max(len(row[i]) for row in [tuple(header), *rows]) for i in range(len(header))]
 
     def line(row: Sequence[str]) -> str:
-        cells = [f"{row[0]:<{widths[0]}}"] + [
-            f"{cell:>{width}}" for cell, width in zip(row[1:], widths[1:], strict=True)
+        aligned = [
+            f"{cell:{'<' if column in text_columns else '>'}{widths[column]}}" for column, cell in enumerate(row)
         ]
-        return "  ".join(cells).rstrip()
+        return "  ".join(aligned).rstrip()
 
     return [line(header), *(line(row) for row in rows)]
 
@@ -171,8 +198,11 @@ def _stage_words(stage: StagePlan) -> str:
     suffix = "" if stage.is_selected else " (not selected)"
     if stage.is_pending:
         return f"pending: {stage.pending_reason}{suffix}"
+    if stage.empty_reason:
+        return f"{stage.empty_reason}{suffix}"
     if stage.is_fresh:
-        return f"fresh, {len(stage.shards)} shards{suffix}"
+        verdict = f"; {verdict_text(stage.verdict)}" if stage.verdict else ""
+        return f"fresh, {len(stage.shards)} shards{suffix}{verdict}"
     counts = [f"{stage.count(state)} {state.value}" for state in State if stage.count(state)]
     return f"{', '.join(counts)} of {len(stage.shards)} shards{suffix}"
 

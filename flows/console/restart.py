@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.console.context import Context, JsonOption, StoreOption, open_store
-from flows.console.run import SettingOption, build_and_report
+from flows.console.context import Context, JsonOption, SettingOption, StoreOption, open_store
+from flows.console.run import build_and_report
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree

@@ -10,7 +10,15 @@ from typing import Annotated
 
 import typer
 
-from flows.console.context import Context, JsonOption, StoreOption, StudyArgument, open_store, print_json
+from flows.console.context import (
+    Context,
+    JsonOption,
+    SettingOption,
+    StoreOption,
+    StudyArgument,
+    open_store,
+    print_json,
+)
 from flows.console.display import make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.planning import Plan, PlanError, Selection, make_plan
@@ -19,7 +27,7 @@ from storage_schema import Store
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["SettingOption", "build_and_report", "register"]
+__all__ = ["build_and_report", "register"]
 
 _MIN_FREE_BYTES = 64 * 1024**2
 _GIB = 1024**3
@@ -42,9 +50,6 @@ stale    something it depends on has changed; says what
 pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
 """
 
-SettingOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
-]
 OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE", help="These stages alone.")]
 FromOption = Annotated[str | None, typer.Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
 UntilOption = Annotated[str | None, typer.Option("--until", metavar="STAGE", help="This stage and what it needs.")]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
+from flows.console.display import format_table
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files
 
 __all__ = ["register"]
@@ -53,10 +54,9 @@ def show(
         return
     typer.echo(f"{described['table']}: {described['meaning']}")
     typer.echo(f"{described['num_rows']} rows in {len(described['artifacts'])} artifacts")
-    cells = [(c["name"], c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
-    widths = [max(len(cell[i]) for cell in cells) for i in range(3)]
-    for cell in cells:
-        typer.echo(f"  {cell[0]:<{widths[0]}}  {cell[1]:<{widths[1]}}  {cell[2]:<{widths[2]}}  {cell[3]}")
+    cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
+    for line in format_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4)):
+        typer.echo(line)
     if described["rows"]:
         typer.echo("first rows:" if described["row"] is None else "the row:")
     for row in described["rows"]:

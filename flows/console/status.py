@@ -8,8 +8,10 @@ from typing import Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import format_table
+from flows.console.display import format_table, verdict_text
+from flows.planning import stage_verdict
 from flows.records import describe_runs, read_last_run
+from pasdedeux.verdict import Verdict
 from storage_schema import Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 
@@ -37,10 +39,17 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     for study in described["studies"]:
         typer.echo(f"study {study['study']}, last run {study['run_id']}")
         rows = [
-            (s["stage"], str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
+            (
+                f"  {s['stage']}",
+                str(s["num_shards"]),
+                str(s["num_there"]),
+                f"{s['bytes'] / 1e6:.1f} MB",
+                verdict_text(s["verdict"] and Verdict.from_json(s["verdict"])),
+            )
             for s in study["stages"]
         ]
-        for line in format_table(("  stage", "shards", "there", "size"), [(f"  {row[0]}", *row[1:]) for row in rows]):
+        header = ("  stage", "shards", "there", "size", "verdict")
+        for line in format_table(header, rows, text_columns=(0, 4)):
             typer.echo(line)
     for record in described["runs"][-5:]:
         typer.echo(f"run {record['run_id']}: {record['status']}")
@@ -80,7 +89,15 @@ def _describe(store: Store) -> dict[str, Any]:
         stages = []
         for stage, records in last.stages.items():
             found = [manifest for record in records if (manifest := store.find(stage, record.key)) is not None]
-            num_bytes = sum(manifest.num_bytes for manifest in found)
-            stages.append({"stage": stage, "num_shards": len(records), "num_there": len(found), "bytes": num_bytes})
+            verdict = stage_verdict(found)
+            stages.append(
+                {
+                    "stage": stage,
+                    "num_shards": len(records),
+                    "num_there": len(found),
+                    "bytes": sum(manifest.num_bytes for manifest in found),
+                    "verdict": None if verdict is None else verdict.to_json(),
+                }
+            )
         studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
     return {"store": str(store.root), "studies": studies, "runs": describe_runs(store)}

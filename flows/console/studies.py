@@ -1,19 +1,41 @@
-"""`study` and `fetch`: where a study of one's own begins."""
+"""`study` and `fetch`: the studies there are, what may be said in one, and where one of your own begins."""
 
 from __future__ import annotations
 
-import tomllib
+import json
+import re
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from flows.console import fetch
-from flows.console.context import JsonOption, print_json
-from flows.study_files import shipped_studies
+from flows.console.context import Context, JsonOption, SettingOption, print_json
+from flows.console.display import format_table
+from flows.study import load_study
+from flows.study_files import HEAD, read_study_tree, shipped_studies, study_text
+from flows.study_keys import study_keys
+from tasks.graph import Graph
 
 __all__ = ["register"]
 
+_MAX_CHARACTERS = 40  # of a default that is shown
+
+_SHOW = """Print a study: its file as it is, to start your own from, or with --resolved everything that holds in it.
+
+\b
+  pasdedeux study show duets
+  pasdedeux study show coverage --resolved
+"""
+_KEYS = """Print every key that a study may have, with type, default, unit and meaning.
+
+\b
+  pasdedeux study keys chains
+  pasdedeux run --set chains.num_chains=4      a key on the command line
+\b
+In a key, N is a position in a list, counted from 0, and NAME a name of your own.
+"""
 _NEW = """Write a commented study to start from, with what the given files tell of themselves.
 
 \b
@@ -25,22 +47,69 @@ _NEW = """Write a commented study to start from, with what the given files tell 
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    group = typer.Typer(help="Studies: those that ship, and new ones.", no_args_is_help=True, rich_markup_mode=None)
-    group.command("list", help="List the studies that ship.")(show_all)
-    group.command("show", help="Print a study that ships, to start your own from.")(show)
+    group = typer.Typer(
+        help="Studies: those that ship, new ones, and what may be said in one.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+    )
+    group.command("list", help="List the studies that ship, and what motion each needs.")(show_all)
+    group.command("show", help=_SHOW)(show)
+    group.command("keys", help=_KEYS)(keys)
     group.command("new", help=_NEW)(new)
     app.add_typer(group, name="study")
     app.add_typer(fetch.app, name="fetch")
 
 
-def show_all(as_json: JsonOption = False) -> None:
+def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the studies that ship."""
-    heads = {name: tomllib.loads(text).get("study", {}) for name, text in shipped_studies().items()}
+    graph = context.find_object(Context).graph  # type: ignore[union-attr]
+    found = [_describe(name, graph) for name in shipped_studies()]
     if as_json:
-        print_json(heads)
+        print_json(found)
         return
-    for name, head in heads.items():
-        typer.echo(f"{name:<16}{head.get('title', '')}")
+    header = ("name", "what it is", "stages", "data it needs")
+    rows = [(d["name"], d["title"], _stage_words(d["stages"], graph), d["data"]) for d in found]
+    for line in format_table(header, rows, text_columns=range(4)):
+        typer.echo(line)
+
+
+def show(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")],
+    is_resolved: Annotated[
+        bool, typer.Option("--resolved", help="Every key, with what is extended and all defaults filled in.")
+    ] = False,
+    settings: SettingOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print a study."""
+    if not is_resolved and not as_json and not settings:
+        typer.echo(study_text(name, Path.cwd()), nl=False)
+        return
+    study, _ = load_study(name, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    if as_json:
+        print_json(study.resolved())
+        return
+    for line in _toml_lines("", study.resolved()):
+        typer.echo(line)
+
+
+def keys(
+    context: typer.Context,
+    section: Annotated[str | None, typer.Argument(metavar="[SECTION]", help="One section; all when none.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the keys of a study."""
+    graph = context.find_object(Context).graph  # type: ignore[union-attr]
+    found = study_keys(graph, section)
+    if not found:
+        raise typer.BadParameter(f"there is no section '{section}'; sections: {', '.join((HEAD, *graph.names))}")
+    if as_json:
+        print_json([asdict(key) for key in found])
+        return
+    rows = [(k.name, k.type, "needed" if k.is_needed else _short(k.default), k.unit, k.meaning) for k in found]
+    for line in format_table(("key", "type", "default", "unit", "meaning"), rows, text_columns=range(5)):
+        typer.echo(line)
 
 
 def new(
@@ -61,9 +130,52 @@ def new(
     typer.echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 
-def show(name: str) -> None:
-    """Print a study that ships."""
-    studies = shipped_studies()
-    if name not in studies:
-        raise typer.BadParameter(f"'{name}' does not ship; studies that do: {', '.join(studies)}")
-    typer.echo(studies[name], nl=False)
+def _describe(name: str, graph: Graph) -> dict[str, Any]:
+    """Return what the list says of a study that ships; `stages` is None for one that others extend only."""
+    tree = read_study_tree(name, Path.cwd()).values
+    head, ingest = tree[HEAD], tree.get("ingest", {})
+    pairs = ingest.get("pairs", {}).values()
+    folders = {pair["folder"]: set[str]() for pair in pairs}
+    for pair in pairs:
+        folders[pair["folder"]].update(pair["subjects"])
+    data = [f"{folder}/ (subjects {', '.join(sorted(subjects))})" for folder, subjects in folders.items()]
+    return {
+        "name": name,
+        "title": head["title"],
+        "stages": list(head.get("stages", graph.names)) if "name" in head else None,
+        "data": "; ".join(data) if data else "none, built-in duets",
+    }
+
+
+def _stage_words(stages: list[str] | None, graph: Graph) -> str:
+    if stages is None:
+        return "(to extend)"
+    left_out = [name for name in graph.names if name not in stages]
+    if not left_out:
+        return "all"
+    return f"all but {', '.join(left_out)}" if len(left_out) <= 2 else ", ".join(stages)
+
+
+def _short(value: Any) -> str:
+    text = "" if value is None else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
+
+
+def _toml_lines(path: str, value: Any) -> list[str]:
+    """Return a value as lines of TOML, one key a line with its whole path; what is not said is left out."""
+    if isinstance(value, dict) and value:
+        return [line for name, item in value.items() for line in _toml_lines(f"{path}.{_key(name)}".lstrip("."), item)]
+    return [] if value is None else [f"{path} = {_toml(value)}"]
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML writes it inside a line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)

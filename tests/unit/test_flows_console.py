@@ -46,6 +46,67 @@ def test_a_run_answers_a_program_in_json(built: tuple[str, str], capsys: pytest.
     assert (Path(answer["report"]) / "report.html").read_text() == "<h1>toys</h1>"
 
 
+def test_what_is_thought_of_a_result_stands_in_every_table_and_in_json(
+    built: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = built
+    words = "warn: made for a test; total "
+    for arguments in (("run", study), ("plan", study), ("status",)):
+        assert call(*arguments, "--store", store) == 0
+        out = capsys.readouterr().out
+        assert [words in line for line in out.splitlines() if line.split()[:1] == ["judge"]] == [True]
+        assert " m (twice that " in out
+    for arguments, name in ((("run", study), "stages"), (("plan", study), "stages"), (("status",), "studies")):
+        assert call(*arguments, "--store", store, "--json") == 0
+        found = json.loads(capsys.readouterr().out)[name]
+        stages = found[0]["stages"] if name == "studies" else found
+        verdicts = {stage["stage"]: stage["verdict"] for stage in stages}
+        assert verdicts["grow"] is None
+        assert (verdicts["judge"]["level"], verdicts["judge"]["reason"]) == ("warn", "made for a test")
+        assert verdicts["judge"]["baseline"] == pytest.approx(2 * verdicts["judge"]["value"])
+
+
+def test_a_stage_without_shards_has_nothing_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, store = write_study(tmp_path), str(tmp_path / "store")
+    run_toys(study, Path(store), "aside.size=0")
+    assert call("run", str(study), "--store", store, "--set", "aside.size=0") == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("aside"))
+    assert line.endswith("nothing to do")
+    assert call("plan", str(study), "--store", store, "--set", "aside.size=0") == 0
+    assert "aside           nothing to do\n" in capsys.readouterr().out
+
+
+def test_the_keys_of_a_study_are_printed_with_type_default_unit_and_meaning(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert call("study", "keys", "grow") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["key", "type", "default", "unit", "meaning"]
+    assert any(
+        line.split() == ["grow.num_takes", "whole", "number", ">=", "1,", "<=", "50", "2", "Takes"] for line in lines
+    )
+    assert any(line.split() == ["grow.source", "path", "A", "file", "whose", "bytes", "enter"] for line in lines)
+    assert call("study", "keys", "--json") == 0
+    keys = {key["name"]: key for key in json.loads(capsys.readouterr().out)}
+    assert keys["grow.scale"]["default"] == 1.0
+    assert keys["study.name"]["is_needed"]
+    assert call("study", "keys", "growth") == 2
+
+
+def test_a_resolved_study_is_toml_that_resolves_to_the_same(
+    built: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("study", "show", "--resolved", built[0], "--set", "grow.num_takes=4") == 0
+    again = tmp_path / "again.toml"
+    again.write_text(capsys.readouterr().out)
+    answers = []
+    for study in ((built[0], "--set", "grow.num_takes=4"), (str(again),)):
+        assert call("study", "show", *study, "--json") == 0
+        answers.append(json.loads(capsys.readouterr().out))
+    assert answers[0] == answers[1]
+    assert answers[0]["grow"]["num_takes"] == 4
+
+
 def test_a_fresh_run_leaves_no_new_record(built: tuple[str, str]) -> None:
     study, store = built
     before = sorted((Path(store) / "runs").iterdir())
@@ -197,8 +258,12 @@ def test_help_teaches_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("study", "list") == 0
-    assert "duets" in capsys.readouterr().out
+    assert run_command_line(["study", "list"]) == 0
+    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "all" in lines["duets"]
+    assert "built-in duets" in lines["duets"]
+    assert "(to extend)" in lines["salsa"]
+    assert "subjects 01, 02, 03, 60, 61" in lines["coverage"]
     assert call("study", "show", "duets") == 0
     assert '[study]\nname = "duets"' in capsys.readouterr().out
     assert call("study", "show", "duetts") == 2

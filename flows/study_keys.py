@@ -1,0 +1,123 @@
+"""Every key of a study, with type, default, unit and meaning: read from the models of the sections."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from pydantic_core import to_jsonable_python
+
+from flows.study import StudyHead
+from flows.study_files import HEAD
+from tasks.graph import Graph
+
+__all__ = ["StudyKey", "study_keys"]
+
+_UNITS = {"m": "m", "s": "s", "px": "px", "deg": "deg", "rad": "rad", "hz": "Hz", "kg": "kg"}
+_UNIT_WORDS = {"metres": "m", "seconds": "s", "pixels": "px", "degrees": "deg", "radians": "rad"}
+_TYPES = {bool: "true or false", int: "whole number", float: "number", str: "text", Path: "path"}
+_BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+
+
+@dataclass(frozen=True)
+class StudyKey:
+    """One key: its path as `--set` takes it (N is a position in a list, NAME a name of your own), and what it is.
+
+    `default` is a JSON value; `is_needed` tells that there is none.
+    """
+
+    name: str
+    type: str
+    default: Any
+    is_needed: bool
+    unit: str
+    meaning: str
+
+
+def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
+    """Return the keys of a section, of all when None, in the order of the models; none for an unknown section."""
+    models: dict[str, type[BaseModel]] = {HEAD: StudyHead, **{stage.name: stage.parameters for stage in graph.stages}}
+    return [key for name, model in models.items() if section in (None, name) for key in _keys_of(model, name, (model,))]
+
+
+def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[StudyKey]:
+    for name, field in model.model_fields.items():
+        place = f"{path}.{name}"
+        inner = list(_models_in(field.annotation, place))
+        default = to_jsonable_python(field.get_default(call_default_factory=True), fallback=str)
+        yield StudyKey(
+            name=place,
+            type=_type_words(field.annotation) + _bounds(field),
+            default=None if field.is_required() or isinstance(field.default, BaseModel) else default,
+            is_needed=field.is_required(),
+            unit=_unit(name, field.description or ""),
+            meaning=field.description or "",
+        )
+        for deeper, found in inner:
+            if found not in above:
+                yield from _keys_of(found, deeper, (*above, found))
+
+
+def _models_in(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
+    """Return the models that a value of this type is made of, each with the path of its keys."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield path, annotation
+        return
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        yield from _models_in(arguments[1], f"{path}.NAME")
+    elif isinstance(origin, type) and issubclass(origin, Sequence):
+        for argument in arguments:
+            yield from _models_in(argument, f"{path}.N")
+    else:
+        for argument in arguments:
+            yield from _models_in(argument, path)
+
+
+def _type_words(annotation: Any) -> str:
+    """Return a type as a reader of TOML would call it."""
+    origin, arguments = get_origin(annotation), [a for a in get_args(annotation) if a not in (Ellipsis, NoneType)]
+    if origin is Literal:
+        return " or ".join(to_jsonable_python(argument, fallback=str).__repr__() for argument in arguments)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_type_words(argument) for argument in arguments))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return f"table of {_type_words(arguments[1])} by name"
+    if isinstance(origin, type) and issubclass(origin, Sequence):
+        kinds = list(dict.fromkeys(_type_words(argument) for argument in arguments))
+        number = "" if Ellipsis in get_args(annotation) or origin is list else f"{len(arguments)} "
+        return f"list of {number}{', '.join(kinds)}"
+    if origin is not None:  # Annotated
+        return _type_words(arguments[0])
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return "table"
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return " or ".join(repr(member.value) for member in annotation)
+    if annotation is Any:
+        return "any value"
+    return _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
+
+
+def _bounds(field: FieldInfo) -> str:
+    words = [
+        f"{sign} {getattr(limit, name):g}"
+        for limit in field.metadata
+        for name, sign in _BOUNDS.items()
+        if getattr(limit, name, None) is not None
+    ]
+    return f" {', '.join(words)}" if words else ""
+
+
+def _unit(name: str, meaning: str) -> str:
+    last = name.rsplit("_", 1)[-1]
+    if last in _UNITS and last != name:
+        return _UNITS[last]
+    found = re.search(rf"(?:\bin|,) ({'|'.join(_UNIT_WORDS)})\b", meaning)
+    return _UNIT_WORDS[found.group(1)] if found else ""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,10 +12,23 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
 from pasdedeux.sampling.velocity import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import PAIR17
-from storage_schema import Manifest, Store
-from tasks.stage import Shard, StageInputs
+from storage_schema import ArtifactRef, Manifest, Store, TableData
+from tasks.stage import StageInputs
 
-__all__ = ["PlacedPairs", "annotated_pairs", "gather", "gather_tracks", "views_of"]
+__all__ = [
+    "Place",
+    "PlacedPairs",
+    "annotated_pairs",
+    "first_two",
+    "gather",
+    "gather_tracks",
+    "read_people",
+    "rows_by_place",
+    "views_of",
+]
+
+Place = tuple[str, int]
+"""Sequence and frame of an annotation."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +36,7 @@ class PlacedPairs:
     """Annotated pairs, and the sequence and frame of each annotation by `annotation_index`."""
 
     gathered: GatheredPairs
-    places: tuple[tuple[str, int], ...]
+    places: tuple[Place, ...]
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
@@ -43,39 +56,68 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
     return [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
 
 
-def gather(shard: Shard, store: Store) -> PlacedPairs:
-    """Return every annotated pair among the inputs with its view hypotheses; annotations without both are left out.
+def rows_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
+    """Return the row of every person by sequence and frame, of the rows of `annotations` that are wanted, (row,)."""
+    sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
+    rows: dict[Place, dict[int, int]] = {}
+    for row in np.flatnonzero(is_wanted).tolist():
+        rows.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = row
+    return rows
+
+
+def read_people(
+    store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
+) -> dict[Place, dict[int, np.ndarray]]:
+    """Return the joints (17, 2), pixels, of every person by sequence and frame.
+
+    Args:
+        store: Store.
+        refs: Artifacts with `annotations`; others are passed over.
+        is_between: Whether frames that are there for velocity alone are wanted too.
+        with_held_out: Whether annotations that are held out are wanted too.
+    """
+    names = ["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
+    people: dict[Place, dict[int, np.ndarray]] = {}
+    for ref in refs:
+        if "annotations" not in store.manifest(ref).tables:
+            continue
+        table = store.read(ref, "annotations", columns=names)
+        is_wanted = (np.asarray(table["is_key"]) | is_between) & (~np.asarray(table["is_held_out"]) | with_held_out)
+        points = np.asarray(table["pair17_px"], dtype=np.float64)
+        for place, rows in rows_by_place(table, is_wanted).items():
+            people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
+    return people
+
+
+def first_two(people: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return the joints (2, 17, 2) of the two people with the smallest ids, of at least two."""
+    first, second = sorted(people)[:2]
+    return np.stack([people[first], people[second]])
+
+
+def gather(
+    store: Store, *, annotations: Sequence[ArtifactRef], views: Sequence[ArtifactRef], num_hypotheses: int
+) -> PlacedPairs:
+    """Return every annotated pair with its likeliest view hypotheses; annotations without both are left out.
 
     Raises:
         InputError: No annotated pair has a view.
     """
-    keypoints: dict[tuple[str, int], dict[int, np.ndarray]] = {}
-    for ref in shard.inputs:
-        if "annotations" not in store.manifest(ref).tables:
-            continue
-        table = store.read(
-            ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
-        )
-        is_wanted = np.asarray(table["is_key"]) & ~np.asarray(table["is_held_out"])
-        sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
-        points = np.asarray(table["pair17_px"], dtype=np.float64)
-        for row in np.flatnonzero(is_wanted).tolist():
-            keypoints.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
+    keypoints = read_people(store, annotations)
     pairs, scales, directions, weights, which = [], [], [], [], []
-    index: dict[tuple[str, int], int] = {}
-    for ref in shard.inputs:
+    index: dict[Place, int] = {}
+    for ref in views:
         if "views" not in store.manifest(ref).tables:
             continue
         names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "trust", "metres_per_pixel"]
         table = store.read(ref, "views", columns=names)
         sequence, frame, hypothesis, direction, weight, trust, scale = (table[name] for name in names)
-        for row in np.flatnonzero(np.asarray(hypothesis) < int(shard.parameters["num_hypotheses"])).tolist():
+        for row in np.flatnonzero(np.asarray(hypothesis) < num_hypotheses).tolist():
             place = (str(sequence[row]), int(frame[row]))
             people = keypoints.get(place, {})
             if len(people) < 2:
                 continue
-            first, second = sorted(people)[:2]
-            pairs.append(np.stack([people[first], people[second]]))
+            pairs.append(first_two(people))
             scales.append(scale[row])
             directions.append(direction[row])
             weights.append(float(weight[row]) * float(trust[row]))
@@ -85,33 +127,16 @@ def gather(shard: Shard, store: Store) -> PlacedPairs:
     gathered = gather_pairs(
         np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
     )
-    return PlacedPairs(
-        gathered=GatheredPairs(
-            pairs=gathered.pairs,
-            weights=gathered.weights,
-            num_skipped=gathered.num_skipped + sum(1 for place in keypoints if place not in index),
-            metres_per_pixel=gathered.metres_per_pixel,
-        ),
-        places=tuple(index),
-    )
+    num_skipped = gathered.num_skipped + sum(1 for place in keypoints if place not in index)
+    return PlacedPairs(gathered=replace(gathered, num_skipped=num_skipped), places=tuple(index))
 
 
-def gather_tracks(shard: Shard, store: Store, placed: PlacedPairs) -> np.ndarray:
+def gather_tracks(store: Store, annotations: Sequence[ArtifactRef], placed: PlacedPairs) -> np.ndarray:
     """Return the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
 
     Frames without either of the two people are NaN.
     """
-    seen: dict[tuple[str, int], dict[int, np.ndarray]] = {}
-    for ref in shard.inputs:
-        if "annotations" not in store.manifest(ref).tables:
-            continue
-        table = store.read(
-            ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_held_out", "pair17_px"]
-        )
-        sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
-        points = np.asarray(table["pair17_px"], dtype=np.float64)
-        for row in np.flatnonzero(~np.asarray(table["is_held_out"])).tolist():
-            seen.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = points[row]
+    seen = read_people(store, annotations, is_between=True)
     around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
     tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
     for place, (sequence, frame) in enumerate(placed.places):

@@ -99,8 +99,12 @@ def chain_problem(shard: Shard, store: Store, seed: SeedRow) -> ChainProblem:
 
 def _limits(shard: Shard, store: Store) -> JointLimits | LearnedLimits:
     """Return the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
-    table = read_limits(shard, store)
-    return table if shard.parameters["joint_limits"] == "table" else LearnedLimits(table, read_occupancy(shard, store))
+    table = read_limits(store, shard.all_inputs)
+    return (
+        table
+        if shard.parameters["joint_limits"] == "table"
+        else LearnedLimits(table, read_occupancy(store, shard.all_inputs))
+    )
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,12 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
         ]
     )
     if identity not in _KEPT:
-        placed = gather(shard, store)
+        placed = gather(
+            store,
+            annotations=shard.all_inputs,
+            views=shard.all_inputs,
+            num_hypotheses=int(shard.parameters["num_hypotheses"]),
+        )
         pairs = placed.gathered.pairs
         rng = stream(shard.seed, "chains", "views", seed_index)
         views = placed.gathered.view_density(deviation_rad=options["sigma_v_rad"]).sample(rng, options["num_views"])
@@ -205,7 +214,7 @@ def look_at_annotations(shard: Shard, store: Store) -> Seen:
         likelihood = image_likelihood(str(shard.parameters["density"]), pairs, bank, options)
         speeds, num_swapped = None, 0
         if options["kernel"] == "velocity":
-            tracks, was_swapped = undo_swaps(gather_tracks(shard, store, placed))
+            tracks, was_swapped = undo_swaps(gather_tracks(store, shard.all_inputs, placed))
             speeds = annotation_speeds(tracks)
             num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
         log_left_out = _left_out(pairs, options, stream(shard.seed, "chains", "left_out", seed_index))

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.cameras import TorsoBasis, learn_torso_basis
 from pasdedeux.plausibility import ANGLES, BONES, JointLimits, Occupancy
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, default_torso_basis
 
 __all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_limits", "read_occupancy", "run_shard"]
 
 VERSION = 3
 
-LEAST_POSES = 10
+MIN_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
 
 
@@ -32,6 +36,12 @@ class PriorsParameters(Parameters):
     )
 
 
+class PriorsShard(PriorsParameters):
+    """What the shard of the priors is told."""
+
+    default_basis: str
+
+
 def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
     """Plan one shard over all prior takes; a take that is held out is never among them."""
     takes = [manifest for manifest in inputs.of("poses") if _is_prior(manifest)]
@@ -41,8 +51,8 @@ def plan(inputs: StageInputs, parameters: PriorsParameters) -> list[Shard]:
             version=VERSION,
             partition="body",
             name="priors",
-            parameters={**parameters.model_dump(mode="json"), "default_basis": default_origin(inputs.of("poses"))},
-            inputs=tuple(manifest.ref for manifest in takes),
+            parameters=parameters.part(PriorsShard, default_basis=default_origin(inputs.of("poses"))),
+            inputs=named_refs(poses=takes),
             seed=inputs.seed,
         )
     ]
@@ -55,41 +65,58 @@ def _is_prior(manifest: Manifest) -> bool:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Learn torso basis and pose prior, widen the published joint limits; without prior takes all are the defaults."""
-    options = shard.parameters
-    parts = [_read_poses(store, ref, int(options["max_frames_per_take"])) for ref in shard.inputs]
+    options = shard.options(PriorsShard)
+    parts = [_read_poses(store, ref, options.max_frames_per_take) for ref in shard.refs("poses")]
     poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
-    takes = merge_takes(*(store.manifest(ref) for ref in shard.inputs))
-    is_learned = len(poses) >= LEAST_POSES
-    count = int(options["num_components"])
-    origin = str(options["default_basis"])
+    is_learned = len(poses) >= MIN_POSES
+    origin = options.default_basis
     if is_learned:
-        basis = learn_torso_basis(poses, num_components=count)
+        basis = learn_torso_basis(poses, num_components=options.num_components)
     else:
-        basis = default_torso_basis(origin, num_components=count)
-    limits = JointLimits.published()
+        basis = default_torso_basis(origin, num_components=options.num_components)
+    published = JointLimits.published()
+    limits = published
     if is_learned:
-        limits = limits.widened(poses, name="prior takes", percentile=float(options["percentile"]))
+        limits = published.widened(poses, name="prior takes", percentile=options.percentile)
     occupancy = Occupancy.empty().extended(poses)
+    verdict = _verdict(poses, limits, published, origin)
     facts = {
         "kind": "priors",
-        "takes": takes,
+        "takes": merge_takes(*(store.manifest(ref) for ref in shard.refs("poses"))),
         "num_poses": len(poses),
         "origin": "prior takes" if is_learned else f"{origin}: no prior take is named",
         "explained_variance": float(basis.explained_variance.sum()),
-        "valid_share": float(limits.is_valid(poses).mean()) if len(poses) else None,
+        "valid_share": verdict.value if len(poses) else None,
     }
     tables = {
         "torso_basis": _basis_columns(basis),
         "joint_limits": _limit_columns(limits),
         "pose_prior": _occupancy_columns(occupancy),
     }
-    return commit(shard, store, tables=tables, facts=facts)
+    return commit(shard, store, tables=tables, facts=facts, verdict=verdict)
 
 
-def read_occupancy(shard: Shard, store: Store) -> Occupancy:
-    """Return the pose prior among a shard's inputs; the empty one where no stage wrote any."""
+def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, origin: str) -> Verdict:
+    """Return which share of the prior poses keeps the joint limits, beside the share that keeps the published ones."""
+    level, reason = Level.PASS, ""
+    if not len(poses):
+        reason = f"no prior take is named: published joint limits, a torso basis of {origin}, no pose prior"
+    elif len(poses) < MIN_POSES:
+        level, reason = Level.WARN, f"{len(poses)} prior poses are too few to learn from; {MIN_POSES} are needed"
+    return Verdict(
+        level,
+        reason,
+        figure="share of prior poses within the joint limits",
+        value=float(limits.is_valid(poses).mean()) if len(poses) else math.nan,
+        baseline=float(published.is_valid(poses).mean()) if len(poses) else math.nan,
+        baseline_name="published joint limits",
+    )
+
+
+def read_occupancy(store: Store, refs: Iterable[ArtifactRef]) -> Occupancy:
+    """Return the pose prior among these artifacts; the empty one where no stage wrote any."""
     counts = Occupancy.empty().counts
-    for ref in shard.inputs:
+    for ref in refs:
         if "pose_prior" in store.manifest(ref).tables:
             table = store.read(ref, "pose_prior")
             bone = np.array([BONES.index(str(name)) for name in table["bone"]], dtype=np.int64)
@@ -97,9 +124,9 @@ def read_occupancy(shard: Shard, store: Store) -> Occupancy:
     return Occupancy(counts)
 
 
-def read_limits(shard: Shard, store: Store) -> JointLimits:
-    """Return the joint limits among a shard's inputs; the published ones where no stage wrote any."""
-    for ref in shard.inputs:
+def read_limits(store: Store, refs: Iterable[ArtifactRef]) -> JointLimits:
+    """Return the joint limits among these artifacts; the published ones where no stage wrote any."""
+    for ref in refs:
         if "joint_limits" in store.manifest(ref).tables:
             table = store.read(ref, "joint_limits")
             order = np.argsort(np.asarray(table["angle_id"]), kind="stable")

@@ -2,56 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 
 from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes
+from tasks.annotated_pairs import rows_by_place
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
 
 VERSION = 2
 
-_MOST_NAMED = 20
+MAX_WITHOUT_VIEW = 0.25
+"""Share of the annotated pairs without a view above which there is a warning."""
+MIN_TRUST = 0.5
+"""Median trust below which there is a warning: the mean of the hypotheses is that of directions 60 degrees off."""
+_MAX_NAMED = 20
 
 
-class ViewsParameters(Parameters):
+class ViewsParameters(ViewOptions, Parameters):
     """What is assumed of cameras and people when views are estimated."""
-
-    distance_m: float | None = Field(
-        4.0, gt=0, description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth"
-    )
-    calibrate_sizes: bool = Field(
-        True, description="Learn the ratio of body sizes from apparent sizes over many cameras; one camera says little"
-    )
-    size_deviation: float = Field(0.035, gt=0, le=1, description="Relative error of the ratio of apparent sizes")
-    depth_deviation_m: float = Field(0.6, gt=0, description="Standard deviation of the relative depth of two roots")
-    contact_distance_m: float = Field(0.35, gt=0, description="Distance of the roots of two people in close contact")
-    least_root_distance_m: float = Field(0.2, gt=0, description="Roots closer than this share one place")
-    camera_pitch_deg: float = Field(10.0, ge=-89, le=89, description="Mean elevation of the cameras")
-    camera_pitch_deviation_deg: float = Field(12.0, gt=0, description="Standard deviation of the elevation")
-    lean_deviation_deg: float = Field(20.0, gt=0, description="Standard deviation of a backbone from the vertical")
-    least_weight: float = Field(1e-3, ge=0, lt=0.05, description="Hypotheses of less weight are dropped")
-
-    def options(self) -> ViewOptions:
-        """Return them in radians, as the numerics take them."""
-        return ViewOptions(
-            distance_m=self.distance_m,
-            calibrate_sizes=self.calibrate_sizes,
-            size_deviation=self.size_deviation,
-            depth_deviation_m=self.depth_deviation_m,
-            contact_distance_m=self.contact_distance_m,
-            least_root_distance_m=self.least_root_distance_m,
-            camera_pitch_rad=float(np.deg2rad(self.camera_pitch_deg)),
-            camera_pitch_deviation_rad=float(np.deg2rad(self.camera_pitch_deviation_deg)),
-            lean_deviation_rad=float(np.deg2rad(self.lean_deviation_deg)),
-            least_weight=self.least_weight,
-        )
 
 
 def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
@@ -67,8 +43,10 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
             version=VERSION,
             partition=manifest.partition,
             name=manifest.name,
-            parameters=parameters.model_dump(mode="json"),
-            inputs=(manifest.ref, *(basis.ref for basis in bases if not shares_takes(manifest, basis))),
+            parameters=parameters,
+            inputs=named_refs(
+                annotations=[manifest], torso_basis=[basis for basis in bases if not shares_takes(manifest, basis)]
+            ),
             seed=inputs.seed,
         )
         for manifest in inputs.of("annotations")
@@ -77,15 +55,15 @@ def plan(inputs: StageInputs, parameters: ViewsParameters) -> list[Shard]:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Estimate the views of one artifact's annotated pairs and commit them, with what was skipped and why."""
-    annotations = store.manifest(shard.inputs[0])
-    pairs = _read_pairs(store, shard.inputs[0])
-    options = ViewsParameters.model_validate(shard.parameters, strict=False).options()
+    annotations = store.manifest(shard.ref("annotations"))
+    bases = [store.manifest(ref) for ref in shard.refs("torso_basis")]
+    pairs = _read_pairs(store, annotations.ref)
     estimates = estimate_views(
         pairs.px,
-        read_torso_basis(store, shard.inputs),
+        read_torso_basis(store, shard.all_inputs),
         confidence=pairs.confidence,
         camera_index=np.unique(pairs.sequence_id.astype(str), return_inverse=True)[1],
-        options=options,
+        options=shard.options(ViewsParameters),
     )
     psi, phi = estimates.angles()
     columns = {
@@ -109,9 +87,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         skipped += _in_words(frames, "fewer than 4 torso joints of one of the two people were seen")
     facts = {
         "kind": "views",
-        "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
-        "learned_takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs[1:])),
-        "torso_basis": "prior takes" if len(shard.inputs) > 1 else default_origin([annotations]),
+        "takes": merge_takes(annotations, *bases),
+        "learned_takes": merge_takes(*bases),
+        "torso_basis": "prior takes" if bases else default_origin([annotations]),
         "sequence_ids": annotations.facts.get("sequence_ids", []),
         "purpose": annotations.facts.get("purpose"),
         "is_held_out": bool(annotations.facts.get("is_held_out", False)),
@@ -119,10 +97,31 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "num_without_view": len(without),
         "num_hypotheses": len(estimates.weight),
         "size_ratio": estimates.size_ratio,
-        "median_trust": float(np.median(estimates.trust)) if len(estimates.trust) else None,
         "skipped": skipped,
     }
-    return commit(shard, store, tables={"views": columns}, facts=facts)
+    verdict = _verdict(
+        len(pairs.frame),
+        len(without),
+        estimates.trust[estimates.is_lifted],
+        int(annotations.facts.get("num_persons", 2)),
+    )
+    return commit(shard, store, tables={"views": columns}, facts=facts, verdict=verdict)
+
+
+def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: int) -> Verdict:
+    """Return how far the hypotheses of the views agree, and whether most annotated pairs have any."""
+    median = float(np.median(trust)) if len(trust) else math.nan
+    level, reason = Level.PASS, ""
+    if not num_pairs:
+        level = Level.PASS if num_persons < 2 else Level.WARN
+        reason = "no annotated frame shows two people"
+    elif num_without == num_pairs:
+        level, reason = Level.FAIL, f"none of {num_pairs} annotated pairs shows enough of both torsos for a view"
+    elif num_without > MAX_WITHOUT_VIEW * num_pairs:
+        level, reason = Level.WARN, f"{num_without} of {num_pairs} annotated pairs have no view"
+    elif median < MIN_TRUST:
+        level, reason = Level.WARN, "the hypotheses of most views lie far apart"
+    return Verdict(level, reason, figure="median trust in views (1: all hypotheses agree)", value=median)
 
 
 @dataclass(frozen=True)
@@ -140,29 +139,18 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
     table = store.read(
         ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "pair17_px", "pair17_confidence"]
     )
-    is_key = np.asarray(table["is_key"])
-    sequence, frame = np.asarray(table["sequence_id"], dtype=object)[is_key], np.asarray(table["frame"])[is_key]
-    person = np.asarray(table["person_id"])[is_key]
-    px = np.asarray(table["pair17_px"], dtype=np.float64)[is_key]
-    confidence = np.asarray(table["pair17_confidence"], dtype=np.float64)[is_key]
-    names, sequence_index = np.unique(sequence.astype(str), return_inverse=True)
-    order = np.lexsort((person, frame, sequence_index))
-    key = np.stack([sequence_index, frame], axis=1)[order]
-    is_new = np.ones(len(key), dtype=bool)
-    is_new[1:] = (key[1:] != key[:-1]).any(axis=1)
-    starts = np.flatnonzero(is_new)
-    people = np.diff(np.append(starts, len(key)))
-    pair_rows = starts[people == 2]
+    people = rows_by_place(table, np.asarray(table["is_key"]))
+    places = sorted(place for place, rows in people.items() if len(rows) == 2)
     skipped: list[str] = []
-    for number in sorted(set(people.tolist()) - {2}):
-        others = Counter(names[key[starts[people == number], 0]].tolist())
+    for number in sorted({len(rows) for rows in people.values()} - {2}):
+        others = Counter(sequence for (sequence, _), rows in people.items() if len(rows) == number)
         skipped += _in_words(others, f"{number} {'person is' if number == 1 else 'people are'} annotated, not two")
-    rows = order[np.stack([pair_rows, pair_rows + 1], axis=1)]
+    rows = np.array([[row for _, row in sorted(people[place].items())] for place in places], dtype=int).reshape(-1, 2)
     return _Pairs(
-        sequence_id=names[key[pair_rows, 0]] if len(pair_rows) else np.zeros(0, dtype=object),
-        frame=key[pair_rows, 1],
-        px=px[rows],
-        confidence=confidence[rows],
+        sequence_id=np.array([sequence for sequence, _ in places], dtype=object),
+        frame=np.array([frame for _, frame in places], dtype=np.int64),
+        px=np.asarray(table["pair17_px"], dtype=np.float64)[rows],
+        confidence=np.asarray(table["pair17_confidence"], dtype=np.float64)[rows],
         skipped=tuple(skipped),
     )
 
@@ -170,8 +158,8 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
 def _in_words(frames: Counter[str], reason: str) -> list[str]:
     """Say for each sequence how many frames were skipped; after twenty the rest together."""
     named = sorted(frames.items())
-    told = [f"{sequence}: {count} frames skipped, {reason}" for sequence, count in named[:_MOST_NAMED]]
-    rest = named[_MOST_NAMED:]
+    told = [f"{sequence}: {count} frames skipped, {reason}" for sequence, count in named[:_MAX_NAMED]]
+    rest = named[_MAX_NAMED:]
     if rest:
         total = sum(count for _, count in rest)
         told.append(f"{len(rest)} more sequences: {total} frames skipped, {reason}")

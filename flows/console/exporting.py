@@ -31,7 +31,7 @@ from storage_schema import (
     parse_reference,
     resolve,
 )
-from tasks.seed_files import pair_of_draw, pairs_of_seeds
+from tasks.seeds.files import pair_of_draw, pairs_of_seeds
 
 __all__ = ["export_reference"]
 

@@ -16,7 +16,7 @@ from flows.study_files import StudyTree
 from storage_schema import Store, latest_studies
 
 if TYPE_CHECKING:
-    from tasks.seed_files import DrawSeed
+    from tasks.seeds.files import DrawSeed
 
 __all__ = ["register"]
 
@@ -59,7 +59,7 @@ def restart(
 ) -> None:
     """Go on from a draw."""
     from pasdedeux.formats.pair_file import write_pair_json
-    from tasks.seed_files import pair_of_draw
+    from tasks.seeds.files import pair_of_draw
 
     opened = open_store(store)
     chosen = pair_of_draw(opened, draw)

@@ -22,12 +22,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.cameras.frames import angle_between_directions, angles_of_direction, local_frame
 from pasdedeux.cameras.orthographic import metres_from_pixels
 from pasdedeux.cameras.torso import TORSO_INDICES, LiftedTorsos, TorsoBasis, lift_torsos
-from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.settings import Settings
 
 __all__ = [
     "DEPTH_RULES",
@@ -49,58 +50,38 @@ _FLIPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 BODY_DEVIATION = 0.06
 """Standard deviation of the logarithm of the ratio of two adults' statures before anything is seen."""
 
-LEAST_CALIBRATION_DEVIATION = 0.02
+MIN_CALIBRATION_DEVIATION = 0.02
 """Error of a size ratio that stays however often two people pass round each other."""
+USUAL_DISTANCE_M = 4.0
+"""Distance of a camera of which nothing is known, metres."""
 
 
-@dataclass(frozen=True)
-class ViewOptions:
-    """How hypotheses are made and weighed.
+class ViewOptions(Settings):
+    """What is assumed of cameras and people when views are estimated.
 
-    Args:
-        distance_m: Distance of the camera, known or assumed, metres; None when it must not be used (no `size` rule).
-        calibrate_sizes: Estimate the ratio of the two bodies' sizes from that of their apparent sizes over all
-            annotations, as far as neither person stays the nearer: many cameras say much, one camera says little
-            unless the two pass round each other in front of it.
-        size_deviation: Standard deviation of the logarithm of the apparent sizes' ratio beyond the noise of the fit
-            and what is not known of the bodies.
-        depth_deviation_m: Standard deviation of the relative depth of two roots before anything is seen, metres.
-        contact_distance_m: Distance of the roots of two people in close contact, metres.
-        least_root_distance_m: Roots closer than this cannot be: the bodies would share one place, metres.
-        camera_pitch_rad: Mean elevation of cameras, radians.
-        camera_pitch_deviation_rad: Its standard deviation.
-        lean_deviation_rad: Standard deviation of a backbone's lean from the vertical, towards or from the camera.
-        least_weight: Hypotheses below this weight are dropped.
+    The ratio of the two bodies' sizes is learned (`calibrate_sizes`) from that of their apparent sizes over all
+    annotations, as far as neither person stays the nearer: many cameras say much, one camera says little unless the two
+    pass round each other in front of it.
     """
 
-    distance_m: float | None = 4.0
-    calibrate_sizes: bool = True
-    size_deviation: float = 0.035
-    depth_deviation_m: float = 0.6
-    contact_distance_m: float = 0.35
-    least_root_distance_m: float = 0.2
-    camera_pitch_rad: float = float(np.deg2rad(10.0))
-    camera_pitch_deviation_rad: float = float(np.deg2rad(12.0))
-    lean_deviation_rad: float = float(np.deg2rad(20.0))
-    least_weight: float = 1e-3
-
-    def __post_init__(self) -> None:
-        """Check that widths and distances are positive."""
-        positive = (
-            "size_deviation",
-            "depth_deviation_m",
-            "contact_distance_m",
-            "least_root_distance_m",
-            "camera_pitch_deviation_rad",
-            "lean_deviation_rad",
-        )
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise InputError(f"views: {name} is {getattr(self, name)}, it must be positive")
-        if self.distance_m is not None and not self.distance_m > 0:
-            raise InputError(f"views: distance_m is {self.distance_m}, it must be positive")
-        if not 0 <= self.least_weight < 0.05:
-            raise InputError(f"views: least_weight is {self.least_weight}; allowed are 0 to 0.05")
+    distance_m: float | None = Field(
+        USUAL_DISTANCE_M,
+        gt=0,
+        description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth",
+    )
+    calibrate_sizes: bool = Field(
+        True, description="Learn the ratio of body sizes from apparent sizes over many cameras; one camera says little"
+    )
+    size_deviation: float = Field(
+        0.035, gt=0, le=1, description="Relative error of the ratio of apparent sizes, beyond the fit's and the bodies'"
+    )
+    depth_deviation_m: float = Field(0.6, gt=0, description="Standard deviation of the relative depth of two roots")
+    contact_distance_m: float = Field(0.35, gt=0, description="Distance of the roots of two people in close contact")
+    min_root_distance_m: float = Field(0.2, gt=0, description="Roots closer than this share one place")
+    camera_pitch_deg: float = Field(10.0, ge=-89, le=89, description="Mean elevation of the cameras")
+    camera_pitch_deviation_deg: float = Field(12.0, gt=0, description="Standard deviation of the elevation")
+    lean_deviation_deg: float = Field(20.0, gt=0, description="Standard deviation of a backbone from the vertical")
+    min_weight: float = Field(1e-3, ge=0, lt=0.05, description="Hypotheses of less weight are dropped")
 
 
 @dataclass(frozen=True)
@@ -202,7 +183,7 @@ def estimate_views(
     scale = np.concatenate([np.repeat(block.metres_per_pixel[:, None], num_rules, axis=1) for block in blocks], axis=1)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
-    weight = np.where(weight < options.least_weight, 0.0, weight)
+    weight = np.where(weight < options.min_weight, 0.0, weight)
     weight /= weight.sum(axis=1, keepdims=True)
     trust = np.zeros(count)
     trust[rows] = np.linalg.norm((weight[..., None] * direction).sum(axis=1), axis=-1)
@@ -313,13 +294,13 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
     apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
     across = (pairs.root_px[:, 1, :, 0] - pairs.root_px[:, 0, :, 0]).mean(axis=-1)
-    one_frame = options.depth_deviation_m / (options.distance_m or ViewOptions.distance_m or 1.0)
+    one_frame = options.depth_deviation_m / (options.distance_m or USUAL_DISTANCE_M)
     ratio, precision = [], []
     for camera in np.unique(cameras):
         mine = cameras == camera
         one_sided = abs(across[mine].sum()) / max(float(np.abs(across[mine]).sum()), 1e-12)
         ratio.append(float(np.median(apparent[mine])))
-        precision.append(1.0 / ((one_frame * one_sided) ** 2 + LEAST_CALIBRATION_DEVIATION**2))
+        precision.append(1.0 / ((one_frame * one_sided) ** 2 + MIN_CALIBRATION_DEVIATION**2))
     order = np.argsort(ratio)
     cumulative = np.cumsum(np.array(precision)[order])
     # The middle of the lower and the upper weighted median, so that swapping the people inverts the ratio exactly.
@@ -327,7 +308,7 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     upper = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 + 1e-9))
     median = 0.5 * (ratio[order[lower]] + ratio[order[upper]])
     # However many cameras there are, the least error stays.
-    total = min(float(cumulative[-1]), 1.0 / LEAST_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
+    total = min(float(cumulative[-1]), 1.0 / MIN_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
     return _Sizes(log_ratio=median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), variance=1.0 / total)
 
 
@@ -366,7 +347,7 @@ def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) 
     if options.distance_m is None:
         log_weight[:, _SIZE] = -np.inf
     distance = np.sqrt(gap[:, None] ** 2 + depth**2)
-    shortfall = np.maximum(options.least_root_distance_m - distance, 0.0) / (0.5 * options.least_root_distance_m)
+    shortfall = np.maximum(options.min_root_distance_m - distance, 0.0) / (0.5 * options.min_root_distance_m)
     log_weight -= 0.5 * shortfall**2
     log_weight += _log_lean(backbones, options)[:, None]
 
@@ -380,8 +361,9 @@ def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) 
 
 def _log_lean(backbones: Array, options: ViewOptions) -> Array:
     """Log weight of the backbones' leans towards the camera: an upright person leans by the camera's elevation."""
-    lean = np.arctan2(backbones[..., 2], np.linalg.norm(backbones[..., :2], axis=-1)) - options.camera_pitch_rad
-    own, shared = options.lean_deviation_rad**2, options.camera_pitch_deviation_rad**2
+    lean = np.arctan2(backbones[..., 2], np.linalg.norm(backbones[..., :2], axis=-1))
+    lean = lean - np.deg2rad(options.camera_pitch_deg)
+    own, shared = (float(np.deg2rad(d)) ** 2 for d in (options.lean_deviation_deg, options.camera_pitch_deviation_deg))
     # Inverse of own x identity + shared x ones for two people.
     total = lean.sum(axis=-1)
     return np.asarray(-0.5 * ((lean**2).sum(axis=-1) - shared * total**2 / (own + 2.0 * shared)) / own)

@@ -6,7 +6,7 @@ from pasdedeux.completion.fit import FitOptions, fit_pair, fit_people, pooled_le
 from pasdedeux.completion.in_betweens import InBetweenOptions, fill_between, straight_between
 from pasdedeux.completion.neighbours import Neighbours, nearest_by_interaction, nearest_rigid
 from pasdedeux.completion.occlusion import Completion, blend_onto, complete_pair
-from pasdedeux.completion.retrieval import Retrieval, image_residual, retrieve
+from pasdedeux.completion.retrieval import Retrieval, RetrievalOptions, image_residual, retrieve
 
 __all__ = [
     "Completion",
@@ -16,6 +16,7 @@ __all__ = [
     "Nearest",
     "Neighbours",
     "Retrieval",
+    "RetrievalOptions",
     "blend_onto",
     "complete_pair",
     "fill_between",

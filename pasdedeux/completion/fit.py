@@ -5,15 +5,15 @@ The image decides where it sees; each bone's vector, and the depth of each perso
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, FitSettings, PointTerm, fit_bones
 from pasdedeux.fitting.observed_pose import BoneVectorTerm
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["FitOptions", "fit_pair", "fit_people", "pooled_lengths"]
@@ -23,29 +23,17 @@ Array = npt.NDArray[np.float64]
 _PARENTS = np.array([parent if parent >= 0 else joint for joint, parent in enumerate(PAIR17.parents)])
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """What is believed of the image and of the retrieved pair.
+class FitOptions(Settings):
+    """What is believed of the image and of the retrieved pair."""
 
-    Args:
-        image_deviation_m: Error of a seen joint, metres.
-        bone_deviation_m: Error of each coordinate of a retrieved bone's vector, metres.
-        depth_deviation_m: Error of the retrieved depth of a joint against the whole pair, metres.
-        max_iterations: Steps of the fit.
-
-    Raises:
-        InputError: A width is not positive.
-    """
-
-    image_deviation_m: float = 0.015
-    bone_deviation_m: float = 0.03
-    depth_deviation_m: float = 0.1
-    max_iterations: int = 10
-
-    def __post_init__(self) -> None:
-        """Check the widths."""
-        if not (self.image_deviation_m > 0.0 and self.bone_deviation_m > 0.0 and self.depth_deviation_m > 0.0):
-            raise InputError(f"a fit needs positive widths: {self}")
+    image_deviation_m: float = Field(0.015, gt=0, description="Error of a seen joint in the final fit, metres")
+    bone_deviation_m: float = Field(
+        0.03, gt=0, description="Error of each coordinate of a retrieved bone's vector in the fit, metres"
+    )
+    depth_deviation_m: float = Field(
+        0.1, gt=0, description="Error of the retrieved depth of a joint against the whole pair in the fit, metres"
+    )
+    max_iterations: int = Field(10, ge=1, description="Iterations of the fit, at most")
 
 
 def fit_pair(image_m: Array, pair_m: Array, lengths_m: Array, options: FitOptions | None = None) -> Array:

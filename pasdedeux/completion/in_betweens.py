@@ -6,15 +6,15 @@ line say where such pairs lie; the path is the compromise of both that is smooth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import BoneForest, DifferenceTerm, FitSettings, PointTerm, fit_bones
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["InBetweenOptions", "fill_between", "straight_between"]
@@ -22,32 +22,20 @@ __all__ = ["InBetweenOptions", "fill_between", "straight_between"]
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class InBetweenOptions:
-    """What is believed of the line, of draws and of motion.
+class InBetweenOptions(Settings):
+    """What is believed of the line, of draws and of motion."""
 
-    Args:
-        num_nearest: Draws that say where pairs lie, for each pair between.
-        line_deviation_m: How far a true pair is from the straight line half-way, metres.
-        draw_deviation_m: How far a true pair is from the mean of its nearest draws, metres.
-        bend_m: Second difference of a joint's path between neighbouring frames, metres.
-        num_rounds: How often draws are looked up near the path and the path is led past them.
-
-    Raises:
-        InputError: A width is not positive or a count is below 1.
-    """
-
-    num_nearest: int = 16
-    line_deviation_m: float = 0.05
-    draw_deviation_m: float = 0.1
-    bend_m: float = 0.005
-    num_rounds: int = 2
-
-    def __post_init__(self) -> None:
-        """Check widths and counts."""
-        widths = (self.line_deviation_m, self.draw_deviation_m, self.bend_m)
-        if not all(width > 0.0 for width in widths) or self.num_nearest < 1 or self.num_rounds < 1:
-            raise InputError(f"in-betweens need positive widths, a draw and a round: {self}")
+    num_nearest: int = Field(16, ge=1, description="Draws that say where pairs lie, for each pair between")
+    line_deviation_m: float = Field(
+        0.05, gt=0, description="Distance of a true pair from the straight line half-way, metres"
+    )
+    draw_deviation_m: float = Field(
+        0.1, gt=0, description="Distance of a true pair from the mean of its nearest draws, metres"
+    )
+    bend_m: float = Field(
+        0.005, gt=0, description="Second difference of a joint's path between neighbouring frames, metres"
+    )
+    num_rounds: int = Field(2, ge=1, description="How often draws are looked up near the path and it is led past them")
 
 
 def straight_between(first_m: Array, last_m: Array, num_between: int) -> Array:

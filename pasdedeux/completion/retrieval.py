@@ -10,17 +10,26 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
-from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import plane_residual
+from pasdedeux.settings import Settings
 
-__all__ = ["Retrieval", "image_residual", "retrieve"]
+__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "retrieve"]
 
 Array = npt.NDArray[np.float64]
 
-NEIGHBOUR_DEVIATION_M = 0.03
-"""Width of the weights of near draws, by how much farther they are than the nearest, metres."""
+
+class RetrievalOptions(Settings):
+    """How many draws answer for an image, and how much each of them says."""
+
+    num_neighbours: int = Field(8, ge=1, le=1000, description="Near draws that a pair's depth is averaged over")
+    neighbour_deviation_m: float = Field(
+        0.03,
+        gt=0,
+        description="Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws, metres",
+    )
 
 
 @dataclass(frozen=True)
@@ -44,31 +53,22 @@ class Retrieval:
         return np.tensordot(self.weight, self.pairs_m, axes=1)
 
 
-def retrieve(
-    index: DrawIndex,
-    image_m: Array,
-    directions: Array,
-    *,
-    count: int = 8,
-    deviation_m: float = NEIGHBOUR_DEVIATION_M,
-) -> Retrieval:
+def retrieve(index: DrawIndex, image_m: Array, directions: Array, options: RetrievalOptions | None = None) -> Retrieval:
     """Return the draws nearest to an image, moved to where it saw them.
 
     Args:
         index: Draws.
         image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where not seen.
         directions: Hypotheses of the view in the pair's local frame, (view, 3).
-        count: Draws wanted.
-        deviation_m: Width of their weights: exp(-(d^2 - d_nearest^2) / (2 deviation^2)).
+        options: How many draws, and their weights.
 
     Raises:
-        InputError: No view, fewer than 4 joints seen, or a width that is not positive.
+        InputError: No view, or fewer than 4 joints seen.
     """
-    if not deviation_m > 0.0:
-        raise InputError(f"the width of the weights of near draws is {deviation_m} m, it must be positive")
-    nearest = index.nearest(image_m, directions, count=count)
+    options = options or RetrievalOptions()
+    nearest = index.nearest(image_m, directions, count=options.num_neighbours)
     squared = nearest.distance_m**2
-    weight = np.exp(-0.5 * (squared - squared[0]) / deviation_m**2)
+    weight = np.exp(-0.5 * (squared - squared[0]) / options.neighbour_deviation_m**2)
     pairs = index.placed(nearest.draw, np.asarray(directions)[nearest.view], image_m)
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
 

@@ -248,13 +248,18 @@ def _read(shard: Shard, store: Store) -> _Material:
             table = store.read(ref, "annotations", columns=["sequence_id", "take_id"])
             take_of.update(zip(table["sequence_id"], table["take_id"], strict=True))
     tables = [store.read(ref, "seeds", columns=["pair17_m", "sequence_id"]) for ref in grown_refs]
-    placed = gather(shard, store)
+    placed = gather(
+        store,
+        annotations=shard.all_inputs,
+        views=shard.all_inputs,
+        num_hypotheses=int(shard.parameters["num_hypotheses"]),
+    )
     sequences = [placed.places[index][0] for index in placed.gathered.pairs.annotation_index.tolist()]
     return _Material(
         takes=read_takes(store, take_refs, "pair17_m"),
         held_out=held_out,
-        limits=read_limits(shard, store),
-        occupancy=read_occupancy(shard, store),
+        limits=read_limits(store, shard.all_inputs),
+        occupancy=read_occupancy(store, shard.all_inputs),
         gathered=placed.gathered,
         annotated_take=np.array([take_of.get(sequence) for sequence in sequences], dtype=object),
         grown=np.concatenate([np.zeros((0, 2, 17, 3)), *(np.asarray(table["pair17_m"]) for table in tables)]),

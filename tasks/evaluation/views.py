@@ -98,7 +98,7 @@ def _robustness(
     truth = np.stack([true_direction(pair, cameras[name]) for (name, _), pair in zip(chosen, pairs, strict=True)])
     camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
     settings = store.manifest(shard.inputs[0]).parameters
-    options = ViewsParameters.model_validate(settings, strict=False).options()
+    options = ViewsParameters.model_validate(settings, strict=False)
     basis = read_torso_basis(store, shard.inputs)
     return view_robustness(generator, images, truth, camera_index, basis, options)
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import lifting
 from tasks.lifting import LiftingParameters
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import inputs, put, run, with_seeds
 
 __all__ = ["inputs"]  # the fixture
@@ -43,6 +44,10 @@ def test_annotations_are_lifted_from_grown_seeds(grown: Any) -> None:
         m: np.asarray(table["residual_m"])[np.asarray(table["method"]) == m].mean() for m in set(table["method"])
     }
     assert residual["fitted"] < residual["neighbours"] < residual["mean_pair"]
+    verdict = verdict_of(made["one-views"])
+    assert verdict is not None
+    assert verdict.level is Level.PASS
+    assert verdict.value < verdict.baseline
 
 
 def test_a_lifted_pair_names_the_draw_it_came_from(grown: Any) -> None:
@@ -120,4 +125,8 @@ def test_annotations_that_show_nothing_are_passed_over_and_told(inputs: Any) -> 
     )
     made = store.manifest(lifting.run_shard(shards[0], store))
     assert not made.tables
+    verdict = verdict_of(made)
+    assert verdict is not None
+    assert verdict.level is Level.FAIL
+    assert "40 annotated pairs show too little" in verdict.reason
     assert made.facts["skipped"] == ["blind: 40 annotated pairs were not lifted, too little was seen"]

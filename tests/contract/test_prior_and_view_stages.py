@@ -19,11 +19,12 @@ from pasdedeux.cameras import (
 from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
+from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
 from tasks import priors, views
 from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.priors import read_limits
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Shard, StageInputs, verdict_of
 from tasks.torso_bases import read_torso_basis
 from tests.builders.poses import dancers, wild
 
@@ -154,14 +155,17 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert facts["valid_share"] > 0.95
     basis = read_torso_basis(store, (ref,))
     assert basis.components_m.shape == (3, 6, 3)
-    shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
-    limits = read_limits(shard, store)
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert verdict.level is Level.PASS
+    assert verdict.value >= verdict.baseline > 0.0
+    limits = read_limits(store, [ref])
     assert (limits.lower_rad <= JointLimits.published().lower_rad).all()
     table = open_table(ref, store, table="joint_limits")
     assert list(table["joint"]) == [angle.joint for angle in ANGLES]
     poses = np.asarray(store.read(takes[0].ref, "poses")["pair17_m"], dtype=np.float64)
     learned = Occupancy.empty().extended(poses)
-    np.testing.assert_array_equal(priors.read_occupancy(shard, store).counts, learned.counts)
+    np.testing.assert_array_equal(priors.read_occupancy(store, [ref]).counts, learned.counts)
     assert store.manifest(ref).sources[0].name == "dancers"
 
 
@@ -172,8 +176,10 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
     assert facts["takes"] == []
     assert "no prior take" in facts["origin"]
     assert len(read_torso_basis(store, (ref,)).components_m) == 4
-    shard = Shard(stage="x", version=1, partition="p", name="n", parameters={}, inputs=(ref,))
-    assert not priors.read_occupancy(shard, store).counts.any()
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert "no prior take is named" in verdict.reason
+    assert not priors.read_occupancy(store, [ref]).counts.any()
 
 
 def test_the_default_basis_is_learned_from_the_duets_unless_those_are_what_it_would_lift(tmp_path: Path) -> None:
@@ -202,6 +208,10 @@ def test_views_are_near_the_true_ones_sorted_and_say_what_they_skipped(tmp_path:
     assert facts["learned_takes"] == ["hug"]
     assert facts["num_annotations"] == 30
     assert facts["num_without_view"] == 1
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert verdict.level is Level.PASS
+    assert 0.9 < verdict.value <= 1.0
     assert facts["skipped"] == [
         "salon.view029: 1 frames skipped, fewer than 4 torso joints of one of the two people were seen"
     ]
@@ -232,6 +242,12 @@ def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> 
     annotations, _ = put_annotations(store, "solo", persons=1)
     (ref,) = run(views, store, {"annotations": [annotations]})
     assert store.manifest(ref).tables["views"].rows == 0
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert (verdict.level, verdict.reason) == (
+        Level.PASS,
+        "no annotated frame shows two people",
+    )
     skipped = store.manifest(ref).facts["skipped"]
     assert skipped[0] == "solo.view000: 1 frames skipped, 1 person is annotated, not two"
     assert skipped[-1] == "10 more sequences: 10 frames skipped, 1 person is annotated, not two"

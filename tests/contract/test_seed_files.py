@@ -20,8 +20,8 @@ from pasdedeux.sampling import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
 from tasks.graph import Graph
-from tasks.seed_files import SeedFile, pair_of_draw
 from tasks.seeds import SeedsParameters
+from tasks.seeds.files import SeedFile, pair_of_draw
 from tasks.stage import StageInputs
 from tests.builders.real_study import build_here, call_in_process, never_begun
 from tests.builders.toy_runs import serial

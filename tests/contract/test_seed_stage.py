@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from tasks import seeds
+from pasdedeux.verdict import Level
+from tasks import priors, seeds
+from tasks.priors import PriorsParameters
 from tasks.seeds import SeedFrame, SeedsParameters
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import (
     inputs,
     pairs_of,
+    put,
+    run,
     with_seeds,
 )
 
@@ -71,6 +75,44 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
     assert all(generation[row] == generation.get(above, 0) + 1 for row, above in zip(index, parent, strict=True))
     assert set(facts["starts"]) <= set(index.tolist())
     assert np.isfinite(np.asarray(table["log_prior"])).all()
+    verdict = verdict_of(made[-1])
+    assert verdict is not None
+    assert (verdict.level, verdict.value, verdict.baseline) == (Level.PASS, table.num_rows, 30)
+
+
+def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(inputs: Any) -> None:
+    store, tables = inputs
+    made = with_seeds(store, tables, num_seeds=1, num_grown=30, farthest_m=1e-6).of("seeds")
+    verdict = verdict_of(made[-1])
+    assert verdict is not None
+    assert verdict.level is Level.WARN
+    assert "1 of 30 pairs grew" in verdict.reason
+    assert "lie farther than 1e-06 m" in verdict.reason
+
+
+def test_seeds_asked_of_annotations_that_are_not_there_are_refused() -> None:
+    with pytest.raises(InputError, match="there are no annotated pairs with views"):
+        seeds.plan(StageInputs({}, seed=1), SeedsParameters(num_seeds=0, num_lifted=2))
+
+
+def test_lifted_seeds_never_see_a_torso_basis_of_their_own_takes(inputs: Any) -> None:
+    """Joint limits may come from such takes: they are in the same artifact as the basis."""
+    store, tables = inputs
+    take = tables["poses"][0]
+    table = store.read(take.ref, "poses")
+    columns = {name: table[name] for name in table.column_names}
+    prior_take = put(store, "ingest", "prior", {"poses": columns}, {**take.facts, "is_prior": True})
+    (learned,) = run(priors.plan(StageInputs({"poses": [prior_take]}, seed=1), PriorsParameters()), priors, store)
+    asked = SeedsParameters(num_seeds=0, num_lifted=2)
+    (shard,) = seeds.plan(StageInputs({**tables, "joint_limits": [learned], "torso_basis": [learned]}, seed=1), asked)
+    assert (shard.refs("priors"), shard.refs("torso_basis")) == ((learned.ref,), ())
+    # The same joint limits from an artifact that holds no basis at all.
+    limits = store.read(learned.ref, "joint_limits")
+    alone = {"joint_limits": {name: limits[name] for name in limits.column_names}}
+    bare = put(store, "priors", "bare", alone, {"takes": ["one"]})
+    (plain,) = seeds.plan(StageInputs({**tables, "joint_limits": [bare]}, seed=1), asked)
+    pairs = [store.read(seeds.run_shard(one, store), "seeds")["pair17_m"] for one in (shard, plain)]
+    np.testing.assert_array_equal(*pairs)
 
 
 def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:

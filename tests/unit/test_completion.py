@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from pasdedeux.benchmarks.lifting import plain_nearest
 from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
@@ -13,6 +14,7 @@ from pasdedeux.cameras import project_pair
 from pasdedeux.completion import (
     DrawIndex,
     FitOptions,
+    RetrievalOptions,
     blend_onto,
     complete_pair,
     fill_between,
@@ -60,7 +62,7 @@ def test_the_index_gives_what_the_definition_gives(seed: int, hidden: float, num
 def test_a_pair_seen_from_its_view_is_found_and_placed_where_it_stood() -> None:
     view = np.array([0.3, 0.2, 1.0])
     image = project_pair(PAIRS[123], view)
-    found = retrieve(INDEX, image, view[None], count=4)
+    found = retrieve(INDEX, image, view[None], RetrievalOptions(num_neighbours=4))
     assert found.nearest.draw[0] == 123
     np.testing.assert_allclose(found.pairs_m[0][..., :2], image, atol=1e-5)
     aligned = align_rigid(PAIRS[123].reshape(-1, 3), found.pairs_m[0].reshape(-1, 3)).apply(PAIRS[123].reshape(-1, 3))
@@ -219,5 +221,5 @@ def test_naive_samples_keep_bones_and_the_nearest_is_the_nearest() -> None:
 
 
 def test_a_fit_without_width_is_refused() -> None:
-    with pytest.raises(InputError, match="positive widths"):
+    with pytest.raises(ValidationError, match="greater than 0"):
         FitOptions(image_deviation_m=0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.cameras import (
     DEPTH_RULES,
@@ -156,10 +157,10 @@ def test_pairs_in_metres_keep_the_own_scale_of_each_person_and_the_mean_between_
 
 
 def test_bad_options_are_refused() -> None:
-    with pytest.raises(InputError, match="distance_m"):
+    with pytest.raises(ValidationError, match="distance_m"):
         ViewOptions(distance_m=-1.0)
-    with pytest.raises(InputError, match="lean_deviation_rad"):
-        ViewOptions(lean_deviation_rad=0.0)
+    with pytest.raises(ValidationError, match="lean_deviation_deg"):
+        ViewOptions(lean_deviation_deg=0.0)
 
 
 def _sphere(count: int) -> np.ndarray:

@@ -1,25 +1,16 @@
-"""Settings of the stage `seeds`."""
+"""Settings of the stage `seeds`, and what each kind of its shards is told."""
 
 from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from tasks.seed_files import SeedFile
+from pasdedeux.sampling.growth import GrowthOptions
+from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters
 
-__all__ = ["GROWTH_PARAMETERS", "SeedFrame", "SeedsParameters"]
+__all__ = ["VERSION", "ChosenSeed", "FrameSeed", "GrownSeeds", "LiftedSeeds", "SeedFrame", "SeedsParameters"]
 
-GROWTH_PARAMETERS = (
-    "num_grown",
-    "num_starts",
-    "num_hypotheses",
-    "image_deviation_m",
-    "depth_deviation_m",
-    "farthest_m",
-    "num_neighbours",
-    "num_sweeps",
-)
-"""Those that decide what grows."""
+VERSION = 4
 
 
 class SeedFrame(Parameters):
@@ -29,7 +20,7 @@ class SeedFrame(Parameters):
     frame: int = Field(ge=0, description="Frame at the study's rate")
 
 
-class SeedsParameters(Parameters):
+class SeedsParameters(GrowthOptions, Parameters):
     """How many seeds there are and where they come from."""
 
     num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
@@ -48,13 +39,6 @@ class SeedsParameters(Parameters):
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
     num_hypotheses: int = Field(1, ge=1, description="Likeliest view hypotheses of an annotation; more brought nothing")
-    image_deviation_m: float = Field(0.02, gt=0, description="Error of an annotated joint in growth, metres")
-    depth_deviation_m: float = Field(0.05, gt=0, description="Error of a bone's depth taken from lifted pairs, metres")
-    farthest_m: float = Field(
-        0.25, gt=0, description="Annotations farther than this from everything lifted are left, metres"
-    )
-    num_neighbours: int = Field(8, ge=1, le=1000, description="Lifted pairs that a depth is averaged over")
-    num_sweeps: int = Field(3, ge=0, le=100, description="How often grown neighbours agree on their depths")
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
@@ -67,3 +51,34 @@ class SeedsParameters(Parameters):
         if self.num_starts > self.num_grown:
             raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
         return self
+
+
+class FrameSeed(SeedFrame):
+    """A seed that is a named frame."""
+
+    seed_index: int
+
+
+class ChosenSeed(Parameters):
+    """A seed that is the best frame after those that the seeds before it chose."""
+
+    seed_index: int
+    max_frames_per_take: int
+
+
+class LiftedSeeds(Parameters):
+    """All seeds lifted from 2D alone."""
+
+    first_index: int
+    num_lifted: int
+    max_annotations: int
+    num_hypotheses: int
+
+
+class GrownSeeds(GrowthOptions, Parameters):
+    """All seeds grown from the others."""
+
+    first_index: int
+    num_grown: int
+    num_starts: int
+    num_hypotheses: int

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,12 +14,13 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
-from storage_schema import SourceCredit, Store, UnknownReference, parse_reference, resolve
+from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve
 from tasks.ingest.sources import NOT_STATED, load_file
 from tasks.stage import Parameters, Shard, SourceFile
 
 __all__ = [
     "DrawSeed",
+    "FileSeed",
     "LoadedSeed",
     "SeedFile",
     "credits_of",
@@ -42,17 +43,27 @@ class SeedFile(Parameters):
     takes: tuple[str, ...] = Field((), description="Takes it shows or was made from, beside those that the file names")
 
 
+class FileSeed(Parameters):
+    """A seed that is in a file: how its shard reads it again."""
+
+    seed_index: int
+    file_format: Literal["bvh", "json"]
+    frame: int
+    metres_per_unit: float
+    takes: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class LoadedSeed:
     """A seed read from files, with what its shard needs to read them again."""
 
     pair: PairFile
     files: tuple[SourceFile, ...]
-    options: dict[str, Any]
+    parameters: FileSeed
 
 
-def load_seed(file: SeedFile) -> LoadedSeed:
-    """Read and check a seed's files.
+def load_seed(file: SeedFile, *, seed_index: int = 0) -> LoadedSeed:
+    """Read and check the files of a seed, which gets this index.
 
     Raises:
         InputError: With the file's name in front: not there, mangled, or no pair.
@@ -65,21 +76,16 @@ def load_seed(file: SeedFile) -> LoadedSeed:
         raise InputError(f"seeds.files: {name} is the BVH of one person; `other` must name that of person B")
     if not is_bvh and file.other is not None:
         raise InputError(f"seeds.files: {name} is no BVH, so there can be no `other` file beside it")
-    options: dict[str, Any] = {
-        "file_format": "bvh" if is_bvh else "json",
-        "frame": file.frame,
-        "metres_per_unit": file.metres_per_unit,
-        "takes": list(file.takes),
-    }
+    parameters = file.part(FileSeed, seed_index=seed_index, file_format="bvh" if is_bvh else "json")
     try:
-        pair = _parsed(options, [one.data for one in loaded])
+        pair = _parsed(parameters, [one.data for one in loaded])
     except InputError as error:
         raise type(error)(f"seeds.files: {' and '.join(path.name for path in paths)}: {error}") from None
-    return LoadedSeed(pair, tuple(one.file for one in loaded), options)
+    return LoadedSeed(pair, tuple(one.file for one in loaded), parameters)
 
 
 def read_seed(shard: Shard) -> PairFile:
-    """Read the seed of a shard that `load_seed` made the files and options of; its takes are all named.
+    """Read the seed of a shard that `load_seed` made the files and parameters of; its takes are all named.
 
     Raises:
         InputError: A file changed since.
@@ -88,15 +94,15 @@ def read_seed(shard: Shard) -> PairFile:
     for file, content in zip(shard.files, data, strict=True):
         if hashlib.sha256(content).hexdigest() != file.sha256:
             raise InputError(f"file {file.path} changed since the run was planned; run again")
-    return _parsed(shard.parameters, data)
+    return _parsed(shard.options(FileSeed), data)
 
 
-def _parsed(options: Mapping[str, Any], data: Sequence[bytes]) -> PairFile:
-    if options["file_format"] == "bvh":
-        pair = pair_from_bvh(*data, frame=options["frame"], metres_per_unit=options["metres_per_unit"])
+def _parsed(parameters: FileSeed, data: Sequence[bytes]) -> PairFile:
+    if parameters.file_format == "bvh":
+        pair = pair_from_bvh(*data, frame=parameters.frame, metres_per_unit=parameters.metres_per_unit)
     else:
         pair = read_pair_json(data[0])
-    takes = tuple(sorted({*pair.takes, *options["takes"]}))
+    takes = tuple(sorted({*pair.takes, *parameters.takes}))
     return PairFile(pair.pair_m, pair.made_from, takes, pair.sources)
 
 
@@ -143,17 +149,22 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     manifest = store.manifest(ref)
     draw = store.read(ref, "draws", rows=slice(row, row + 1))
     seed_index, density = int(draw["seed_index"][0]), str(draw["density"][0])
-    seeds = store.read(manifest.inputs[0], "seeds", columns=["seed_index", "pair17_m"])
+    (seeds_ref,) = (one for one in manifest.inputs if "seeds" in store.manifest(one).tables)
+    seeds = store.read(seeds_ref, "seeds", columns=["seed_index", "pair17_m"])
     own = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
     chart = PairChart(np.array(seeds["pair17_m"][own], dtype=np.float64))
     positions = chart.positions(np.array(draw["parameters"][0], dtype=np.float64))
-    pair = PairFile(
-        pair_m=positions,
-        made_from=f"draws@{ref.key}#{row}",
+    return DrawSeed(_pair_file(manifest, positions, f"draws@{ref.key}#{row}"), ref.key, row, density)
+
+
+def _pair_file(manifest: Manifest, pair_m: np.ndarray, made_from: str) -> PairFile:
+    """Return a pair with the takes and the credits of the artifact that it is in."""
+    return PairFile(
+        pair_m=pair_m,
+        made_from=made_from,
         takes=tuple(manifest.facts.get("takes", ())),
         sources=tuple(PairSource(one.name, one.licence, one.credit) for one in manifest.sources),
     )
-    return DrawSeed(pair, ref.key, row, density)
 
 
 def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
@@ -168,13 +179,8 @@ def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
         manifest = store.manifest(ref)
         table = store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
         for row in range(table.num_rows):
-            pair = PairFile(
-                pair_m=np.array(table["pair17_m"][row], dtype=np.float64),
-                made_from=f"seeds@{ref.key}#{row}",
-                takes=tuple(manifest.facts.get("takes", ())),
-                sources=tuple(PairSource(one.name, one.licence, one.credit) for one in manifest.sources),
-            )
-            found.append((int(table["seed_index"][row]), pair))
+            pair_m = np.array(table["pair17_m"][row], dtype=np.float64)
+            found.append((int(table["seed_index"][row]), _pair_file(manifest, pair_m, f"seeds@{ref.key}#{row}")))
     if reference.row is not None:
         if reference.row >= len(found):
             raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {len(found)} rows here")

@@ -1,0 +1,261 @@
+"""Annotations lifted: the draws that look most like them, fitted, completed, and the pairs between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.cameras.views import pair_in_metres
+from pasdedeux.completion import (
+    DrawIndex,
+    complete_pair,
+    fill_between,
+    fit_pair,
+    image_residual,
+    lift_by_ik,
+    pooled_lengths,
+    retrieve,
+    sample_naively,
+    straight_between,
+)
+from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import ArtifactRef, Store
+from tasks.annotated_pairs import Place, first_two, read_people
+from tasks.draw_sets import DrawSet, join_draws, read_draw_sets
+from tasks.lifting.parameters import LiftingShard
+from tasks.priors import read_limits
+from tasks.stage import Shard, commit, merge_takes, stream
+from tasks.torso_bases import read_torso_basis
+
+__all__ = ["run_shard"]
+
+MIN_SEEN = 10
+"""Joints of the two people that an annotation must show to be lifted."""
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Annotated:
+    """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first."""
+
+    sequence_id: str
+    frame: int
+    image_m: np.ndarray
+    directions: np.ndarray
+    hypotheses: np.ndarray
+
+    @property
+    def is_seen(self) -> np.ndarray:
+        """Which joints are seen, (2, 17)."""
+        return np.asarray(np.isfinite(self.image_m).all(axis=-1))
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Lift the chosen pairs of one artifact of annotations and fill in between them."""
+    told = shard.options(LiftingShard)
+    annotated = store.manifest(shard.ref("annotations"))
+    draws, index = _indexed_draws(store, shard.refs("draws"))
+    every, num_skipped = _read(shard, store, told.num_hypotheses)
+    is_video = annotated.facts.get("purpose") == "video" and told.between_frames > 0
+    spans = _spans(every, told.num_spans, told.between_frames) if is_video else []
+    wanted = sorted({*_spread(every, told.max_frames), *(end for span in spans for end in span)})
+    rows: list[Row] = []
+    fitted: dict[Place, np.ndarray] = {}
+    for place in wanted:
+        found, fitted[place] = _lift(every[place], draws, index, told)
+        rows += found
+    rows += _baselines(shard, store, [every[place] for place in wanted], every)
+    between = [row for span in spans for row in _fill(span, fitted, draws)]
+    skipped = f"{annotated.partition}: {num_skipped} annotated pairs were not lifted, too little was seen"
+    facts = {
+        "kind": "lifted_pairs",
+        "sequence_ids": annotated.facts.get("sequence_ids", []),
+        "purpose": annotated.facts.get("purpose"),
+        "is_held_out": bool(annotated.facts.get("is_held_out", False)),
+        "num_draws": len(draws.pairs_m),
+        "num_lifted": len(wanted),
+        "learned_takes": merge_takes(*(store.manifest(ref) for ref in shard.refs("draws"))),
+        "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+        "skipped": [skipped] if num_skipped else [],
+    }
+    tables = {"lifted_pairs": _columns(rows)} if rows else {}
+    if between:
+        tables["in_betweens"] = _columns(between)
+    return commit(shard, store, tables=tables, facts=facts, verdict=_verdict(rows, num_skipped))
+
+
+def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
+    """Return how far the nearest draws are from the images, beside the mean of all draws."""
+    distance = {
+        method: [row["residual_m"] for row in rows if row["method"] == method] for method in ("nearest", "mean_pair")
+    }
+    nearest, mean_pair = (float(np.median(found)) if found else math.nan for found in distance.values())
+    level, reason = Level.PASS, ""
+    if not rows:
+        level = Level.FAIL if num_skipped else Level.WARN
+        reason = f"nothing was lifted: {num_skipped} annotated pairs show too little or have no view"
+    elif nearest >= mean_pair:
+        level, reason = Level.WARN, "the nearest draws look no more like the images than the mean of all draws does"
+    return Verdict(
+        level,
+        reason,
+        figure="median distance between nearest draw and image",
+        value=nearest,
+        unit="m",
+        baseline=mean_pair,
+        baseline_name="mean of all draws",
+    )
+
+
+@lru_cache(maxsize=1)
+def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet, DrawIndex]:
+    """Return the draws and their index; the shards that one worker runs in a row share them."""
+    sets = read_draw_sets(store, refs).values()
+    parts = [(ref, one.pairs_m[one.artifacts == number]) for one in sets for number, ref in enumerate(one.refs)]
+    draws = join_draws("all", parts)
+    return draws, DrawIndex(draws.pairs_m)
+
+
+def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, _Annotated], int]:
+    """Return the annotated pairs with enough joints and a view, by sequence and frame, and how many had not."""
+    people = read_people(store, shard.refs("annotations"), with_held_out=True)
+    names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "metres_per_pixel"]
+    views = store.read(shard.ref("views"), "views", columns=names)
+    sequences, frames, hypothesis, direction, weight, scale = (np.asarray(views[name]) for name in names)
+    likeliest: dict[Place, list[int]] = {}
+    for row in np.lexsort((hypothesis, -weight)).tolist():
+        likeliest.setdefault((str(sequences[row]), int(frames[row])), []).append(row)
+    found: dict[Place, _Annotated] = {}
+    for place in sorted(people):
+        rows = likeliest.get(place, [])[:num_hypotheses]
+        if len(people[place]) < 2 or not rows:
+            continue
+        image = pair_in_metres(first_two(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
+        one = _Annotated(*place, image, np.asarray(direction, dtype=np.float64)[rows], hypothesis[rows])
+        if one.is_seen.sum() >= MIN_SEEN:
+            found[place] = one
+    return found, len(people) - len(found)
+
+
+def _spread(every: dict[Place, _Annotated], count: int) -> list[Place]:
+    places = list(every)
+    if not places:
+        return []
+    return [
+        places[at] for at in np.unique(np.linspace(0, len(places) - 1, min(count, len(places))).round().astype(int))
+    ]
+
+
+def _spans(every: dict[Place, _Annotated], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
+    """Return pairs of places of one sequence that are `gap` frames apart, spread over all, not overlapping."""
+    starts = [place for place in every if (place[0], place[1] + gap) in every]
+    if not starts or not num_spans:
+        return []
+    chosen = np.unique(np.linspace(0, len(starts) - 1, num_spans).round().astype(int))
+    return [(starts[at], (starts[at][0], starts[at][1] + gap)) for at in chosen]
+
+
+def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:
+    return {
+        "sequence_id": one.sequence_id,
+        "frame": one.frame,
+        "method": method,
+        "num_joints_seen": int(one.is_seen.sum()),
+        "residual_m": image_residual(pair_m, one.image_m),
+        "draw": None,
+        "hypothesis": None,
+        "pair17_m": pair_m - pair_m.reshape(-1, 3).mean(axis=0),
+        **more,
+    }
+
+
+def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, told: LiftingShard) -> tuple[list[Row], np.ndarray]:
+    """Return the rows of one annotation, and its last pair in place."""
+    found = retrieve(index, one.image_m, one.directions, told)
+    known = {
+        "draw": draws.reference(int(found.nearest.draw[0])),
+        "hypothesis": int(one.hypotheses[found.nearest.view[0]]),
+    }
+    lengths = pooled_lengths(found.pairs_m, found.weight)
+    fitted = fit_pair(one.image_m, found.mean_m, lengths, told)
+    rows = [
+        _row(one, "nearest", found.pairs_m[0], **known),
+        _row(one, "neighbours", found.mean_m, **known),
+        _row(one, "fitted", fitted, **known),
+    ]
+    if not one.is_seen.all():
+        incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
+        count = min(told.num_completing, len(draws.pairs_m))
+        fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
+        rows.append(_row(one, "completed", fitted, **known))
+    # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
+    rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
+    return rows, fitted
+
+
+def _baselines(
+    shard: Shard, store: Store, wanted: Sequence[_Annotated], every: Mapping[Place, _Annotated]
+) -> list[Row]:
+    """Lift whole annotations without draws, where the study asks for it."""
+    told = shard.options(LiftingShard)
+    whole = [one.image_m for one in every.values() if one.is_seen.all()]
+    if not told.baselines or not whole:
+        return []
+    limits = read_limits(store, shard.refs("priors"))
+    basis = read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations")))
+    lengths = apparent_bone_lengths(np.stack(whole))
+    rows = []
+    for one in wanted:
+        if not one.is_seen.all():
+            continue
+        lifted = lift_pair(one.image_m, one.directions[0], lengths, limits, basis)
+        if lifted is None:
+            continue
+        by_ik = lift_by_ik(one.image_m, lifted, lengths, limits)
+        if "lifting" in told.baselines:
+            rows.append(_row(one, "lifting", lifted))
+        if "lifting_ik" in told.baselines:
+            rows.append(_row(one, "lifting_ik", by_ik))
+        if "naive_sampling" in told.baselines:
+            rng = stream(shard.seed, "lifting", one.sequence_id, one.frame)
+            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=told.num_naive)
+            rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
+    return rows
+
+
+def _fill(span: tuple[Place, Place], fitted: dict[Place, np.ndarray], draws: DrawSet) -> list[Row]:
+    """Return the rows between two lifted pairs of a sequence."""
+    (sequence_id, first), (_, last) = span
+    ends = [fitted[end] - fitted[end].reshape(-1, 3).mean(axis=0) for end in span]
+    count = last - first - 1
+    if count < 1:
+        return []
+    filled = {
+        "draws": fill_between(ends[0], ends[1], count, draws.pairs_m),
+        "straight": straight_between(ends[0], ends[1], count),
+    }
+    return [
+        {
+            "sequence_id": sequence_id,
+            "frame": first + 1 + at,
+            "method": method,
+            "first_frame": first,
+            "last_frame": last,
+            "pair17_m": pair,
+        }
+        for method, pairs in filled.items()
+        for at, pair in enumerate(pairs)
+    ]
+
+
+def _columns(rows: list[Row]) -> dict[str, list[Any]]:
+    """Return rows as columns, in the order of the table."""
+    ordered = sorted(rows, key=lambda row: (row["sequence_id"], row["frame"], row["method"], row.get("first_frame", 0)))
+    return {name: [row[name] for row in ordered] for name in ordered[0]}

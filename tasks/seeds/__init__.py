@@ -1,0 +1,20 @@
+"""Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
+
+from tasks.seeds.parameters import VERSION, SeedFrame, SeedsParameters
+from tasks.seeds.plan import check, plan, start_indices
+from tasks.seeds.run import run_shard
+from tasks.stage import Stage
+
+__all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "check", "plan", "run_shard", "start_indices"]
+
+STAGE = Stage(
+    name="seeds",
+    version=VERSION,
+    reads=("poses", "annotations", "views", "torso_basis", "joint_limits"),
+    writes=("seeds",),
+    parameters=SeedsParameters,
+    plan=plan,
+    run_shard=run_shard,
+    check=check,
+    meaning="3D pose pairs from which chains start",
+)

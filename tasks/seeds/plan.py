@@ -1,0 +1,134 @@
+"""Which seeds there will be: one shard for each that stands alone, one for all lifted and one for all grown ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pasdedeux.errors import InputError
+from storage_schema import ArtifactRef, Manifest
+from tasks.annotated_pairs import annotated_pairs, views_of
+from tasks.seeds.files import SeedFile, load_seed
+from tasks.seeds.parameters import VERSION, ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds, SeedFrame, SeedsParameters
+from tasks.stage import Parameters, Shard, SourceFile, StageInputs, named_refs
+from tasks.torso_bases import shares_takes
+
+__all__ = ["check", "plan", "start_indices"]
+
+
+def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
+    """Plan a shard per seed from takes that are not held out or from files, one for lifted and one for grown seeds.
+
+    Raises:
+        InputError: A named frame or file cannot be a seed, or seeds are asked of annotations and there are none.
+    """
+    shards = _from_takes(inputs, parameters)
+    shards += [_from_file(inputs, len(shards) + at, file) for at, file in enumerate(parameters.files)]
+    if not (parameters.num_lifted or parameters.num_grown):
+        return shards
+    annotated = annotated_pairs(inputs)
+    views = views_of(annotated, inputs)
+    if not (annotated and views):
+        if not shards:
+            raise InputError(
+                "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views"
+            )
+        return shards
+    if parameters.num_lifted:
+        bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
+        refs = named_refs(priors=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
+        shards.append(_shard(inputs, "lifted", "lifted", parameters.part(LiftedSeeds, first_index=len(shards)), refs))
+    if parameters.num_grown and shards:
+        first = len(shards) + max(parameters.num_lifted - 1, 0)
+        refs = named_refs(priors=inputs.of("joint_limits"), annotations=annotated, views=views)
+        after = tuple(shard.key for shard in shards)
+        told = parameters.part(GrownSeeds, first_index=first)
+        shards.append(_shard(inputs, "grown", "grown", told, refs, after=after))
+    return shards
+
+
+def check(parameters: SeedsParameters) -> None:
+    """Refuse files that are no seeds, before anything runs.
+
+    Raises:
+        InputError: Names the file and what is wrong with it.
+    """
+    for file in parameters.files:
+        load_seed(file)
+
+
+def start_indices(manifest: Manifest) -> list[int]:
+    """Return the indices of the seeds in an artifact from which chains start, from its facts."""
+    facts = manifest.facts
+    return [int(index) for index in facts["starts"]] if "starts" in facts else [int(facts["seed_index"])]
+
+
+def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
+    """Plan a shard per named frame, or as many as are to be chosen."""
+    takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
+    priors = inputs.of("joint_limits")
+    told: list[FrameSeed | ChosenSeed] = []
+    poses: list[list[Manifest]] = []
+    for index, frame in enumerate(parameters.frames):
+        _check_frame(frame, takes)
+        told.append(frame.part(FrameSeed, seed_index=index))
+        poses.append([takes[frame.take]])
+    if not parameters.frames and takes:
+        told += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
+        poses += [list(takes.values())] * parameters.num_seeds
+    return [
+        _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, priors=priors))
+        for one, own in zip(told, poses, strict=True)
+    ]
+
+
+def _check_frame(frame: SeedFrame, takes: Mapping[str, Manifest]) -> None:
+    if frame.take not in takes:
+        raise InputError(
+            f"seeds.frames: take '{frame.take}' is no take of two people that may be learned from; "
+            f"known ones: {', '.join(sorted(takes))}"
+        )
+    last = int(takes[frame.take].facts["num_frames"]) - 1
+    if frame.frame > last:
+        raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
+
+
+def _from_file(inputs: StageInputs, index: int, file: SeedFile) -> Shard:
+    loaded = load_seed(file, seed_index=index)
+    held_out = [manifest for manifest in inputs.of("poses") if manifest.facts.get("is_held_out")]
+    hidden = {str(take) for manifest in held_out for take in manifest.facts.get("takes", [])}
+    seen = sorted(hidden.intersection(loaded.pair.takes))
+    if seen:
+        raise InputError(
+            f"seeds.files: {file.path.name} was made from take '{seen[0]}', which this study holds out: "
+            "nothing that is learned may have seen it"
+        )
+    priors = named_refs(priors=inputs.of("joint_limits"))
+    return _shard(inputs, f"seed{index}", "file", loaded.parameters, priors, files=loaded.files)
+
+
+def _shard(
+    inputs: StageInputs,
+    partition: str,
+    name: str,
+    parameters: Parameters,
+    refs: Mapping[str, Sequence[ArtifactRef]],
+    *,
+    files: tuple[SourceFile, ...] = (),
+    after: tuple[str, ...] = (),
+) -> Shard:
+    return Shard(
+        stage="seeds",
+        version=VERSION,
+        partition=partition,
+        name=name,
+        parameters=parameters,
+        inputs=refs,
+        files=files,
+        after=after,
+        seed=inputs.seed,
+    )
+
+
+def _is_usable(manifest: Manifest) -> bool:
+    facts = manifest.facts
+    return facts.get("kind") == "take" and not facts.get("is_held_out", False) and int(facts.get("num_persons", 1)) == 2

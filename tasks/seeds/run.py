@@ -1,0 +1,239 @@
+"""Seeds made: frames read or chosen, files taken in, annotations lifted and grown over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES
+from pasdedeux.sampling.direct_lifting import lift_seeds
+from pasdedeux.sampling.growth import Growth, grow
+from pasdedeux.sampling.parameters import gauge_fix
+from pasdedeux.sampling.seeds import choose_seeds, seed_quality
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
+from tasks.annotated_pairs import PlacedPairs, gather
+from tasks.priors import read_limits
+from tasks.seeds.files import FileSeed, credits_of, read_seed
+from tasks.seeds.parameters import ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds
+from tasks.stage import Shard, commit, merge_takes, stream
+from tasks.torso_bases import read_torso_basis
+
+__all__ = ["run_shard"]
+
+MIN_GROWN_SHARE = 0.5
+"""Share of the annotations asked for that must have grown to be no warning."""
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Read or choose one seed, lift or grow many, and commit them, gauge-fixed."""
+    match shard.parameters:
+        case FrameSeed() as told:
+            pair = _read_pairs(store, shard.ref("poses"), np.array([told.frame]))[0]
+            return _commit_frame(shard, store, told.seed_index, pair, told.take, told.frame)
+        case ChosenSeed() as told:
+            return _commit_frame(shard, store, told.seed_index, *_choose(shard, store, told))
+        case FileSeed() as told:
+            return _take_in(shard, store, told.seed_index)
+        case LiftedSeeds() as told:
+            return _lift(shard, store, told)
+        case GrownSeeds() as told:
+            return _grow(shard, store, told)
+        case other:
+            raise TypeError(f"the stage seeds has no shards that are told {type(other).__name__}")
+
+
+def _commit_frame(shard: Shard, store: Store, index: int, pair_m: np.ndarray, take_id: str, frame: int) -> ArtifactRef:
+    facts = {"take_id": take_id, "take_frame": frame, "takes": _takes(shard, store)}
+    return _commit_one(shard, store, index, pair_m, "frame", facts, take_id=[take_id], take_frame=[frame])
+
+
+def _take_in(shard: Shard, store: Store, index: int) -> ArtifactRef:
+    """Commit a seed that came in a file, with the lineage that the file states."""
+    pair = read_seed(shard)
+    origin = "draw" if pair.made_from.startswith("draws@") else "file"
+    facts = {"made_from": pair.made_from, "takes": sorted({*pair.takes, *_takes(shard, store)})}
+    return _commit_one(
+        shard, store, index, pair.pair_m, origin, facts, sources=credits_of(pair), made_from=[pair.made_from or None]
+    )
+
+
+def _commit_one(
+    shard: Shard,
+    store: Store,
+    index: int,
+    pair_m: np.ndarray,
+    origin: str,
+    facts: dict[str, Any],
+    *,
+    sources: Sequence[SourceCredit] = (),
+    **known: Any,
+) -> ArtifactRef:
+    """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
+    quality = seed_quality(pair_m[None], read_limits(store, shard.refs("priors")))
+    num_invalid = int(quality.num_invalid[0])
+    is_possible = bool(quality.is_possible[0])
+    verdict = Verdict(
+        Level.PASS if is_possible else Level.FAIL,
+        "" if is_possible else f"over {MOST_INVALID_ANGLES} joint angles are out of range: no chain can start here",
+        figure="joint angles out of range",
+        value=num_invalid,
+    )
+    columns = _columns(origin, [index], gauge_fix(pair_m)[None], quality.log_prior, **known)
+    facts = {"kind": "seed", "seed_index": index, **facts}
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, sources=sources, verdict=verdict)
+
+
+def _takes(shard: Shard, store: Store) -> list[str]:
+    return merge_takes(*(store.manifest(ref) for ref in shard.all_inputs))
+
+
+def _columns(
+    origin: str, indices: Sequence[int] | np.ndarray, pairs_m: np.ndarray, log_prior: np.ndarray, **known: Any
+) -> dict[str, Any]:
+    """Return the table of seeds of one origin; what is not known of them is empty."""
+    count = len(pairs_m)
+    unknown = (
+        "take_id",
+        "take_frame",
+        "sequence_id",
+        "sequence_frame",
+        "parent_seed_index",
+        "made_from",
+        "image_distance_m",
+    )
+    return {
+        "seed_index": indices,
+        "origin": [origin] * count,
+        **{name: [None] * count for name in unknown},
+        "generation": [0] * count,
+        "log_prior": log_prior,
+        "pair17_m": pairs_m,
+        **known,
+    }
+
+
+def _annotated(shard: Shard, store: Store, num_hypotheses: int) -> PlacedPairs:
+    annotations, views = shard.refs("annotations"), shard.refs("views")
+    return gather(store, annotations=annotations, views=views, num_hypotheses=num_hypotheses)
+
+
+def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
+    """Return the columns that say which annotations these entries are."""
+    places = [placed.places[index] for index in placed.gathered.pairs.annotation_index[entries].tolist()]
+    return {
+        "sequence_id": [sequence for sequence, _ in places],
+        "sequence_frame": [frame for _, frame in places],
+    }
+
+
+def _lift(shard: Shard, store: Store, told: LiftedSeeds) -> ArtifactRef:
+    """Lift annotations that stand for all of them from 2D alone."""
+    placed = _annotated(shard, store, told.num_hypotheses)
+    seeds = lift_seeds(
+        placed.gathered.pairs,
+        placed.gathered.weights,
+        read_limits(store, shard.refs("priors")),
+        read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
+        num_seeds=told.num_lifted,
+        max_annotations=told.max_annotations,
+    )
+    indices = told.first_index + np.arange(len(seeds.pairs_m))
+    columns = _columns("lifted", indices, seeds.pairs_m, seeds.log_prior, **_places(placed, seeds.entry))
+    facts = {
+        "kind": "lifted_seeds",
+        "starts": indices.tolist(),
+        "num_annotations_skipped": placed.gathered.num_skipped,
+        "takes": _takes(shard, store),
+    }
+    verdict = Verdict(Level.PASS, figure="lifted seeds", value=len(indices))
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
+
+
+def _grow(shard: Shard, store: Store, told: GrownSeeds) -> ArtifactRef:
+    """Grow pairs over the annotations from the seeds of the shards before this one."""
+    before = [_done(key, store) for key in shard.after]
+    roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
+    placed = _annotated(shard, store, told.num_hypotheses)
+    limits = read_limits(store, shard.refs("priors"))
+    growth = grow(roots, placed.gathered.pairs, limits, num_grown=told.num_grown, options=told)
+    # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
+    # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
+    possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
+    columns = _columns(
+        "grown",
+        told.first_index + np.arange(len(growth.pairs_m)),
+        growth.pairs_m,
+        growth.log_prior,
+        parent_seed_index=growth.parent,
+        generation=growth.generation,
+        image_distance_m=growth.image_distance_m,
+        **_places(placed, growth.entry),
+    )
+    facts = {
+        "kind": "grown_seeds",
+        "num_grown": len(growth.pairs_m),
+        "num_refused": growth.num_refused,
+        "num_left": growth.num_left,
+        "num_annotations_skipped": placed.gathered.num_skipped,
+        "starts": (told.first_index + possible[: told.num_starts]).tolist(),
+        "takes": merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
+    }
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=_growth_verdict(growth, told))
+
+
+def _growth_verdict(growth: Growth, told: GrownSeeds) -> Verdict:
+    """Return how many pairs grew of how many could have."""
+    count = len(growth.pairs_m)
+    possible = min(told.num_grown, count + growth.num_refused + growth.num_left)
+    level, reason = Level.PASS, ""
+    if count < MIN_GROWN_SHARE * possible:
+        level = Level.WARN if count else Level.FAIL
+        reason = (
+            f"{count} of {possible} pairs grew: {growth.num_refused} lifted pairs broke the joint limits, and "
+            f"{growth.num_left} annotations lie farther than {told.farthest_m} m from everything lifted"
+        )
+    return Verdict(
+        level, reason, figure="grown pairs", value=count, baseline=possible, baseline_name="asked of annotations there"
+    )
+
+
+def _done(key: str, store: Store) -> Manifest:
+    manifest = store.find("seeds", key)
+    if manifest is None:
+        raise InputError(f"the seed seeds@{key[:12]} that others grow from is not in the store")
+    return manifest
+
+
+def _choose(shard: Shard, store: Store, told: ChosenSeed) -> tuple[np.ndarray, str, int]:
+    """Return the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
+    pairs, take_of, frame_of, take_ids = [], [], [], []
+    for take, ref in enumerate(shard.refs("poses")):
+        facts = store.manifest(ref).facts
+        num_frames = int(facts["num_frames"])
+        count = min(told.max_frames_per_take, num_frames)
+        frames = np.unique(np.linspace(0, num_frames - 1, count).round().astype(int))
+        pairs.append(_read_pairs(store, ref, frames))
+        take_of.append(np.full(len(frames), take))
+        frame_of.append(frames)
+        take_ids.append(str(facts["take_id"]))
+    every, takes = np.concatenate(pairs), np.concatenate(take_of)
+    quality = seed_quality(every, read_limits(store, shard.refs("priors")))
+    chosen = choose_seeds(every, takes, quality, told.seed_index + 1)[told.seed_index]
+    return every[chosen], take_ids[int(takes[chosen])], int(np.concatenate(frame_of)[chosen])
+
+
+def _read_pairs(store: Store, ref: ArtifactRef, frames: np.ndarray) -> np.ndarray:
+    """Return the pairs (frame, 2, 17, 3) of some frames of a take."""
+    table = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
+    person, frame = np.asarray(table["person"]), np.asarray(table["frame"])
+    positions = np.asarray(table["pair17_m"], dtype=np.float64)
+    parts = []
+    for one in range(2):
+        own = np.flatnonzero(person == one)
+        own = own[np.argsort(frame[own], kind="stable")]
+        parts.append(positions[own[np.searchsorted(frame[own], frames)]])
+    return np.stack(parts, axis=1)

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.contacts import fade
 from pasdedeux.augmentation.source import NUM_POINTS, Source
+from pasdedeux.kinematics.rotation_kernels import closest_on_segments
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 
@@ -147,11 +148,8 @@ def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _nearest(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
-    """Return where on their bones (T, pair, 2; 0 at the parent) the nearest points are and the surfaces' gap (T, pair).
-
-    Closest points of segments as in Ericson (2004), section 5.1.9; see `plausibility.segment_distance`.
-    """
-    frames, count, tiny = len(points), len(pairs), 1e-18
+    """Return where on their bones (T, pair, 2; 0 at the parent) the nearest points are, and the gap of the surfaces."""
+    frames, count = len(points), len(pairs)
     along, gaps = np.empty((frames, count, 2)), np.empty((frames, count))
     for f in range(frames):
         for row in range(count):
@@ -161,14 +159,8 @@ def _nearest(points: Array, pairs: Indices, parents: Indices, radii: Array) -> t
             for i in range(3):
                 u, w, g = points[f, one, i] - a[i], points[f, other, i] - b[i], a[i] - b[i]
                 aa, bb, ab, ag, bg = aa + u * u, bb + w * w, ab + u * w, ag + u * g, bg + w * g
-            determinant = aa * bb - ab * ab
-            is_skew = determinant > 1e-12 * aa * bb + tiny
             # Parallel bones: half way is as good as any, and does not jump.
-            s = min(1.0, max(0.0, (ab * bg - ag * bb) / determinant)) if is_skew else 0.5
-            t = (ab * s + bg) / bb if bb > tiny else 0.0
-            inside = min(1.0, max(0.0, t))
-            if t != inside and aa > tiny:
-                s = min(1.0, max(0.0, (ab * inside - ag) / aa))
+            s, inside = closest_on_segments(aa, bb, ab, ag, bg, 0.5)
             squared = 0.0
             for i in range(3):
                 u, w, g = points[f, one, i] - a[i], points[f, other, i] - b[i], a[i] - b[i]

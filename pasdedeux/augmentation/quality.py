@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from pasdedeux.augmentation.contacts import FEET, ContactSettings, contact_class
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model, clip_penetration
+from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22, PAIR17, JointMap
 
 __all__ = [
@@ -296,10 +296,8 @@ class Judge:
         return np.asarray(np.linalg.norm(np.diff(points[:, self._feet], axis=0)[..., [0, 2]], axis=-1))
 
     def _penetrate(self, points: Array, *, is_within: bool = False) -> Array:
-        pairs = np.ascontiguousarray(points.reshape(-1, 2, BODY22.num_joints, 3))
-        model = self._model
-        between = model.between[:0] if is_within else model.between
-        return np.asarray(clip_penetration(pairs, self._radii, model.parents, model.within, between))
+        model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
+        return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), self._radii)
 
 
 def root_mean_square_jerk(points: Array) -> float:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pasdedeux.completion.fit import FitOptions, fit_people
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.capsules import capsule_model, penetration
+from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.parameters import LENGTH_INDICES, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
@@ -67,7 +67,7 @@ def resolve_penetration(pair_m: Array) -> Array:
     model = capsule_model(PAIR17)
     slid = np.repeat(pair_m[None], len(_SLIDES_M), axis=0)
     slid[:, 1, :, 2] += _SLIDES_M[:, None]
-    between = penetration(slid, model.radii_of(pair_m[None]), model).between_m
+    between = model.penetration(slid, model.radii_of(pair_m[None]))[:, 2]
     excess = np.maximum(between - between.min(), 0.0)
     order = np.lexsort((np.abs(_SLIDES_M), excess > _TOUCHING_M))
     return np.asarray(slid[order[0]])

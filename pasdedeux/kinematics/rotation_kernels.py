@@ -1,4 +1,4 @@
-"""Vectors and unit quaternions inside compiled loops: tuples of three and four floats, which numba keeps in registers.
+"""Vectors, segments and unit quaternions inside compiled loops: tuples of floats, which numba keeps in registers.
 
 The same conventions as `rotations`: quaternions (x, y, z, w), rotation vectors in radians, the left factor turns last.
 Python cannot call these functions; compiled code can.
@@ -13,6 +13,7 @@ from numba import njit
 
 __all__ = [
     "carry",
+    "closest_on_segments",
     "conjugate",
     "cross",
     "dot",
@@ -103,6 +104,34 @@ def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
         vector[1] - factor * total[1] + twice * end[1],
         vector[2] - factor * total[2] + twice * end[2],
     )
+
+
+@inner_kernel
+def closest_on_segments(aa: float, bb: float, ab: float, ag: float, bg: float, parallel: float) -> tuple[float, float]:
+    """Return where on segments a and b (0 at their starts, 1 at their ends) the points closest to each other are.
+
+    Ericson (2004), "Real-Time Collision Detection", section 5.1.9: the parameter on one segment is solved, clamped, and
+    the other follows.  A segment may be a point.
+
+    Args:
+        aa: Squared length of a.
+        bb: Squared length of b.
+        ab: Scalar product of a and b.
+        ag: Of a and the vector g from the start of b to the start of a.
+        bg: Of b and g.
+        parallel: Where on a to begin when a and b are parallel, 0 to 1: any point does.
+    """
+    tiny = 1e-18
+    determinant = aa * bb - ab * ab
+    is_skew = determinant > 1e-12 * aa * bb + tiny
+    s = min(1.0, max(0.0, (ab * bg - ag * bb) / determinant)) if is_skew else parallel
+    t = (ab * s + bg) / bb if bb > tiny else 0.0
+    inside = min(1.0, max(0.0, t))
+    if t != inside or not is_skew:
+        s = min(1.0, max(0.0, (ab * inside - ag) / max(aa, tiny)))
+    if aa <= tiny:
+        s = 0.0
+    return s, inside
 
 
 @inner_kernel

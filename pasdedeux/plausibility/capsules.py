@@ -1,28 +1,31 @@
 """Bodies as capsules round the bones: radii, distances in closed form, penetration within and between people.
 
 Penetration is eta of lift eq. 2 (Yin et al. 2018): the sum of the penetration depths over pairs of bones.  The paper
-asks a physics engine; here the distance of two segments is a formula, and the compiled form skips pairs far apart.
+asks a physics engine; here the distance of two segments is a formula, and pairs far apart are skipped.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
 from pasdedeux.skeletons import Skeleton
 
 __all__ = [
     "RADIUS_PER_HEIGHT",
     "CapsuleModel",
-    "Penetration",
     "body_height_m",
     "capsule_model",
-    "penetration",
+    "pair_penetration",
     "segment_distance",
 ]
 
@@ -92,18 +95,19 @@ class CapsuleModel:
         typical = np.median(lengths.reshape(-1, *lengths.shape[-2:]), axis=0)
         return self.radii_m(body_height_m(self.skeleton, typical))
 
+    def penetration(self, pairs_m: Array, radii_m: Array | None = None) -> Array:
+        """Return the sums of penetration depths within A, within B and between them, (*batch, 3), metres.
 
-@dataclass(frozen=True)
-class Penetration:
-    """Sums of penetration depths, metres: within each person (*batch, person=2), and between them (*batch,)."""
-
-    within_m: Array
-    between_m: Array
-
-    @property
-    def total_m(self) -> Array:
-        """Everything together, (*batch,): eta of lift eq. 2."""
-        return np.asarray(self.within_m.sum(axis=-1) + self.between_m)
+        Args:
+            pairs_m: Pairs (*batch, person=2, J, 3), metres.
+            radii_m: Radii of each person's bones, (person=2, J), metres; None: those of each pair's own leg lengths.
+        """
+        pairs = np.ascontiguousarray(pairs_m, dtype=np.float64).reshape(-1, 2, self.skeleton.num_joints, 3)
+        if radii_m is None:
+            radii_m = self.radii_m(body_height_m(self.skeleton, bone_lengths(self.skeleton, pairs)))
+        radii = np.ascontiguousarray(np.broadcast_to(radii_m, pairs.shape[:-1]))
+        sums = _penetrations(pairs, radii, self.parents, self.within, self.between)
+        return np.asarray(sums.reshape(*np.shape(pairs_m)[:-3], 3))
 
 
 def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
@@ -112,25 +116,72 @@ def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
     return np.asarray(bone_lengths_m[..., legs].sum(axis=-1) / (2.0 * LEG_PER_HEIGHT))
 
 
-def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> Array:
-    """Return the distance (*batch,) between segments a and b, all ends (*batch, 3); a segment may be a point.
+@njit(cache=True, nogil=True, error_model="numpy")
+def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> float:
+    """Return the distance between segments a and b, all ends (3,); a segment may be a point."""
+    a = (start_a[0], start_a[1], start_a[2])
+    b = (start_b[0], start_b[1], start_b[2])
+    along_a = (end_a[0] - a[0], end_a[1] - a[1], end_a[2] - a[2])
+    along_b = (end_b[0] - b[0], end_b[1] - b[1], end_b[2] - b[2])
+    return _distance(along_a, along_b, subtract(a, b))
 
-    Closest points as in Ericson (2004), "Real-Time Collision Detection", section 5.1.9: the parameter on one segment is
-    solved, clamped, and the other follows.
+
+@inner_kernel
+def _distance(u: Any, v: Any, gap: Any) -> float:
+    """Return the distance of segments along u and v whose starts are `gap` apart."""
+    s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, gap), dot(v, gap), 0.0)
+    dx, dy, dz = gap[0] + s * u[0] - t * v[0], gap[1] + s * u[1] - t * v[1], gap[2] + s * u[2] - t * v[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inner_kernel
+def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child_b: int, reach: float) -> float:
+    """Return the penetration depth of two capsules whose radii sum to `reach`; 0 when they are apart."""
+    start_a, start_b = row_of(a, parent_a), row_of(b, parent_b)
+    u, v, gap = subtract(row_of(a, child_a), start_a), subtract(row_of(b, child_b), start_b), subtract(start_a, start_b)
+    # Balls round the two bones: far apart is told without a division.
+    middle = mix(1.0, gap, 0.5, subtract(u, v))
+    far = reach + 0.5 * (math.sqrt(dot(u, u)) + math.sqrt(dot(v, v)))
+    if dot(middle, middle) >= far * far:
+        return 0.0
+    return max(reach - _distance(u, v, gap), 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_penetration(
+    pair: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
+) -> float:
+    """Return the sum of penetration depths of one pair, metres.
+
+    Args:
+        pair: Positions (person=2, J, 3), float64, metres.
+        radii: Radii (person=2, J), metres.
+        parents: `CapsuleModel.parents`, (J,).
+        within: `CapsuleModel.within`, (pair, 2).
+        between: `CapsuleModel.between`, (pair, 2).
+        out: The sums within person A, within person B and between them are written here, (3,).
     """
-    a, b, gap = end_a - start_a, end_b - start_b, start_a - start_b
-    aa, bb, ab = (a * a).sum(-1), (b * b).sum(-1), (a * b).sum(-1)
-    ag, bg = (a * gap).sum(-1), (b * gap).sum(-1)
-    tiny = 1e-18
-    determinant = aa * bb - ab * ab
-    # Parallel segments: any s does, 0 is taken.
-    is_skew = determinant > 1e-12 * aa * bb + tiny
-    s = np.where(is_skew, np.clip((ab * bg - ag * bb) / np.where(is_skew, determinant, 1.0), 0.0, 1.0), 0.0)
-    t = np.where(bb > tiny, (ab * s + bg) / np.maximum(bb, tiny), 0.0)
-    t_inside = np.clip(t, 0.0, 1.0)
-    s = np.where((t != t_inside) | ~is_skew, np.clip((ab * t_inside - ag) / np.maximum(aa, tiny), 0.0, 1.0), s)
-    s = np.where(aa > tiny, s, 0.0)
-    return np.asarray(np.linalg.norm(gap + s[..., None] * a - t_inside[..., None] * b, axis=-1))
+    for person in range(2):
+        total = 0.0
+        points, radius = pair[person], radii[person]
+        for row in range(within.shape[0]):
+            one, other = within[row, 0], within[row, 1]
+            total += _depth(points, parents[one], one, points, parents[other], other, radius[one] + radius[other])
+        out[person] = total
+    total = 0.0
+    for row in range(between.shape[0]):
+        one, other = between[row, 0], between[row, 1]
+        total += _depth(pair[0], parents[one], one, pair[1], parents[other], other, radii[0, one] + radii[1, other])
+    out[2] = total
+    return out[0] + out[1] + out[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _penetrations(pairs: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
+    sums = np.empty((pairs.shape[0], 3))
+    for row in range(pairs.shape[0]):
+        pair_penetration(pairs[row], radii[row], parents, within, between, sums[row])
+    return sums
 
 
 @lru_cache(maxsize=8)
@@ -154,43 +205,6 @@ def capsule_model(skeleton: Skeleton) -> CapsuleModel:
         within=np.array(within, dtype=np.int64).reshape(-1, 2),
         between=np.array([(one, other) for one in bones for other in bones], dtype=np.int64),
     )
-
-
-def penetration(pair_m: Array, radii_m: Array, model: CapsuleModel) -> Penetration:
-    """Return the penetration of pairs, plain form.
-
-    Args:
-        pair_m: Positions (*batch, person=2, J, 3), metres.
-        radii_m: Radii of each person's bones, (person=2, J), metres.
-        model: Which bones are checked.
-    """
-    within = np.stack(
-        [
-            _depths(
-                pair_m[..., person, :, :],
-                pair_m[..., person, :, :],
-                radii_m[person],
-                radii_m[person],
-                model.within,
-                model,
-            )
-            for person in range(2)
-        ],
-        axis=-1,
-    )
-    between = _depths(pair_m[..., 0, :, :], pair_m[..., 1, :, :], radii_m[0], radii_m[1], model.between, model)
-    return Penetration(within_m=within, between_m=between)
-
-
-def _depths(first: Array, second: Array, radii_a: Array, radii_b: Array, pairs: Indices, model: CapsuleModel) -> Array:
-    one, other = pairs[:, 0], pairs[:, 1]
-    distance = segment_distance(
-        first[..., model.parents[one], :],
-        first[..., one, :],
-        second[..., model.parents[other], :],
-        second[..., other, :],
-    )
-    return np.asarray(np.maximum(radii_a[one] + radii_b[other] - distance, 0.0).sum(axis=-1))
 
 
 def _bones_between(skeleton: Skeleton, one: int, other: int) -> int:

@@ -1,6 +1,6 @@
-"""Joint limits for one pose at a time, compiled: the same walk as `joint_limits`, for use inside chains.
+"""Joint limits of one pose at a time, compiled: a walk over the joints that measures angles and moves bad ones.
 
-Vectors are tuples of three floats, which numba keeps in registers.  The plain form is the oracle of all of it.
+The angles are those of `joint_limits`.
 """
 
 from __future__ import annotations
@@ -12,23 +12,36 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from pasdedeux.plausibility.joint_limits import NUM_ANGLES, SLACK_RAD, TINY
-from pasdedeux.plausibility.ranges import ANGLES
+from pasdedeux.kinematics.rotation_kernels import (
+    carry,
+    cross,
+    dot,
+    inner_kernel,
+    length,
+    mix,
+    normalise,
+    row_of,
+    scale,
+    subtract,
+)
+from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
 __all__ = [
     "bone_of",
-    "carry",
-    "cross",
-    "dot",
+    "find_invalid",
     "frame_x",
+    "is_out",
     "measure_angles",
+    "measure_poses",
+    "move_poses",
     "move_to_nearest_valid",
-    "scale",
     "turn_to",
 ]
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Integers = npt.NDArray[np.int64]
 Vector = Any  # (x, y, z); numba infers the tuple type
 
 (
@@ -37,124 +50,60 @@ Vector = Any  # (x, y, z); numba infers the tuple type
     LEFT_HIP, LEFT_KNEE, LEFT_ANKLE, RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE,
 ) = range(17)  # fmt: skip
 
-_INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
-_HIP_ELEVATION = _INDEX["left_hip", "elevation"]
-_HIP_SPREAD = _INDEX["pelvis", "hip_spread"]
-_SPINE = _INDEX["spine", "flexion"]
-_TORSION = _INDEX["spine", "torsion"]
-_SHOULDER_ELEVATION = _INDEX["left_shoulder", "elevation"]
-_SHOULDER_SPREAD = _INDEX["chest", "shoulder_spread"]
-_CHEST = _INDEX["chest", "flexion"]
-_NECK = _INDEX["neck", "flexion"]
-_ARM = _INDEX["left_shoulder", "extension"]
-_ELBOW = _INDEX["left_elbow", "flexion"]
-_HIP = _INDEX["left_hip", "flexion"]
-_KNEE = _INDEX["left_knee", "flexion"]
-_NUM_ANGLES = NUM_ANGLES
-_SLACK = SLACK_RAD
-_TINY = TINY
+_HIP_ELEVATION = ANGLE_INDEX["left_hip", "elevation"]
+_HIP_SPREAD = ANGLE_INDEX["pelvis", "hip_spread"]
+_SPINE = ANGLE_INDEX["spine", "flexion"]
+_TORSION = ANGLE_INDEX["spine", "torsion"]
+_SHOULDER_ELEVATION = ANGLE_INDEX["left_shoulder", "elevation"]
+_SHOULDER_SPREAD = ANGLE_INDEX["chest", "shoulder_spread"]
+_CHEST = ANGLE_INDEX["chest", "flexion"]
+_NECK = ANGLE_INDEX["neck", "flexion"]
+_ARM = ANGLE_INDEX["left_shoulder", "extension"]
+_ELBOW = ANGLE_INDEX["left_elbow", "flexion"]
+_HIP = ANGLE_INDEX["left_hip", "flexion"]
+_KNEE = ANGLE_INDEX["left_knee", "flexion"]
 _TWO_PI = 2.0 * math.pi
 
 assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip")) == [5, 8, 11, 14]
 
 
-# A dict, because the type stubs of numba do not know these two options.
-_NO_ENTRIES: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_inner = njit(cache=True, nogil=True, error_model="numpy", **_NO_ENTRIES)
-"""For functions that only compiled code calls: without the entries from Python they compile in a third of the time."""
-
-
-@_inner
-def dot(a: Vector, b: Vector) -> float:
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@_inner
-def cross(a: Vector, b: Vector) -> Vector:
-    """Vector product."""
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-@_inner
-def _mix(s: float, a: Vector, t: float, b: Vector) -> Vector:
-    return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
-
-
-@_inner
-def scale(s: float, a: Vector) -> Vector:
-    """A vector s times as long."""
-    return (s * a[0], s * a[1], s * a[2])
-
-
-@_inner
-def _unit(a: Vector) -> Vector:
-    length = math.sqrt(dot(a, a))
-    if length > 1e-12:
-        return (a[0] / length, a[1] / length, a[2] / length)
-    return (0.0, 0.0, 0.0)
-
-
-@_inner
+@inner_kernel
 def bone_of(points: Array, start: int, end: int) -> Vector:
-    """Unit direction from joint `start` to joint `end`; zero when they coincide."""
-    return _unit(
-        (
-            points[end, 0] - points[start, 0],
-            points[end, 1] - points[start, 1],
-            points[end, 2] - points[start, 2],
-        )
-    )
+    """Return the unit direction from joint `start` to joint `end`; zero when they coincide."""
+    return normalise(subtract(row_of(points, end), row_of(points, start)))
 
 
-@_inner
-def carry(start: Vector, end: Vector, vector: Vector) -> Vector:
-    """`vector` carried along the shortest turn from unit `start` to unit `end`."""
-    total = (start[0] + end[0], start[1] + end[1], start[2] + end[2])
-    factor = dot(total, vector) / max(1.0 + dot(start, end), _TINY)
-    twice = 2.0 * dot(start, vector)
-    return (
-        vector[0] - factor * total[0] + twice * end[0],
-        vector[1] - factor * total[1] + twice * end[1],
-        vector[2] - factor * total[2] + twice * end[2],
-    )
-
-
-@_inner
+@inner_kernel
 def _arcsin(value: float) -> float:
     return math.asin(min(1.0, max(-1.0, value)))
 
 
-@_inner
+@inner_kernel
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % _TWO_PI - math.pi
 
 
-@_inner
+@inner_kernel
 def frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
-    """Unit direction from joint `right` to joint `left`, made square to `up`."""
-    across = (
-        points[left, 0] - points[right, 0],
-        points[left, 1] - points[right, 1],
-        points[left, 2] - points[right, 2],
-    )
-    return _unit(_mix(1.0, across, -dot(across, up), up))
+    """Return the unit direction from joint `right` to joint `left`, made square to `up`."""
+    across = subtract(row_of(points, left), row_of(points, right))
+    return normalise(mix(1.0, across, -dot(across, up), up))
 
 
-@_inner
+@inner_kernel
 def _change(index: int, value: float, slack: float, limits: Array, work: Array, move: bool) -> float:
     work[0, index] = value
     work[1, index] = slack
     if not move:
         return 0.0
     low, high = limits[0, index] - slack, limits[1, index] + slack
-    if (low - _TINY <= value <= high + _TINY) or high - low >= _TWO_PI:
+    if (low - TINY <= value <= high + TINY) or high - low >= _TWO_PI:
         return 0.0
     above, below = _wrap(value - high), _wrap(value - low)
     return -above if abs(above) < abs(below) else -below
 
 
-@_inner
+@inner_kernel
 def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine: float, sine: float) -> None:
     """Turn joints `first` to `last` (inclusive) about a unit axis through joint `pivot`."""
     px, py, pz = points[pivot, 0], points[pivot, 1], points[pivot, 2]
@@ -167,25 +116,25 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
         points[joint, 2] = pz + cosine * v[2] + sine * c[2] + along * axis[2]
 
 
-@_inner
+@inner_kernel
 def turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
     """Turn joints `first` to `last` (inclusive) about joint `pivot` by the shortest turn between unit directions."""
     turned = cross(before, after)
-    sine = math.sqrt(dot(turned, turned))
+    sine = length(turned)
     cosine = dot(before, after)
     if sine > 1e-12:
         axis = scale(1.0 / sine, turned)
     elif cosine < 0.0:
         # Opposite directions: half a turn about some square axis.
         helper = (1.0, 0.0, 0.0) if abs(before[0]) < 0.9 else (0.0, 1.0, 0.0)
-        axis = _unit(cross(before, helper))
+        axis = normalise(cross(before, helper))
     else:
         return
     angle = math.atan2(sine, cosine)
     _turn(points, first, last, pivot, axis, math.cos(angle), math.sin(angle))
 
 
-@_inner
+@inner_kernel
 def _girdle(
     points: Array,
     centre: int,
@@ -204,12 +153,12 @@ def _girdle(
         elevation = _arcsin(dot(direction, up))
         change = _change(index + side, elevation, 0.0, limits, work, move)
         if change != 0.0:
-            level = _unit(_mix(1.0, direction, -dot(direction, up), up))
+            level = normalise(mix(1.0, direction, -dot(direction, up), up))
             target = elevation + change
-            turn_to(points, joint, joint + 2, centre, direction, _mix(math.cos(target), level, math.sin(target), up))
+            turn_to(points, joint, joint + 2, centre, direction, mix(math.cos(target), level, math.sin(target), up))
     one, two = bone_of(points, centre, left), bone_of(points, centre, right)
-    one = _mix(1.0, one, -dot(one, up), up)
-    two = _mix(1.0, two, -dot(two, up), up)
+    one = mix(1.0, one, -dot(one, up), up)
+    two = mix(1.0, two, -dot(two, up), up)
     spread = math.atan2(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
     change = _change(spread_index, spread, 0.0, limits, work, move)
     if change != 0.0:
@@ -218,7 +167,7 @@ def _girdle(
         _turn(points, right, right + 2, centre, up, cosine, sine)
 
 
-@_inner
+@inner_kernel
 def _swing(
     points: Array,
     joint: int,
@@ -232,25 +181,24 @@ def _swing(
     limits: Array,
     work: Array,
     move: bool,
-) -> bool:
-    """Flexion at `index`, the lateral angle right after it; tells whether the bone moved."""
+) -> None:
+    """Flexion at `index`, the lateral angle right after it."""
     direction = bone_of(points, joint, end)
     sideways = _arcsin(dot(direction, left))
     change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
     sideways += change_sideways
     flexion = math.atan2(dot(direction, front), dot(direction, up))
-    slack = _SLACK * (1.0 / max(math.cos(sideways), _TINY) - 1.0)
+    slack = SLACK_RAD * (1.0 / max(math.cos(sideways), TINY) - 1.0)
     change_flexion = _change(index, flexion, slack, limits, work, move)
     if change_sideways == 0.0 and change_flexion == 0.0:
-        return False
+        return
     flexion += change_flexion
-    level = _mix(math.cos(flexion), up, math.sin(flexion), front)
-    after = _mix(math.cos(sideways), level, math.sin(sideways), left)
+    level = mix(math.cos(flexion), up, math.sin(flexion), front)
+    after = mix(math.cos(sideways), level, math.sin(sideways), left)
     turn_to(points, first, last, joint, direction, after)
-    return True
 
 
-@_inner
+@inner_kernel
 def _arm(
     points: Array,
     shoulder: int,
@@ -269,24 +217,24 @@ def _arm(
         return
     up = cross(back, across)
     rest = dot(direction, up)
-    most_b, most_m = math.sin(limits[1, index]), math.sin(limits[1, index + 1])
+    max_b, max_m = math.sin(limits[1, index]), math.sin(limits[1, index + 1])
     side_of = -1.0 if rest < 0 else 1.0
     is_moved = change_b != 0.0 or change_m != 0.0
     if change_b != 0.0:
-        grown = math.sqrt((1.0 - most_b**2) / max(m**2 + rest**2, _TINY))
-        b, m, rest = most_b, m * grown, rest * grown
-    if m > most_m + _TINY:
+        grown = math.sqrt((1.0 - max_b**2) / max(m**2 + rest**2, TINY))
+        b, m, rest = max_b, m * grown, rest * grown
+    if m > max_m + TINY:
         is_moved = True
-        grown = math.sqrt((1.0 - most_m**2) / max(b**2 + rest**2, _TINY))
-        b = min(b * grown, most_b, math.sqrt(1.0 - most_m**2))
-        m = most_m
+        grown = math.sqrt((1.0 - max_m**2) / max(b**2 + rest**2, TINY))
+        b = min(b * grown, max_b, math.sqrt(1.0 - max_m**2))
+        m = max_m
         rest = side_of * math.sqrt(max(1.0 - m**2 - b**2, 0.0))
     if is_moved:
-        after = _mix(1.0, _mix(b, back, m, across), rest, up)
+        after = mix(1.0, mix(b, back, m, across), rest, up)
         turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
-@_inner
+@inner_kernel
 def _hinge(
     points: Array,
     joint: int,
@@ -301,25 +249,25 @@ def _hinge(
 ) -> None:
     above, below = bone_of(points, joint, joint + 1), bone_of(points, joint + 1, joint + 2)
     along = dot(above, below)
-    across = _mix(1.0, below, -along, above)
-    sine = math.sqrt(dot(across, across))
+    across = mix(1.0, below, -along, above)
+    sine = length(across)
     flexion = math.atan2(sine, along)
     change_flexion = _change(flexion_index, flexion, 0.0, limits, work, move)
     certainty = sine if along > 0 else 1.0
     carried_bend, carried_out = carry(rest, above, bend), carry(rest, above, outward)
-    rotation = math.atan2(dot(across, carried_out), dot(across, carried_bend)) if sine > _TINY else 0.0
-    slack = _SLACK / max(certainty, _TINY)
+    rotation = math.atan2(dot(across, carried_out), dot(across, carried_bend)) if sine > TINY else 0.0
+    slack = SLACK_RAD / max(certainty, TINY)
     change = _change(rotation_index, rotation, slack, limits, work, move)
     if change_flexion != 0.0:
         bent = flexion + change_flexion
-        after = _mix(math.cos(bent), above, math.sin(bent), _unit(across))
+        after = mix(math.cos(bent), above, math.sin(bent), normalise(across))
         turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
     if change != 0.0:
         handed = -1.0 if dot(cross(carried_bend, carried_out), above) < 0 else 1.0
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))
 
 
-@_inner
+@inner_kernel
 def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
     y = bone_of(points, PELVIS, SPINE)
     _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, limits, work, move)
@@ -341,7 +289,7 @@ def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
     front = cross(shoulders_x, up)
     _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, limits, work, move)
     up_neck = bone_of(points, CHEST, NECK)
-    neck_x = _unit(_mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
+    neck_x = normalise(mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
     neck_z = cross(neck_x, up_neck)
     _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, limits, work, move)
     for side in range(2):
@@ -362,15 +310,11 @@ def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
         )  # fmt: skip
 
 
-@_inner
-def _count(limits: Array, work: Array) -> int:
-    count = 0
-    for index in range(_NUM_ANGLES):
-        low, high = limits[0, index] - work[1, index], limits[1, index] + work[1, index]
-        is_inside = low - _TINY <= work[0, index] <= high + _TINY
-        if not is_inside and high - low < _TWO_PI:
-            count += 1
-    return count
+@inner_kernel
+def is_out(index: int, limits: Array, work: Array) -> bool:
+    """Tell whether the measured angle `index` is out of range."""
+    low, high = limits[0, index] - work[1, index], limits[1, index] + work[1, index]
+    return not (low - TINY <= work[0, index] <= high + TINY) and high - low < _TWO_PI
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -380,12 +324,32 @@ def measure_angles(pose: Array, work: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def measure_poses(poses: Array) -> Array:
+    """Return the angles and their slack (n, 2, 29), radians, of poses (n, 17, 3)."""
+    measured = np.empty((poses.shape[0], 2, NUM_ANGLES))
+    for row in range(poses.shape[0]):
+        measure_angles(poses[row], measured[row])
+    return measured
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_invalid(poses: Array, limits: Array) -> Flags:
+    """Tell which angles (n, 29) of poses (n, 17, 3) are out of the ranges (2, 29), radians."""
+    invalid, work = np.empty((poses.shape[0], NUM_ANGLES), np.bool_), np.empty((2, NUM_ANGLES))
+    for row in range(poses.shape[0]):
+        measure_angles(poses[row], work)
+        for index in range(NUM_ANGLES):
+            invalid[row, index] = is_out(index, limits, work)
+    return invalid
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `JointLimits.nearest_valid` does.
 
     Args:
         pose: Positions (17, 3), float64, metres; not changed.
-        limits: Least and greatest valid angles, (2, 29), radians: `JointLimits.lower_rad` and `upper_rad`.
+        limits: Smallest and greatest valid angles, (2, 29), radians: `JointLimits.ranges_rad`.
         work: Scratch (2, 29), overwritten.
         valid: The valid pose is written here, (17, 3).
 
@@ -398,7 +362,9 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
         for axis in range(3):
             valid[joint, axis] = pose[joint, axis]
     _walk(valid, limits, work, False)
-    num_invalid = _count(limits, work)
+    num_invalid = 0
+    for index in range(NUM_ANGLES):
+        num_invalid += is_out(index, limits, work)
     if num_invalid == 0:
         return 0, 0.0
     _walk(valid, limits, work, True)
@@ -407,3 +373,13 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
         for axis in range(3):
             total += (valid[joint, axis] - pose[joint, axis]) ** 2
     return num_invalid, total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_poses(poses: Array, limits: Array) -> tuple[Array, Integers, Array]:
+    """Return the nearest valid poses (n, 17, 3), how many angles were invalid (n,), and the squared distances (n,)."""
+    valid, work = np.empty(poses.shape), np.empty((2, NUM_ANGLES))
+    count, squared = np.empty(poses.shape[0], np.int64), np.empty(poses.shape[0])
+    for row in range(poses.shape[0]):
+        count[row], squared[row] = move_to_nearest_valid(poses[row], limits, work, valid[row])
+    return valid, count, squared

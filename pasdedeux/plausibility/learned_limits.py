@@ -1,7 +1,7 @@
 """Joint limits learned from capture and united with the published table: valid is what either of them allows.
 
-The plain form, over batches; `learned_limits_kernel` has the same for one pose at a time, compiled.  Hinge angles count
-only where positions determine them: the table's ranges of nearly straight limbs are wide (`joint_limits`).
+Hinge angles count only where positions determine them: the table's ranges of nearly straight limbs are wide
+(`joint_limits`).
 """
 
 from __future__ import annotations
@@ -11,26 +11,28 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
-from pasdedeux.kinematics.rotations import rotmat_from_unitquat, swing_between
-from pasdedeux.plausibility.joint_limits import JointLimits, NearestValid
+from pasdedeux.plausibility.joint_limits import JointLimits, NearestValid, as_poses
+from pasdedeux.plausibility.joint_limits_kernel import is_out, measure_angles, move_to_nearest_valid, turn_to
 from pasdedeux.plausibility.occupancy import (
     BONES,
     KIND_OF_BONE,
     NUM_CELLS,
     Occupancy,
     bone_cells,
-    bone_directions,
+    cells_of,
+    point_bones,
     sphere_cells,
 )
-from pasdedeux.plausibility.ranges import ANGLES
+from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["ANGLES_OF_BONE", "LIMIT_BONES", "LearnedLimits"]
+__all__ = ["ANGLES_OF_BONE", "LIMIT_BONES", "LearnedLimits", "move_to_nearest_learned"]
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
-_INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
 _SIDES = ("left", "right")
 LIMIT_BONES: tuple[tuple[str, str, tuple[tuple[str, str], tuple[str, str]]], ...] = (
     ("spine", "chest", (("spine", "flexion"), ("spine", "lateral"))),
@@ -41,8 +43,8 @@ LIMIT_BONES: tuple[tuple[str, str, tuple[tuple[str, str], tuple[str, str]]], ...
     *((f"{s}_hip", f"{s}_knee", ((f"{s}_hip", "flexion"), (f"{s}_hip", "abduction"))) for s in _SIDES),
     *((f"{s}_knee", f"{s}_ankle", ((f"{s}_hip", "rotation"), (f"{s}_knee", "flexion"))) for s in _SIDES),
 )
-"""Joint that a bone turns about, joint it ends in, its two angles; in the order of `bone_directions`."""
-ANGLES_OF_BONE = np.array([[_INDEX[angle] for angle in angles] for _, _, angles in LIMIT_BONES])
+"""Joint that a bone turns about, joint it ends in, its two angles; in the order of `occupancy.point_bones`."""
+ANGLES_OF_BONE = np.array([[ANGLE_INDEX[angle] for angle in angles] for _, _, angles in LIMIT_BONES])
 """Indices in `ANGLES` of the two angles of each bone, (bone=11, 2)."""
 
 
@@ -61,19 +63,14 @@ class LearnedLimits:
     def invalid_angles(self, pair17_m: Array) -> npt.NDArray[np.bool_]:
         """Tell which angles (*batch, 29) of poses (*batch, joint=17, 3) neither table nor capture allows."""
         invalid = self.table.invalid_angles(pair17_m)
-        above, cell = bone_cells(bone_directions(pair17_m))
-        seen = self.occupancy.occupied[KIND_OF_BONE, above, cell]
+        seen = self.occupancy.occupied[KIND_OF_BONE, *bone_cells(pair17_m)]
         for bone, angles in enumerate(ANGLES_OF_BONE):
             invalid[..., angles] &= ~seen[..., [bone]]
         return invalid
 
     def num_invalid(self, pair17_m: Array) -> npt.NDArray[np.int64]:
-        """Count the angles out of range of poses (*batch, joint=17, 3); gives (*batch,)."""
+        """Count the angles out of range of poses (*batch, joint=17, 3), (*batch,)."""
         return np.asarray(self.invalid_angles(pair17_m).sum(axis=-1))
-
-    def is_valid(self, pair17_m: Array) -> npt.NDArray[np.bool_]:
-        """Tell which poses (*batch, joint=17, 3) have every angle in range."""
-        return np.asarray(self.num_invalid(pair17_m) == 0)
 
     def nearest_valid(self, pair17_m: Array) -> NearestValid:
         """Return valid poses near poses (*batch, joint=17, 3), bone by bone from the root outward.
@@ -81,37 +78,10 @@ class LearnedLimits:
         Shoulders, hips and the twist of the trunk move to the table's limit; every other bad bone to the centre of the
         nearest cell that table or capture allows, which is up to half a cell (5 degrees) more than it must move.
         """
-        given = np.asarray(pair17_m, dtype=np.float64)
-        poses = self.girdles.nearest_valid(given.reshape(-1, PAIR17.num_joints, 3)).positions
-        cells = sphere_cells(NUM_CELLS)
-        for bone, (pivot, end, _) in enumerate(LIMIT_BONES):
-            directions = bone_directions(poses)
-            above, cell = bone_cells(directions)
-            kind = int(KIND_OF_BONE[bone])
-            seen = self.occupancy.occupied[kind, above[:, bone], cell[:, bone]]
-            is_bad = self.table.invalid_angles(poses)[:, ANGLES_OF_BONE[bone]].any(axis=1) & ~seen
-            rows = np.flatnonzero(is_bad)
-            if not len(rows):
-                continue
-            nearness = np.where(self.allowed[kind, above[rows, bone]], directions.own[rows, bone] @ cells.T, -2.0)
-            target = cells[nearness.argmax(axis=1)]
-            frame = directions.frame[rows, bone]
-            start = np.einsum("ni,nij->nj", directions.own[rows, bone], frame)
-            turn = rotmat_from_unitquat(swing_between(start, np.einsum("ni,nij->nj", target, frame)))
-            moved = np.array(_subtree(end))
-            centre = poses[rows, PAIR17.index(pivot)][:, None]
-            vectors = poses[rows[:, None], moved] - centre
-            poses[rows[:, None], moved] = np.einsum("nij,nkj->nki", turn, vectors) + centre
-            if end == "chest":
-                # The twist of the trunk is measured along it, so it has changed.
-                poses = self.girdles.nearest_valid(poses).positions
-        num_invalid = self.num_invalid(given)
-        positions = np.where((num_invalid == 0)[..., None, None], given, poses.reshape(given.shape))
-        return NearestValid(
-            positions=positions,
-            num_invalid=num_invalid,
-            squared_distance_m2=np.asarray(((positions - given) ** 2).sum(axis=(-1, -2))),
+        found = _move_poses(
+            as_poses(pair17_m), self.table.ranges_rad, self.girdles.ranges_rad, self.occupancy.occupied, self.allowed
         )
+        return NearestValid.of(np.shape(pair17_m), *found)
 
     @cached_property
     def girdles(self) -> JointLimits:
@@ -129,16 +99,15 @@ class LearnedLimits:
     def _table_cells(self) -> npt.NDArray[np.bool_]:
         """Whether the table allows the centre of each cell, (7, 500): a standing figure points its left bones there."""
         poses = np.broadcast_to(_standing(), (NUM_CELLS, PAIR17.num_joints, 3))
-        frames = bone_directions(poses).frame
+        frames = np.empty((len(KIND_OF_BONE), 3, 3))
+        point_bones(_standing(), np.empty(frames.shape[:2]), np.empty(frames.shape[:2]), frames)
         allowed = np.zeros((len(BONES), NUM_CELLS), dtype=bool)
         for kind in range(len(BONES)):
             bone = int(np.argmax(kind == KIND_OF_BONE))
             pivot, end = (PAIR17.index(name) for name in LIMIT_BONES[bone][:2])
             pointed = poses.copy()
             pointed[:, _subtree(LIMIT_BONES[bone][1])] += (
-                pointed[:, [pivot]]
-                + 0.2 * np.einsum("ci,cij->cj", sphere_cells(NUM_CELLS), frames[:, bone])[:, None]
-                - pointed[:, [end]]
+                pointed[:, [pivot]] + 0.2 * (sphere_cells(NUM_CELLS) @ frames[bone])[:, None] - pointed[:, [end]]
             )
             allowed[kind] = ~self.table.invalid_angles(pointed)[:, ANGLES_OF_BONE[bone]].any(axis=1)
         return allowed
@@ -163,3 +132,99 @@ def _standing() -> Array:
         x, y = place[name.removeprefix("left_").removeprefix("right_")]
         pose[PAIR17.index(name)] = (-x if name.startswith("right_") else x, y, 0.0)
     return pose
+
+
+_CELLS = sphere_cells(NUM_CELLS)
+_PIVOT = np.array([PAIR17.index(pivot) for pivot, _, _ in LIMIT_BONES])
+_END = np.array([PAIR17.index(end) for _, end, _ in LIMIT_BONES])
+_LAST = np.array([10, 4, 4, 7, 10, 7, 10, 13, 16, 13, 16])
+"""Last joint that a bone carries along; the first is the one it ends in."""
+_CHEST_BONE = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_to_nearest_learned(
+    pose: Array, limits: Array, girdles: Array, occupied: Flags, allowed: Flags, work: Array, valid: Array
+) -> tuple[int, float]:
+    """Find the nearest valid pose of one pose, as `LearnedLimits.nearest_valid` does.
+
+    Args:
+        pose: Positions (17, 3), float64, metres; not changed.
+        limits: Smallest and greatest angles of the table, (2, 29), radians.
+        girdles: The same with every angle of a bone free: `LearnedLimits.girdles`.
+        occupied: `Occupancy.occupied`, (7, 60, 500).
+        allowed: `LearnedLimits.allowed`, (7, 60, 500).
+        work: Scratch (2, 29), overwritten.
+        valid: The valid pose is written here, (17, 3).
+
+    Returns:
+        Number of invalid angles of `pose`, and the sum over the joints of the squared distance moved (square metres).
+    """
+    measure_angles(pose, work)
+    num_invalid = 0
+    for index in range(NUM_ANGLES):
+        num_invalid += is_out(index, limits, work)
+    if num_invalid == 0:
+        for joint in range(17):
+            for axis in range(3):
+                valid[joint, axis] = pose[joint, axis]
+        return 0, 0.0
+    own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
+    point_bones(pose, own, above, frame)
+    for bone in range(11):
+        bad = is_out(ANGLES_OF_BONE[bone, 0], limits, work) + is_out(ANGLES_OF_BONE[bone, 1], limits, work)
+        if bad:
+            over, cell = cells_of(own[bone], above[bone])
+            if occupied[KIND_OF_BONE[bone], over, cell]:
+                num_invalid -= bad
+    move_to_nearest_valid(pose, girdles, work, valid)
+    if num_invalid == 0:
+        for joint in range(17):
+            for axis in range(3):
+                valid[joint, axis] = pose[joint, axis]
+        return 0, 0.0
+    moved = np.empty((17, 3))
+    for bone in range(11):
+        measure_angles(valid, work)
+        if not (is_out(ANGLES_OF_BONE[bone, 0], limits, work) or is_out(ANGLES_OF_BONE[bone, 1], limits, work)):
+            continue
+        point_bones(valid, own, above, frame)
+        over, cell = cells_of(own[bone], above[bone])
+        if occupied[KIND_OF_BONE[bone], over, cell]:
+            continue
+        best, target = -2.0, 0
+        for one in range(NUM_CELLS):
+            if allowed[KIND_OF_BONE[bone], over, one]:
+                near = own[bone, 0] * _CELLS[one, 0] + own[bone, 1] * _CELLS[one, 1] + own[bone, 2] * _CELLS[one, 2]
+                if near > best:
+                    best, target = near, one
+        start, end = np.zeros(3), np.zeros(3)
+        for row in range(3):
+            for axis in range(3):
+                start[axis] += own[bone, row] * frame[bone, row, axis]
+                end[axis] += _CELLS[target, row] * frame[bone, row, axis]
+        turn_to(valid, _END[bone], _LAST[bone], _PIVOT[bone], (start[0], start[1], start[2]), (end[0], end[1], end[2]))
+        if bone == _CHEST_BONE:
+            # The twist of the trunk is measured along it, so it has changed.
+            for joint in range(17):
+                for axis in range(3):
+                    moved[joint, axis] = valid[joint, axis]
+            move_to_nearest_valid(moved, girdles, work, valid)
+    total = 0.0
+    for joint in range(17):
+        for axis in range(3):
+            total += (valid[joint, axis] - pose[joint, axis]) ** 2
+    return num_invalid, total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move_poses(
+    poses: Array, limits: Array, girdles: Array, occupied: Flags, allowed: Flags
+) -> tuple[Array, npt.NDArray[np.int64], Array]:
+    valid, work = np.empty(poses.shape), np.empty((2, NUM_ANGLES))
+    count, squared = np.empty(poses.shape[0], np.int64), np.empty(poses.shape[0])
+    for row in range(poses.shape[0]):
+        count[row], squared[row] = move_to_nearest_learned(
+            poses[row], limits, girdles, occupied, allowed, work, valid[row]
+        )
+    return valid, count, squared

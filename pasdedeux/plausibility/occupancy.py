@@ -17,20 +17,22 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.kinematics.rotation_kernels import carry, cross, dot, inner_kernel, mix, normalise, scale
+from pasdedeux.plausibility.joint_limits import as_poses
+from pasdedeux.plausibility.joint_limits_kernel import bone_of, frame_x
 
 __all__ = [
     "BONES",
     "KIND_OF_BONE",
     "NUM_ABOVE",
     "NUM_CELLS",
-    "BoneDirections",
     "Occupancy",
     "bone_cells",
-    "bone_directions",
+    "cells_of",
+    "point_bones",
     "sphere_cells",
 ]
 
@@ -49,7 +51,6 @@ KIND_OF_BONE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5, 6, 6])
 _CELL_WIDTH_RAD, _ABOVE_WIDTH_RAD = 0.1, 0.35
 _DILATION_RAD, _ABOVE_DILATION_RAD = np.deg2rad(12.0), np.deg2rad(28.0)
 _MARGINAL_POSES, _UNIFORM_SHARE = 20.0, 0.02
-_CHUNK = 2000
 
 
 def sphere_cells(count: int) -> Array:
@@ -59,77 +60,6 @@ def sphere_cells(count: int) -> Array:
     around = np.pi * (1.0 + np.sqrt(5.0)) * index
     radius = np.sqrt(1.0 - height**2)
     return np.stack([radius * np.cos(around), height, radius * np.sin(around)], axis=-1)
-
-
-@dataclass(frozen=True)
-class BoneDirections:
-    """Directions of the eleven bones of poses, right ones mirrored to the left.
-
-    Args:
-        own: Unit directions in the frame of what the bone hangs on, (*batch, bone=11, 3).
-        above: Unit directions of the bone above in its own frame, (*batch, bone=11, 3); (0, 1, 0) where the bone hangs
-            on the trunk.
-        frame: Axes of the frames in world axes, as rows, mirrored for the right, (*batch, bone=11, 3, 3).
-    """
-
-    own: Array
-    above: Array
-    frame: Array
-
-
-def bone_directions(pair17_m: Array) -> BoneDirections:
-    """Return the directions of the bones of poses (*batch, joint=17, 3), metres.
-
-    Frames are those of `joint_limits`: the pelvis' for chest and thighs, the chest's for neck and upper arms, the
-    neck's for the head, and for forearm and shank the frame carried without twist from the arm held sideways and the
-    thigh hanging.
-    """
-    points = np.asarray(pair17_m, dtype=np.float64)
-
-    def bone(start: str, end: str) -> Array:
-        return normalise(points[..., PAIR17.index(end), :] - points[..., PAIR17.index(start), :])
-
-    def square(vector: Array, to: Array) -> Array:
-        return normalise(vector - np.sum(vector * to, axis=-1, keepdims=True) * to)
-
-    pelvis_y, chest_y, neck_y = bone("pelvis", "spine"), bone("spine", "chest"), bone("chest", "neck")
-    pelvis_x = square(bone("right_hip", "left_hip"), pelvis_y)
-    chest_x = square(bone("right_shoulder", "left_shoulder"), chest_y)
-    neck_x = square(chest_x, neck_y)
-    pelvis, chest, neck = (
-        np.stack([x, y, np.cross(x, y)], axis=-2)
-        for x, y in ((pelvis_x, pelvis_y), (chest_x, chest_y), (neck_x, neck_y))
-    )
-    frames, ends = [pelvis, chest, neck], [chest_y, neck_y, bone("neck", "head")]
-    mirror = np.array([[[1.0], [1.0], [1.0]], [[-1.0], [1.0], [1.0]]])
-    sides = ("left", "right")
-    for root, middle, end, trunk, rest in (
-        ("shoulder", "elbow", "wrist", chest, np.array([1.0, 0.0, 0.0])),
-        ("hip", "knee", "ankle", pelvis, np.array([0.0, -1.0, 0.0])),
-    ):
-        upper = [bone(f"{side}_{root}", f"{side}_{middle}") for side in sides]
-        frames += [trunk * mirror[row] for row in range(2)]
-        ends += upper
-        for row, side in enumerate(sides):
-            axes = trunk * mirror[row]
-            frames.append(_carried(axes, np.einsum("i,...ij->...j", rest, axes), upper[row]))
-            ends.append(bone(f"{side}_{middle}", f"{side}_{end}"))
-    frame, direction = np.stack(frames, axis=-3), np.stack(ends, axis=-2)
-    own = np.einsum("...bij,...bj->...bi", frame, direction)
-    above = np.broadcast_to(np.array([0.0, 1.0, 0.0]), own.shape).copy()
-    above[..., [1, 2], :] = own[..., [0, 1], :]
-    above[..., [5, 6, 9, 10], :] = own[..., [3, 4, 7, 8], :]
-    return BoneDirections(own=own, above=above, frame=frame)
-
-
-def _carried(axes: Array, start: Array, end: Array) -> Array:
-    """Carry axes, as rows (*batch, 3, 3), along the shortest turn from unit `start` to unit `end`, both (*batch, 3)."""
-    total = start + end
-    factor = np.einsum("...ij,...j->...i", axes, total) / np.maximum(
-        1.0 + np.sum(start * end, axis=-1, keepdims=True), 1e-9
-    )
-    twice = 2.0 * np.einsum("...ij,...j->...i", axes, start)
-    return np.asarray(axes - factor[..., None] * total[..., None, :] + twice[..., None] * end[..., None, :])
 
 
 @dataclass(frozen=True)
@@ -158,25 +88,18 @@ class Occupancy:
 
     def extended(self, pair17_m: Array) -> Occupancy:
         """Return occupancy with more poses (*batch, joint=17, 3), metres; poses that are not finite are left out."""
-        poses = np.asarray(pair17_m, dtype=np.float64).reshape(-1, PAIR17.num_joints, 3)
+        poses = as_poses(pair17_m)
         poses = poses[np.isfinite(poses).all(axis=(1, 2))]
         counts = self.counts.copy()
-        for start in range(0, len(poses), _CHUNK):
-            above, cell = bone_cells(bone_directions(poses[start : start + _CHUNK]))
-            np.add.at(counts, (np.broadcast_to(KIND_OF_BONE, cell.shape), above, cell), 1)
+        np.add.at(counts, (KIND_OF_BONE, *bone_cells(poses)), 1)
         return Occupancy(counts)
 
-    def log_prior(self, pair17_m: Array) -> Array:
-        """Return log of the prior of poses (*batch, joint=17, 3), (*batch,): the least over the bones of `log_share`.
+    def bone_logs(self, pair17_m: Array) -> Array:
+        """Return `log_share` of each bone of poses (*batch, joint=17, 3), metres, (*batch, bone=11).
 
         It is 0 everywhere when nothing was learned.
         """
-        return np.asarray(self.bone_logs(pair17_m).min(axis=-1))
-
-    def bone_logs(self, pair17_m: Array) -> Array:
-        """Return `log_share` of each bone of poses (*batch, joint=17, 3), metres, (*batch, bone=11)."""
-        above, cell = bone_cells(bone_directions(pair17_m))
-        return np.asarray(self.log_share[KIND_OF_BONE, above, cell])
+        return np.asarray(self.log_share[KIND_OF_BONE, *bone_cells(pair17_m)])
 
     @cached_property
     def occupied(self) -> npt.NDArray[np.bool_]:
@@ -194,8 +117,8 @@ class Occupancy:
         Counts are blurred over both grids; where few poses support a direction above, the shares of all directions
         above stand in (20 poses' worth), and every cell keeps 2 % of an even share.
         """
-        near_cell = _kernel(sphere_cells(NUM_CELLS), _CELL_WIDTH_RAD)
-        near_above = _kernel(sphere_cells(NUM_ABOVE), _ABOVE_WIDTH_RAD, is_share=False)
+        near_cell = _blur(sphere_cells(NUM_CELLS), _CELL_WIDTH_RAD)
+        near_above = _blur(sphere_cells(NUM_ABOVE), _ABOVE_WIDTH_RAD, is_share=False)
         blurred = np.einsum("pq,bqc,cd->bpd", near_above, self.counts.astype(np.float64), near_cell, optimize=True)
         every = self.counts.sum(axis=1) @ near_cell
         total = every.sum(axis=-1, keepdims=True)
@@ -205,12 +128,88 @@ class Occupancy:
         return np.asarray(np.log((1.0 - _UNIFORM_SHARE) * share * NUM_CELLS + _UNIFORM_SHARE))
 
 
-def _kernel(cells: Array, width_rad: float, *, is_share: bool = True) -> Array:
+def _blur(cells: Array, width_rad: float, *, is_share: bool = True) -> Array:
     weight = np.exp((cells @ cells.T - 1.0) / width_rad**2)
     return np.asarray(weight / weight.sum(axis=1, keepdims=True) if is_share else weight)
 
 
-def bone_cells(directions: BoneDirections) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the cells of the bones above and of the bones, both (*batch, bone=11)."""
-    above = np.argmax(directions.above @ sphere_cells(NUM_ABOVE).T, axis=-1)
-    return above, np.argmax(directions.own @ sphere_cells(NUM_CELLS).T, axis=-1)
+def bone_cells(pair17_m: Array) -> tuple[Counts, Counts]:
+    """Return the cells of the bones above, and of the bones, of poses (*batch, joint=17, 3), both (*batch, bone=11)."""
+    cells = _find_cells(as_poses(pair17_m)).reshape(*np.shape(pair17_m)[:-2], len(KIND_OF_BONE), 2)
+    return cells[..., 0], cells[..., 1]
+
+
+_CELLS, _ABOVE = sphere_cells(NUM_CELLS), sphere_cells(NUM_ABOVE)
+_TRUNK = (0.0, 1.0, 0.0)
+
+
+@inner_kernel
+def _nearest(cells, direction):  # type: ignore[no-untyped-def]
+    best, found = -2.0, 0
+    for cell in range(cells.shape[0]):
+        near = cells[cell, 0] * direction[0] + cells[cell, 1] * direction[1] + cells[cell, 2] * direction[2]
+        if near > best:
+            best, found = near, cell
+    return found
+
+
+@inner_kernel
+def _enter(bone, x, y, z, direction, above, own, over, frame):  # type: ignore[no-untyped-def]
+    for axis in range(3):
+        frame[bone, 0, axis], frame[bone, 1, axis], frame[bone, 2, axis] = x[axis], y[axis], z[axis]
+        over[bone, axis] = above[axis]
+    own[bone, 0], own[bone, 1], own[bone, 2] = dot(x, direction), dot(y, direction), dot(z, direction)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def point_bones(pose: Array, own: Array, above: Array, frame: Array) -> None:
+    """Write the directions of the eleven bones of a pose (17, 3), right ones mirrored to the left.
+
+    Frames are those of `joint_limits`: the pelvis' for chest and thighs, the chest's for neck and upper arms, the
+    neck's for the head, and for forearm and shank the frame carried without twist from the arm held sideways and the
+    thigh hanging.
+
+    Args:
+        pose: Positions (17, 3), float64, metres.
+        own: Unit directions in the frame of what the bone hangs on, (11, 3).
+        above: Those of the bone above in its own frame, (11, 3); (0, 1, 0) where the bone hangs on the trunk.
+        frame: Axes of the frames in world axes, as rows, mirrored for the right, (11, 3, 3).
+    """
+    pelvis_y, chest_y, neck_y = bone_of(pose, 0, 1), bone_of(pose, 1, 2), bone_of(pose, 2, 3)
+    pelvis_x = frame_x(pose, 11, 14, pelvis_y)
+    chest_x = frame_x(pose, 5, 8, chest_y)
+    neck_x = normalise(mix(1.0, chest_x, -dot(chest_x, neck_y), neck_y))
+    pelvis_z, chest_z, neck_z = cross(pelvis_x, pelvis_y), cross(chest_x, chest_y), cross(neck_x, neck_y)
+    _enter(0, pelvis_x, pelvis_y, pelvis_z, chest_y, _TRUNK, own, above, frame)
+    _enter(1, chest_x, chest_y, chest_z, neck_y, (own[0, 0], own[0, 1], own[0, 2]), own, above, frame)
+    head = bone_of(pose, 3, 4)
+    _enter(2, neck_x, neck_y, neck_z, head, (own[1, 0], own[1, 1], own[1, 2]), own, above, frame)
+    for limb in range(4):
+        is_arm = limb < 2
+        side = 1.0 if limb % 2 == 0 else -1.0
+        first = 5 + 3 * (limb % 2) if is_arm else 11 + 3 * (limb % 2)
+        x, y, z = (scale(side, chest_x), chest_y, chest_z) if is_arm else (scale(side, pelvis_x), pelvis_y, pelvis_z)
+        rest = x if is_arm else scale(-1.0, y)
+        upper, lower = bone_of(pose, first, first + 1), bone_of(pose, first + 1, first + 2)
+        bone = 3 + limb % 2 if is_arm else 7 + limb % 2
+        _enter(bone, x, y, z, upper, _TRUNK, own, above, frame)
+        over = (own[bone, 0], own[bone, 1], own[bone, 2])
+        x, y, z = carry(rest, upper, x), carry(rest, upper, y), carry(rest, upper, z)
+        _enter(bone + 2, x, y, z, lower, over, own, above, frame)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cells_of(own: Array, above: Array) -> tuple[int, int]:
+    """Return the cell of the bone above and that of the bone, of unit directions (3,) each."""
+    return _nearest(_ABOVE, above), _nearest(_CELLS, own)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_cells(poses: Array) -> Counts:
+    found = np.empty((poses.shape[0], 11, 2), np.int64)
+    own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
+    for row in range(poses.shape[0]):
+        point_bones(poses[row], own, above, frame)
+        for bone in range(11):
+            found[row, bone, 0], found[row, bone, 1] = cells_of(own[bone], above[bone])
+    return found

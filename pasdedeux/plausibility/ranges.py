@@ -13,10 +13,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["ANGLES", "MARGIN_DEG", "AngleRange"]
+__all__ = ["ANGLES", "ANGLE_INDEX", "MARGIN_DEG", "NUM_ANGLES", "SLACK_RAD", "TINY", "AngleRange"]
 
 MARGIN_DEG = 10.0
 """Added at both ends of every range, degrees: tables give means over people, and skeletons place joints differently."""
+
+SLACK_RAD = 0.1
+"""Uncertainty of a direction in captured data, radians (1-2 cm at the end of a limb bone)."""
+
+TINY = 1e-9
+"""What rounding may add to an angle at its limit, radians."""
 
 
 @dataclass(frozen=True)
@@ -70,4 +76,8 @@ ANGLES: tuple[AngleRange, ...] = (
     ),
     *(AngleRange(f"{side}_knee", "flexion", 0.0, 152.6, "CDC") for side in _LEFT_RIGHT),
 )
-"""Every angle in the order of `joint_angles`; 29 of them."""
+"""Every angle, in the order of all arrays of angles; 29 of them."""
+
+NUM_ANGLES = len(ANGLES)
+ANGLE_INDEX = {(angle.joint, angle.angle): index for index, angle in enumerate(ANGLES)}
+"""Where an angle stands in `ANGLES`, by joint and name."""

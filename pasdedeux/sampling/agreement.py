@@ -22,7 +22,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 from pasdedeux.kinematics import align_rigid
-from pasdedeux.plausibility import capsule_model, clip_penetration
+from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["SHARPNESS", "Agreement", "AgreementTerms", "plain_agreement"]
@@ -142,9 +142,7 @@ class Agreement:
             np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
             self._log_count,
         )
-        radii = self._model.radii_of(pair[None])
-        model = self._model
-        inside = clip_penetration(pair[None], radii, model.parents, model.within, model.between)[0, 2]
+        inside = self._model.penetration(pair)[2]
         return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
 
     def nearest_m(self, pair_m: Array, *, count: int = 10) -> float:

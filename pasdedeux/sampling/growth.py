@@ -21,7 +21,7 @@ from pydantic import Field
 from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
@@ -115,7 +115,7 @@ def grow(
         if entry < 0:
             break
         pair = frontier.lift(entry)
-        if limits.num_invalid(pair).sum() > MOST_INVALID_ANGLES:
+        if limits.num_invalid(pair).sum() > MAX_INVALID_ANGLES:
             num_refused += 1
             continue
         nearest, distance_m = int(frontier.which[entry, 0]), float(frontier.distance_m[entry, 0])

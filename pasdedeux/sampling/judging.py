@@ -24,9 +24,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import gap_m
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy
-from pasdedeux.plausibility.capsules import capsule_model
-from pasdedeux.plausibility.capsules_kernel import clip_penetration
+from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, capsule_model
 from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth_kernels import place_bones
@@ -151,24 +149,13 @@ def _pushed(pair: Array, depth_m: float) -> Array | None:
     """Move person B towards A until the bodies penetrate each other by `depth_m` more in sum; None if they never do."""
     towards = pair[0, 0] - pair[1, 0]
     length = float(np.linalg.norm(towards))
-    start = _penetration(pair[None])[0, 2]
+    start = capsule_model(PAIR17).penetration(pair)[2]
     for step in np.arange(0.005, length, 0.005):
         moved = pair.copy()
         moved[1] += step / max(length, 1e-9) * towards
-        if _penetration(moved[None])[0, 2] - start >= depth_m:
+        if capsule_model(PAIR17).penetration(moved)[2] - start >= depth_m:
             return moved
     return None
-
-
-def _penetration(pairs_m: Array) -> Array:
-    model = capsule_model(PAIR17)
-    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
-    return np.concatenate(
-        [
-            clip_penetration(pair[None], model.radii_of(pair[None]), model.parents, model.within, model.between)
-            for pair in pairs
-        ]
-    )
 
 
 @dataclass(frozen=True)
@@ -208,7 +195,7 @@ class Judge:
         pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
         distance = self.limits.nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
         learned = LearnedLimits(self.limits, self.occupancy).nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
-        inside = _penetration(pairs)
+        inside = capsule_model(PAIR17).penetration(pairs)
         prior = -(distance + 10.0 * inside.sum(axis=1) ** 2) / (2.0 * SIGMA_P_M**2)
         # So wide that no view is left out as too far behind the best.
         matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)

@@ -13,12 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.plausibility.capsules import CapsuleModel, capsule_model
-from pasdedeux.plausibility.capsules_kernel import pair_penetration
-from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
-from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
-from pasdedeux.plausibility.learned_limits import LearnedLimits
-from pasdedeux.plausibility.learned_limits_kernel import move_to_nearest_learned
+from pasdedeux.plausibility import (
+    MAX_INVALID_ANGLES,
+    CapsuleModel,
+    JointLimits,
+    LearnedLimits,
+    capsule_model,
+    move_to_nearest_learned,
+    move_to_nearest_valid,
+    pair_penetration,
+)
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
 from pasdedeux.skeletons import PAIR17
 
@@ -72,7 +76,7 @@ class PhysicalPrior:
         *,
         sigma_p: float = 0.05,
         alpha: float = 10.0,
-        most_invalid: int = MOST_INVALID_ANGLES,
+        most_invalid: int = MAX_INVALID_ANGLES,
         length_tolerance: float = 0.05,
     ) -> None:
         self.sigma_p = sigma_p

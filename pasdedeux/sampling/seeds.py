@@ -9,9 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, gap_m
-from pasdedeux.plausibility.capsules import capsule_model
-from pasdedeux.plausibility.capsules_kernel import clip_penetration
-from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
@@ -50,18 +48,14 @@ class SeedQuality:
     @property
     def is_possible(self) -> npt.NDArray[np.bool_]:
         """Whether the prior of a pair is above 0, (pair,)."""
-        return np.asarray(self.num_invalid <= MOST_INVALID_ANGLES)
+        return np.asarray(self.num_invalid <= MAX_INVALID_ANGLES)
 
 
 def seed_quality(pairs_m: Array, limits: JointLimits, *, alpha: float = 10.0) -> SeedQuality:
     """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds."""
     pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
-    model = capsule_model(PAIR17)
     nearest = limits.nearest_valid(pairs)
-    depth = np.empty(len(pairs))
-    for row, pair in enumerate(pairs):
-        radii = model.radii_of(pair[None])
-        depth[row] = clip_penetration(pair[None], radii, model.parents, model.within, model.between).sum()
+    depth = capsule_model(PAIR17).penetration(pairs).sum(axis=-1)
     return SeedQuality(
         num_invalid=nearest.num_invalid.sum(axis=-1),
         violation_m2=nearest.squared_distance_m2.sum(axis=-1) + alpha * depth**2,
@@ -93,7 +87,7 @@ def choose_seeds(
     if len(pool) < num_seeds:
         raise InputError(
             f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames will do: close to each "
-            f"other, and at most {MOST_INVALID_ANGLES} joint angles out of range ({len(possible)} of them)"
+            f"other, and at most {MAX_INVALID_ANGLES} joint angles out of range ({len(possible)} of them)"
         )
     chosen = [int(pool[np.argmin(quality.violation_m2[pool])])]
     points = np.asarray(pairs_m[pool], dtype=np.float64).reshape(len(pool), -1, 3)

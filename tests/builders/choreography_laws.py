@@ -28,6 +28,9 @@ class Measured:
     num_invalid_angles: int
 
 
+distances = np.vectorize(segment_distance, signature="(k),(k),(k),(k)->()")
+
+
 def measure(duet: Duet) -> Measured:
     """Measure everything over all frames."""
     positions = duet.positions_m()
@@ -81,4 +84,4 @@ def _penetration(duet: Duet, positions) -> tuple[float, float]:
 def _depth(first, second, radii_a, radii_b, pairs, model) -> float:
     one, other = pairs[:, 0], pairs[:, 1]
     ends = (first[:, model.parents[one]], first[:, one], second[:, model.parents[other]], second[:, other])
-    return max(0.0, float((radii_a[one] + radii_b[other] - segment_distance(*ends)).max()))
+    return max(0.0, float((radii_a[one] + radii_b[other] - distances(*ends)).max()))

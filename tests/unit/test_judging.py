@@ -11,7 +11,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model, penetration
+from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model
 from pasdedeux.sampling import build_bank
 from pasdedeux.sampling.combination import Combination
 from pasdedeux.sampling.judging import Corruption, Judge, corrupt, seen_from, separation, told_apart
@@ -57,7 +57,7 @@ def test_pushed_bodies_penetrate_by_what_was_asked_for() -> None:
     corrupted = corrupt(np.random.default_rng(3), PAIRS, VIEWS, Corruption.INSIDE_10)
     for real, false in zip(corrupted.seen_m, corrupted.pairs_m, strict=True):
         radii = model.radii_of(real[None])
-        added = [penetration(one[None], radii, model).between_m[0] for one in (false, real)]
+        added = [model.penetration(one, radii)[2] for one in (false, real)]
         assert added[0] - added[1] >= 0.1
 
 

@@ -17,18 +17,33 @@ from pasdedeux.plausibility import (
     JointLimits,
     LearnedLimits,
     Occupancy,
-    move_to_nearest_learned,
-    weakest_bone,
 )
-from pasdedeux.plausibility.joint_limits import measure
+from pasdedeux.plausibility.joint_limits import angles_and_slack
 from pasdedeux.plausibility.learned_limits import ANGLES_OF_BONE, LIMIT_BONES
-from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_directions, sphere_cells
+from pasdedeux.plausibility.occupancy import NUM_CELLS, bone_cells, point_bones, sphere_cells
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.skeletons.layouts import LAYOUTS
+from tests.builders.oracles_plausibility import excess, plain_cells, plain_invalid_learned, plain_nearest_learned
 from tests.builders.poses import put, standing, wild
 
 TABLE = JointLimits.published()
 MIRROR = list(PAIR17.mirror)
+
+
+def is_valid(limits: JointLimits | LearnedLimits, poses: np.ndarray) -> np.ndarray:
+    return limits.num_invalid(poses) == 0
+
+
+def directions(poses: np.ndarray) -> np.ndarray:
+    """Unit directions (*batch, bone=11, 3) of the bones in their frames."""
+    own = np.empty((*poses.shape[:-2], 11, 3))
+    for at in np.ndindex(own.shape[:-2]):
+        point_bones(poses[at], own[at], np.empty((11, 3)), np.empty((11, 3, 3)))
+    return own
+
+
+def least_share(poses: np.ndarray) -> np.ndarray:
+    return LEARNED.bone_logs(poses).min(axis=-1)
 
 
 def near_standing(seed: int, count: int) -> np.ndarray:
@@ -52,28 +67,28 @@ def test_cells_are_spread_evenly() -> None:
 def test_rigid_motion_changes_no_direction_and_mirroring_swaps_the_sides() -> None:
     poses = wild(3, 100)
     turn = rotmat_from_unitquat(normalise(np.array([0.1, 0.5, -0.4, 0.7])))
-    own = bone_directions(poses).own
-    np.testing.assert_allclose(bone_directions(poses @ turn.T + 3.0).own, own, atol=1e-9)
-    mirrored = bone_directions((poses * [-1.0, 1.0, 1.0])[:, MIRROR]).own
+    own = directions(poses)
+    np.testing.assert_allclose(directions(poses @ turn.T + 3.0), own, atol=1e-9)
+    mirrored = directions((poses * [-1.0, 1.0, 1.0])[:, MIRROR])
     swapped = own[:, [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9]]
     swapped[:, :3, 0] *= -1.0
     np.testing.assert_allclose(mirrored, swapped, atol=1e-9)
 
 
 def test_hanging_limbs_point_where_the_frames_say() -> None:
-    own = bone_directions(standing()).own
+    own = directions(standing())
     np.testing.assert_allclose(own[0], [0.0, 1.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(own[7:9], [[0.0, -1.0, 0.0]] * 2, atol=0.1)
     bent = put(put(standing(), "right_knee", [0, -1, 0]), "right_ankle", [0, 0, -1])
-    np.testing.assert_allclose(bone_directions(bent).own[10], [0.0, 0.0, -1.0], atol=0.05)
+    np.testing.assert_allclose(directions(bent)[10], [0.0, 0.0, -1.0], atol=0.05)
 
 
 def test_the_prior_prefers_what_was_seen_and_knows_nothing_without_capture() -> None:
-    assert (Occupancy.empty().log_prior(wild(4, 50)) == 0.0).all()
-    seen, unseen = LEARNED.log_prior(near_standing(1, 200)), LEARNED.log_prior(wild(5, 200))
+    assert (Occupancy.empty().bone_logs(wild(4, 50)) == 0.0).all()
+    seen, unseen = least_share(near_standing(1, 200)), least_share(wild(5, 200))
     assert np.quantile(seen, 0.05) > np.median(unseen)
     knee_forward = put(standing(), "left_ankle", [0.0, -0.5, 1.0])
-    assert LEARNED.log_prior(knee_forward) < seen.min()
+    assert least_share(knee_forward) < seen.min()
 
 
 def test_shares_given_the_bone_above_sum_to_one() -> None:
@@ -90,21 +105,20 @@ def test_capture_comes_in_parts_and_broken_poses_are_left_out() -> None:
         Occupancy(np.zeros((2, 3), dtype=np.int64))
 
 
-def test_the_compiled_prior_agrees_with_the_plain_one() -> None:
+def test_cells_of_one_pose_at_a_time_are_those_of_the_plain_form_over_arrays() -> None:
     poses = np.concatenate([wild(6, 200), near_standing(2, 100)])
-    compiled = [weakest_bone(pose, LEARNED.log_share) for pose in poses]
-    np.testing.assert_allclose(compiled, LEARNED.log_prior(poses), atol=1e-12)
-    assert np.isfinite(weakest_bone(np.zeros((17, 3)), LEARNED.log_share))
+    np.testing.assert_array_equal(bone_cells(poses), plain_cells(poses))
+    assert np.isfinite(LEARNED.bone_logs(np.zeros((17, 3)))).all()
 
 
 def test_learned_limits_allow_what_table_or_capture_allow() -> None:
     split = put(standing(), "left_knee", [1.0, -0.2, 0.0])
-    assert not TABLE.is_valid(split)
+    assert not is_valid(TABLE, split)
     limits = LearnedLimits(TABLE, Occupancy.empty().extended(split[None]))
-    assert limits.is_valid(split)
-    assert limits.is_valid((split * [-1.0, 1.0, 1.0])[MIRROR])
+    assert is_valid(limits, split)
+    assert is_valid(limits, (split * [-1.0, 1.0, 1.0])[MIRROR])
     poses = wild(7, 500)
-    assert limits.is_valid(poses)[TABLE.is_valid(poses)].all()
+    assert is_valid(limits, poses)[is_valid(TABLE, poses)].all()
     np.testing.assert_array_equal(LearnedLimits(TABLE, Occupancy.empty()).num_invalid(poses), TABLE.num_invalid(poses))
 
 
@@ -114,10 +128,10 @@ def test_the_nearest_valid_pose_of_learned_limits_is_valid_and_keeps_bones() -> 
     nearest = limits.nearest_valid(poses)
     assert limits.num_invalid(nearest.positions).max() == 0
     np.testing.assert_allclose(bone_lengths(PAIR17, nearest.positions), bone_lengths(PAIR17, poses), atol=1e-9)
-    is_valid = limits.is_valid(poses)
-    assert 10 < is_valid.sum() < 290
-    np.testing.assert_array_equal(nearest.positions[is_valid], poses[is_valid])
-    assert (nearest.squared_distance_m2[~is_valid] > 0).all()
+    valid = is_valid(limits, poses)
+    assert 10 < valid.sum() < 290
+    np.testing.assert_array_equal(nearest.positions[valid], poses[valid])
+    assert (nearest.squared_distance_m2[~valid] > 0).all()
 
 
 def poses_by_subject(data_dir: Path) -> dict[str, np.ndarray]:
@@ -152,9 +166,9 @@ def with_one_joint_turned(rng: np.random.Generator, poses: np.ndarray) -> tuple[
             joints.extend(PAIR17.children(joint))
         centre = moved[:, [PAIR17.index(pivot)]]
         moved[:, joints] = np.einsum("nij,nkj->nki", turn, moved[:, joints] - centre) + centre
-        angles, slack = measure(moved)
+        angles, slack = angles_and_slack(moved)
         own = ANGLES_OF_BONE[bone]
-        beyond = np.abs(bare.excess(slice(None), angles, 0.0 * slack))[:, own]
+        beyond = np.abs(excess(bare, slice(None), angles, 0.0))[:, own]
         turned.append(moved)
         determined.append(np.where(slack[:, own] < 0.2, beyond, 0.0).max(axis=1))
         any_of.append(beyond.max(axis=1))
@@ -169,9 +183,9 @@ def test_learned_limits_accept_an_unseen_subject_and_refuse_joints_20_degrees_be
     for held_out, own in poses.items():
         others = np.concatenate([parts for subject, parts in poses.items() if subject != held_out])
         limits = LearnedLimits(TABLE, Occupancy.empty().extended(others))
-        accepted.append(limits.is_valid(own))
-        turned, determined, any_of = with_one_joint_turned(rng, own[TABLE.is_valid(own)])
-        is_refused = ~limits.is_valid(turned)
+        accepted.append(is_valid(limits, own))
+        turned, determined, any_of = with_one_joint_turned(rng, own[is_valid(TABLE, own)])
+        is_refused = ~is_valid(limits, turned)
         refused.append(is_refused[determined >= np.deg2rad(20.0)])
         refused_any.append(is_refused[any_of >= np.deg2rad(20.0)])
     share = np.concatenate(accepted)
@@ -182,20 +196,17 @@ def test_learned_limits_accept_an_unseen_subject_and_refuse_joints_20_degrees_be
     assert np.concatenate(refused_any).mean() >= 0.95
 
 
-def test_the_compiled_learned_limits_are_the_plain_ones() -> None:
+def test_learned_limits_of_one_pose_at_a_time_are_the_plain_ones_over_arrays() -> None:
     limits = LearnedLimits(TABLE, LEARNED)
-    table, girdles = (np.stack([one.lower_rad, one.upper_rad]) for one in (TABLE, limits.girdles))
-    work, valid = np.empty((2, 29)), np.empty((17, 3))
     rng = np.random.default_rng(8)
     poses = np.concatenate(
         [wild(6, 40), near_standing(7, 20), standing() + rng.normal(scale=0.06, size=(60, 17, 3)), standing()[None]]
     )
-    moved = 0
-    for pose in poses:
-        plain = limits.nearest_valid(pose[None])
-        count, squared = move_to_nearest_learned(pose, table, girdles, LEARNED.occupied, limits.allowed, work, valid)
-        assert count == plain.num_invalid[0]
-        assert squared == pytest.approx(plain.squared_distance_m2[0], abs=1e-9)
-        np.testing.assert_allclose(valid, plain.positions[0], atol=1e-6)
-        moved += count > 0
-    assert 30 < moved < len(poses)
+    nearest = limits.nearest_valid(poses)
+    invalid = plain_invalid_learned(limits, poses)
+    np.testing.assert_array_equal(limits.invalid_angles(poses), invalid)
+    np.testing.assert_array_equal(nearest.num_invalid, invalid.sum(axis=1))
+    moved = plain_nearest_learned(limits, poses)
+    np.testing.assert_allclose(nearest.positions, moved, atol=1e-6)
+    np.testing.assert_allclose(nearest.squared_distance_m2, ((moved - poses) ** 2).sum(axis=(1, 2)), atol=1e-9)
+    assert 30 < (nearest.num_invalid > 0).sum() < len(poses)

@@ -107,7 +107,7 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
         level,
         reason,
         figure="share of prior poses within the joint limits",
-        value=float((limits.num_invalid(poses) == 0).mean()) if len(poses) else math.nan,
+        value=float(limits.is_valid(poses).mean()) if len(poses) else math.nan,
         baseline=float(published.is_valid(poses).mean()) if len(poses) else math.nan,
         baseline_name="published joint limits",
     )

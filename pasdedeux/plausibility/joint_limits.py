@@ -126,6 +126,10 @@ class JointLimits:
         """Count the angles out of range of poses (*batch, joint=17, 3), (*batch,)."""
         return np.asarray(self.invalid_angles(pair17_m).sum(axis=-1))
 
+    def is_valid(self, pair17_m: Array) -> Flags:
+        """Tell which poses (*batch, joint=17, 3) have every angle in range, (*batch,)."""
+        return np.asarray(self.num_invalid(pair17_m) == 0)
+
     def invalid_angles(self, pair17_m: Array) -> Flags:
         """Tell which angles (*batch, 29) of poses (*batch, joint=17, 3) are out of range."""
         return np.asarray(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits import MOST_INVALID_ANGLES
+from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
@@ -78,7 +78,7 @@ def _commit_one(
     is_possible = bool(quality.is_possible[0])
     verdict = Verdict(
         Level.PASS if is_possible else Level.FAIL,
-        "" if is_possible else f"over {MOST_INVALID_ANGLES} joint angles are out of range: no chain can start here",
+        "" if is_possible else f"over {MAX_INVALID_ANGLES} joint angles are out of range: no chain can start here",
         figure="joint angles out of range",
         value=num_invalid,
     )

@@ -14,8 +14,8 @@ import numpy as np
 from flows.console.context import ExportFormat
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.exact_motion import exact_motion
 from pasdedeux.formats.pair_file import write_pair_bvh, write_pair_json
+from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton

@@ -9,36 +9,41 @@ from pathlib import Path
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats import (
+    ANNOTATION_FORMATS,
+    MOTION_FORMATS,
+    AnnotationFormat,
     MotionGuess,
-    SourceMotion,
-    guess_format,
+    common_up_axis,
     guess_motion,
-    read_amc,
-    read_asf,
-    read_bvh,
-    read_coco,
-    read_openpose_frame,
-    read_positions_npz,
+    is_companion,
+    recognise_format,
 )
+from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from tasks.ingest.known_sources import known_source
+from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file, read_again
 
 __all__ = ["new_study", "write_new_study"]
 
-MOTION_KINDS = frozenset({"bvh", "amc", "positions_npz"})
-ANNOTATION_KINDS = frozenset({"openpose", "coco", "annotation_csv", "annotation_npz"})
-SURE, LIKELY, BELIEVED = 0.9, 0.5, 0.3
-USUAL_HEIGHT_M = 1.7
+SURE, LIKELY = 0.9, 0.5
+_SUFFIXES = {end for kind in (*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()) for end in kind.suffixes}
 
 
 @dataclass(frozen=True)
-class _Source:
-    """A given file or folder: what it is, and for a motion what can be told of it."""
+class _Motion:
+    """A motion file, its length, and what can be told of it."""
 
     path: Path
-    kind: str
-    num_frames: int = 0
-    guess: MotionGuess | None = None
-    note: str = ""
+    num_frames: int
+    guess: MotionGuess
+
+
+@dataclass(frozen=True)
+class _Annotations:
+    """A file or folder of 2D poses, its format, and what it is in words."""
+
+    path: Path
+    format: str
+    note: str
 
 
 def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
@@ -72,9 +77,9 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
     Raises:
         InputError: A file does not exist or is none of the known formats.
     """
-    sources = [source for path in _spread(files) for source in _look_at(path)]
-    motions = [source for source in sources if source.kind in MOTION_KINDS]
-    annotations = [source for source in sources if source.kind in ANNOTATION_KINDS]
+    sources = [source for path in _spread(files) if (source := _look_at(path)) is not None]
+    motions = [source for source in sources if isinstance(source, _Motion)]
+    annotations = [source for source in sources if isinstance(source, _Annotations)]
     lines = [
         "# A study: what comes in, and what is made of it.  Everything not said here has its default;",
         "# `pasdedeux plan` shows what a run would do, `pasdedeux run` does it.",
@@ -121,7 +126,7 @@ def _spread(files: Sequence[Path]) -> list[Path]:
         if not path.exists():
             raise InputError(f"file {path} does not exist")
         if path.is_dir() and not any(item.suffix.lower() == ".json" for item in path.iterdir()):
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in {".bvh", ".amc", ".npz", ".csv"})
+            inside = sorted(item for item in path.iterdir() if item.suffix.lower() in _SUFFIXES)
             if not inside:
                 raise InputError(f"folder {path} holds no motion or keypoint files")
             found += inside
@@ -130,50 +135,36 @@ def _spread(files: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def _look_at(path: Path) -> list[_Source]:
-    """Tell what a file is and what its content says."""
+def _look_at(path: Path) -> _Motion | _Annotations | None:
+    """Tell what a file is and what its content says; None for one that only serves those beside it."""
     try:
         if path.is_dir():
-            names = sorted(item for item in path.iterdir() if item.suffix.lower() == ".json")
-            read_openpose_frame(names[0].read_bytes())
-            return [_Source(path=path, kind="openpose", num_frames=len(names), note=f"{len(names)} frames of OpenPose")]
-        data = path.read_bytes()
-        kind = guess_format(data)
-        if kind == "asf":
-            return []
-        if kind == "openpose":
-            raise InputError("a single OpenPose file is one frame; give the folder")
-        if kind == "rotation_rows":
-            raise InputError("rows of rotations need their BVH template; see `skeleton` under [[ingest.takes]]")
-        if kind not in MOTION_KINDS:
-            note = {"coco": "COCO keypoints"}.get(kind, "table of keypoints")
-            if kind == "coco":
-                note = f"{note}, {read_coco(data, sequence_id=_identifier(path.stem)).num_rows} people"
-            return [_Source(path=path, kind=kind, note=note)]
-        motion = _read_motion(kind, path, data)
-        return [_Source(path=path, kind=kind, num_frames=motion.num_frames, guess=guess_motion(motion))]
+            frames = sorted(item for item in path.iterdir() if item.suffix.lower() == ".json")
+            kind = recognise_format(load_file(frames[0]).data)
+            if not (isinstance(kind, AnnotationFormat) and kind.is_file_per_frame):
+                raise InputError(f"a folder of files of the format '{kind.name}'; name the file")
+            return _Annotations(path, kind.name, f"{len(frames)} frames")
+        loaded = load_file(path)
+        if is_companion(loaded.data):
+            return None
+        kind = recognise_format(loaded.data)
+        if isinstance(kind, AnnotationFormat):
+            if kind.is_file_per_frame:
+                raise InputError("a single file of this format is one frame; give the folder")
+            found = kind.read({path.name: loaded.data}, sequence_id=_identifier(path.stem))
+            return _Annotations(path, kind.name, f"{found.num_rows} people in all frames together")
+        companion = find_companion(path, kind)
+        motion = kind.read(loaded.data, read_again(companion) if companion else b"")
+        return _Motion(path, motion.num_frames, guess_motion(motion))
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
-    except OSError as error:
-        raise InputError(f"file {path} cannot be read: {error.strerror}") from None
 
 
-def _read_motion(kind: str, path: Path, data: bytes) -> SourceMotion:
-    if kind == "bvh":
-        return read_bvh(data)
-    if kind == "positions_npz":
-        return read_positions_npz(data).to_source_motion()
-    skeleton = path.with_name(path.stem.rpartition("_")[0] + ".asf")
-    if not skeleton.is_file():
-        raise InputError(f"its skeleton {skeleton.name} is not beside it")
-    return read_amc(data, read_asf(skeleton.read_bytes()))
-
-
-def _pair_up(motions: Sequence[_Source]) -> dict[str, list[_Source]]:
+def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
     """Return takes of one or two files: two files in all, or equally long ones of one take."""
     if len(motions) == 2:
         return {_identifier(motions[0].path.stem): list(motions)}
-    takes: dict[str, list[_Source]] = {}
+    takes: dict[str, list[_Motion]] = {}
     open_takes: dict[tuple[Path, str], str] = {}
     for source in motions:
         subject, _, take = source.path.stem.rpartition("_")
@@ -191,11 +182,10 @@ def _pair_up(motions: Sequence[_Source]) -> dict[str, list[_Source]]:
     return takes
 
 
-def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[str]:
+def _take(take_id: str, people: Sequence[_Motion], base: Path | None) -> list[str]:
     files = ", ".join(_quoted(_shown(source.path, base)) for source in people)
     lines = ["[[ingest.takes]]", f"id = {_quoted(take_id)}", f"files = [{files}]"]
     first = people[0].guess
-    assert first is not None
     lengths = [source.num_frames for source in people]
     if len(set(lengths)) > 1:
         lines.append(f'on_unequal = "trim"      # the files have {" and ".join(map(str, lengths))} frames')
@@ -203,10 +193,8 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
         lines.append("# layout: its joints fit no known layout; write one under [ingest.mappings]")
     else:
         lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
-    # One of two may lie on the floor; they were captured together, so the clearer one decides for both.
-    clearest = max((one.guess for one in people if one.guess is not None), key=lambda guess: guess.up_sureness)
-    up_axis, sureness = _quoted(clearest.up_axis), _words(clearest.up_sureness)
-    lines.append(f"up_axis = {up_axis}         # bodies stand along it: {sureness}")
+    up = common_up_axis([one.guess.up for one in people])
+    lines.append(f"up_axis = {_quoted(up.axis)}         # bodies stand along it: {_words(up.confidence)}")
     known_rate = known_source(people[0].path.name, first.layout or "").rate_hz
     if known_rate is not None:
         lines.append(f"rate_hz = {known_rate:g}         # known of CMU's files{_against(first.rate_hz, known_rate)}")
@@ -219,26 +207,18 @@ def _take(take_id: str, people: Sequence[_Source], base: Path | None) -> list[st
             "files lie about this: compare with the video or a clock"
         )
     for source in people:
-        guess = source.guess
-        assert guess is not None
-        known_unit = known_source(source.path.name, guess.layout or "").metres_per_unit
+        unit = source.guess.unit
+        lines.append("[[ingest.takes.persons]]")
+        known_unit = known_source(source.path.name, source.guess.layout or "").metres_per_unit
         if known_unit is not None:
-            lines += [
-                "[[ingest.takes.persons]]",
-                f"metres_per_unit = {known_unit:g}   # known of CMU's salsa BVH: sure",
-            ]
-            continue
-        is_believed = guess.unit_sureness >= BELIEVED
-        unit = (
-            guess.metres_per_unit if is_believed else guess.metres_per_unit * USUAL_HEIGHT_M / (guess.height_m or 1.0)
-        )
-        why = f"{guess.unit_reason}, stature {guess.height_m:.2f} m: {_words(guess.unit_sureness)}"
-        if not is_believed:
-            why = f"{guess.unit_reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
-        lines += [
-            "[[ingest.takes.persons]]",
-            f"{'' if is_believed else '# '}metres_per_unit = {unit:.10g}   # {source.path.name}: {why}",
-        ]
+            lines.append(f"metres_per_unit = {known_unit:g}   # known of CMU's salsa BVH: sure")
+        elif unit.confidence >= MIN_UNIT_CONFIDENCE:
+            why = f"{unit.reason}, stature {unit.height_m:.2f} m: {_words(unit.confidence)}"
+            lines.append(f"metres_per_unit = {unit.metres_per_unit:.10g}   # {source.path.name}: {why}")
+        else:
+            value = unit.metres_per_unit * USUAL_HEIGHT_M / (unit.height_m or 1.0)
+            why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
+            lines.append(f"# metres_per_unit = {value:.10g}   # {source.path.name}: {why}")
     return lines
 
 
@@ -247,22 +227,22 @@ def _against(stated_hz: float | None, known_hz: float) -> str:
     return f"; the header says {stated_hz:g}" if stated_hz is not None and abs(stated_hz - known_hz) > 0.01 else ""
 
 
-def _annotations(source: _Source, base: Path | None) -> list[str]:
+def _annotations(source: _Annotations, base: Path | None) -> list[str]:
     return [
         "[[ingest.annotations]]",
         f"id = {_quoted(_identifier(source.path.stem))}",
         f"path = {_quoted(_shown(source.path, base))}   # {source.note}",
-        f"format = {_quoted(source.kind)}",
+        f"format = {_quoted(source.format)}",
         "# rate_hz = 30",
         "# image_size_px = [1920, 1080]",
         '# on_unreadable = "skip"   # go on without damaged OpenPose files, and count them',
     ]
 
 
-def _words(sureness: float) -> str:
-    if sureness >= SURE:
+def _words(confidence: float) -> str:
+    if confidence >= SURE:
         return "sure"
-    return "likely" if sureness >= LIKELY else "A GUESS - CHECK IT"
+    return "likely" if confidence >= LIKELY else "A GUESS - CHECK IT"
 
 
 def _shown(path: Path, base: Path | None) -> str:

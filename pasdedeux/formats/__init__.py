@@ -1,22 +1,20 @@
 """Formats: readers and writers of motion and keypoint files; bytes or text in, values out, never a path."""
 
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
-from pasdedeux.formats.annotation_table import (
-    read_annotation_csv,
-    read_annotation_npz,
-    write_annotation_csv,
-    write_annotation_npz,
-)
+from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.asf_amc import AsfSkeleton, count_amc_frames, read_amc, read_asf
 from pasdedeux.formats.bvh import BvhHeader, read_bvh, read_bvh_header
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.coco import read_coco
+from pasdedeux.formats.file_format import AnnotationFormat, FileFormat, FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.guess import (
+    AxisGuess,
     MotionGuess,
-    guess_common_up_axis,
-    guess_format,
-    guess_metres_per_unit,
+    UnitGuess,
+    common_up_axis,
     guess_motion,
+    guess_unit,
     guess_up_axis,
 )
 from pasdedeux.formats.openpose import (
@@ -25,36 +23,58 @@ from pasdedeux.formats.openpose import (
     openpose_frame_number,
     read_openpose_frame,
 )
-from pasdedeux.formats.position_table import PositionTake, read_positions_npz
+from pasdedeux.formats.positions_as_motion import exact_motion, motion_from_positions
+from pasdedeux.formats.positions_npz import read_positions_npz
+from pasdedeux.formats.registry import (
+    ANNOTATION_FORMATS,
+    MOTION_FORMATS,
+    find_annotation_format,
+    find_motion_format,
+    is_companion,
+    read_annotations,
+    recognise_format,
+)
 from pasdedeux.formats.rotation_rows import read_rotation_rows
 from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
-from pasdedeux.formats.working_poses import WorkingPoses, check_layout, derive_working_poses, motion_from_positions
+from pasdedeux.formats.working_poses import WorkingPoses, check_layout, derive_working_poses
 
 __all__ = [
+    "ANNOTATION_FORMATS",
+    "MOTION_FORMATS",
     "UP_AXES",
     "AnnotatedFrames",
+    "AnnotationFormat",
     "AsfSkeleton",
+    "AxisGuess",
     "BvhHeader",
+    "FileFormat",
+    "FileStart",
+    "MotionFormat",
     "MotionGuess",
+    "MotionHead",
     "OpenPoseFrame",
-    "PositionTake",
     "SourceMotion",
+    "UnitGuess",
     "WorkingPoses",
     "check_anatomy",
     "check_layout",
+    "common_up_axis",
     "count_amc_frames",
     "derive_working_poses",
-    "guess_common_up_axis",
-    "guess_format",
-    "guess_metres_per_unit",
+    "exact_motion",
+    "find_annotation_format",
+    "find_motion_format",
     "guess_motion",
+    "guess_unit",
     "guess_up_axis",
+    "is_companion",
     "join_openpose_frames",
     "motion_from_positions",
     "openpose_frame_number",
     "read_amc",
     "read_annotation_csv",
     "read_annotation_npz",
+    "read_annotations",
     "read_asf",
     "read_bvh",
     "read_bvh_header",
@@ -62,7 +82,6 @@ __all__ = [
     "read_openpose_frame",
     "read_positions_npz",
     "read_rotation_rows",
-    "write_annotation_csv",
-    "write_annotation_npz",
+    "recognise_format",
     "write_bvh",
 ]

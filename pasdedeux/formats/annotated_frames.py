@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
-__all__ = ["AnnotatedFrames", "check_anatomy", "get_keypoint_layout", "stretch"]
+__all__ = ["MAX_IMAGE_PX", "MAX_RATE_HZ", "AnnotatedFrames", "check_anatomy", "get_keypoint_layout"]
 
 Array = npt.NDArray[np.float64]
 
@@ -43,16 +43,19 @@ _SEGMENTS = {
     ("pelvis", "left_hip"): 0.35,
     ("pelvis", "right_hip"): 0.35,
 }
-MOST_STRETCHED = 0.6
+MAX_STRETCH = 0.6
 """Real detections come to 0.26 in their own layout and to 0.44 to 0.66 in wrong ones (tested)."""
 CLEARLY_SHORTER = 0.75
 """Another layout whose segments are shorter by this factor is the right one."""
-MOST_OFF_MIDDLE = 0.1
+MAX_OFF_MIDDLE = 0.1
 """A mid-hip further from the middle of the hips, as a share of the diagonal, is none; a thigh away it is about 0.25."""
-LEAST_CHECKED = 5
+MIN_CHECKED_ROWS = 5
 """A segment seen in fewer rows than this says nothing."""
 
 
+MAX_RATE_HZ = 100_000.0
+MAX_IMAGE_PX = 100_000
+"""Frame rate and image side that a file may state."""
 _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 
@@ -70,6 +73,7 @@ class AnnotatedFrames:
         confidence: (row, K), 0 where missing.
         image_size_px: Width and height, None when unknown.
         rate_hz: Frames per second, None when unknown.
+        skipped: Names of files that could not be read and were left out.
 
     Raises:
         FormatError: Shapes do not fit the layout, or the same person twice in a frame.
@@ -83,6 +87,7 @@ class AnnotatedFrames:
     confidence: Array
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
+    skipped: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Sort the rows, settle what is missing, and check."""
@@ -128,7 +133,7 @@ def get_keypoint_layout(name: str) -> KeypointLayout:
     return KEYPOINT_LAYOUTS[name]
 
 
-def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
+def _stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
     """Return how long the body segments are against the longest they can be on a body: below 0.5 for people.
 
     The mean over the kinds of segment of the median over the rows; NaN when too little is seen to tell.
@@ -153,7 +158,7 @@ def stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
             continue
         i, j = names.index(start), names.index(end)
         both = is_seen[:, i] & is_seen[:, j]
-        if both.sum() >= LEAST_CHECKED:
+        if both.sum() >= MIN_CHECKED_ROWS:
             length = np.linalg.norm(seen[both, i] - seen[both, j], axis=-1)
             lengths.append(float(np.median(length / diagonal[both])) / limit)
     return float(np.mean(lengths)) if len(lengths) >= 4 else float("nan")
@@ -166,7 +171,7 @@ def _off_middle(frames: AnnotatedFrames) -> float:
         return float("nan")
     middle, left, right = (names.index(name) for name in ("mid_hip", "left_hip", "right_hip"))
     points = frames.keypoints_px[np.isfinite(frames.keypoints_px[:, [middle, left, right]]).all(axis=(1, 2))]
-    if len(points) < LEAST_CHECKED:
+    if len(points) < MIN_CHECKED_ROWS:
         return float("nan")
     diagonal = np.linalg.norm(np.nanmax(points, axis=1) - np.nanmin(points, axis=1), axis=-1)
     away = np.linalg.norm(points[:, middle] - 0.5 * (points[:, left] + points[:, right]), axis=-1)
@@ -179,23 +184,23 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
     Raises:
         InputError: The segments are too long for a body, or much longer than in another layout, which is then named.
     """
-    own = stretch(frames.layout, frames.keypoints_px, frames.confidence)
+    own = _stretch(frames.layout, frames.keypoints_px, frames.confidence)
     if np.isnan(own):
         return
     others = {
-        name: stretch(name, frames.keypoints_px, frames.confidence)
+        name: _stretch(name, frames.keypoints_px, frames.confidence)
         for name, layout in KEYPOINT_LAYOUTS.items()
         if name != frames.layout and layout.num_keypoints <= frames.keypoints_px.shape[1]
     }
     better = [name for name, value in others.items() if value < CLEARLY_SHORTER * own]
     off_middle = _off_middle(frames)
-    if off_middle > MOST_OFF_MIDDLE:
+    if off_middle > MAX_OFF_MIDDLE:
         hint = "; the order of 'coco18' fits" if others.get("coco18", np.inf) < own else ""
         raise InputError(
             f"the keypoints do not look like people in the layout '{frames.layout}': the mid-hip lies "
             f"{off_middle:.0%} of a body from the middle of the hips{hint}"
         )
-    if own <= MOST_STRETCHED and not better:
+    if own <= MAX_STRETCH and not better:
         return
     hint = f"; the order of '{min(better, key=lambda name: others[name])}' fits" if better else ""
     raise InputError(

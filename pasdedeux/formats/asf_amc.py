@@ -8,19 +8,21 @@ We make one joint per bone, at the bone's start and with the bone's name, and a 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.euler import unitquat_from_euler
+from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
+from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.kinematics.rotations import conjugate, multiply
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["AsfSkeleton", "count_amc_frames", "read_amc", "read_asf"]
+__all__ = ["AsfAmc", "AsfSkeleton", "count_amc_frames", "read_amc", "read_asf"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +41,6 @@ class AsfSkeleton:
         rest_offsets: Offset of each joint from its parent, (J, 3), file units.
         axis_unitquat: Rotation C of each joint's axis entry, (J, 4).
         dof: For each joint its degrees of freedom in the order of the AMC file: X, Y, Z turn; x, y, z move.
-        limits_rad: For each joint (low, high) of each turning degree of freedom, where the file gives them.
         root_position: Added to the root's translation, (3,), file units.
         metres_per_unit: 0.0254 m divided by the file's `length` unit.
         is_degrees: The file's angle unit; an AMC may state its own.
@@ -49,7 +50,6 @@ class AsfSkeleton:
     rest_offsets: Array
     axis_unitquat: Array
     dof: tuple[str, ...]
-    limits_rad: tuple[tuple[tuple[float, float], ...], ...]
     root_position: Array
     metres_per_unit: float
     is_degrees: bool
@@ -66,7 +66,6 @@ class _Bone:
     axis_angles: Array | None = None
     axis_order: str = "XYZ"
     dof: str = ""
-    limits: tuple[tuple[float, float], ...] = ()
 
 
 def read_asf(data: bytes | str) -> AsfSkeleton:
@@ -83,10 +82,10 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
     length_unit, is_degrees = _parse_units(sections["units"])
     angle_unit = np.pi / 180.0 if is_degrees else 1.0
     root = _parse_root(sections["root"])
-    bones = _parse_bones(sections["bonedata"], is_degrees=is_degrees)
+    bones = _parse_bones(sections["bonedata"])
     parent_of = _parse_hierarchy(sections["hierarchy"], bones)
 
-    names, parents, offsets, axes, dofs, limits = [root.name], [-1], [np.zeros(3)], [root], [root.dof], [root.limits]
+    names, parents, offsets, axes, dofs = [root.name], [-1], [np.zeros(3)], [root], [root.dof]
     vector = {"root": np.zeros(3)}
     vector |= {name: np.asarray(bone.direction) * float(bone.length or 0.0) for name, bone in bones.items()}
     children = {name: [child for child in bones if parent_of[child] == name] for name in vector}
@@ -99,14 +98,12 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
         offsets.append(vector[parent_of[name]])
         axes.append(bone)
         dofs.append(bone.dof)
-        limits.append(bone.limits)
         if not children[name]:
             names.append(f"{name}_end")
             parents.append(place[name])
             offsets.append(vector[name])
             axes.append(_Bone(line=bone.line))
             dofs.append("")
-            limits.append(())
     if len(set(names)) != len(names):
         raise FormatError("this ASF file names a bone like the end of another ('<bone>_end')")
     axis_unitquat = np.array(
@@ -127,9 +124,6 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
         rest_offsets=np.array(offsets),
         axis_unitquat=axis_unitquat,
         dof=tuple(dofs),
-        limits_rad=tuple(
-            tuple((low * angle_unit, high * angle_unit) for low, high in joint_limits) for joint_limits in limits
-        ),
         root_position=np.asarray(root.direction),
         metres_per_unit=METRES_PER_INCH / length_unit,
         is_degrees=is_degrees,
@@ -155,8 +149,7 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
     values, is_degrees = _parse_amc(data, asf)
     unit = np.pi / 180.0 if is_degrees else 1.0
     num_frames, num_joints = len(values), asf.skeleton.num_joints
-    local_unitquat = np.zeros((num_frames, num_joints, 4))
-    local_unitquat[..., 3] = 1.0
+    local_unitquat = identity_unitquat(num_frames, num_joints)
     root_translation = np.tile(asf.root_position, (num_frames, 1))
     column = 0
     for joint, dof in enumerate(asf.dof):
@@ -176,9 +169,44 @@ def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
         root_translation=root_translation,
         local_unitquat=local_unitquat,
         end_sites=frozenset(name for name in asf.skeleton.joint_names if name.endswith("_end")),
-        rate_hz=None,
         metres_per_unit=asf.metres_per_unit,
     )
+
+
+class AsfAmc(MotionFormat):
+    """AMC over its ASF skeleton: it states its unit and that y is up, never its rate."""
+
+    name = "asf_amc"
+    recognised_by = "AMC with :FULLY-SPECIFIED or :DEGREES"
+    suffixes = (".amc",)
+    companion = "skeleton"
+
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the file says how its angles are meant, as an AMC does, and has no bones."""
+        return _has_section(start, "fully-specified|degrees|radians") and not self.is_companion(start)
+
+    def is_companion(self, start: FileStart) -> bool:
+        """Tell whether the file is an ASF: it has bones."""
+        return _has_section(start, "bonedata")
+
+    def companion_names(self, name: str) -> tuple[str, ...]:
+        """Return the skeleton's name as the CMU database has it: 60.asf for 60_01.amc."""
+        return (name.rpartition(".")[0].rpartition("_")[0] + ".asf",)
+
+    def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
+        """Read everything."""
+        return read_amc(data, read_asf(companion))
+
+    def read_head(self, data: bytes, companion: bytes = b"") -> MotionHead:
+        """Read the skeleton, and check the frames without the arithmetic of their rotations."""
+        asf = read_asf(companion)
+        num_frames = count_amc_frames(data, asf)
+        rest = SourceMotion.at_rest(asf.skeleton, asf.rest_offsets, metres_per_unit=asf.metres_per_unit)
+        return MotionHead(rest=rest, num_frames=num_frames)
+
+
+def _has_section(start: FileStart, names: str) -> bool:
+    return re.search(rf"^\s*:({names})\b", start.text, re.IGNORECASE | re.MULTILINE) is not None
 
 
 def _split_sections(lines: list[str]) -> dict[str, list[tuple[int, list[str]]]]:
@@ -240,23 +268,22 @@ def _parse_root(rows: list[tuple[int, list[str]]]) -> _Bone:
     return root
 
 
-def _parse_bones(rows: list[tuple[int, list[str]]], *, is_degrees: bool) -> dict[str, _Bone]:
+def _parse_bones(rows: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
     bones: dict[str, _Bone] = {}
     bone: _Bone | None = None
-    numbers: list[float] = []
-    is_in_limits = False
+    num_limits, is_in_limits = 0, False
     for number, words in rows:
         key = words[0].lower()
         if key == "begin":
             if bone is not None:
                 raise FormatError(f"line {number}: 'begin' inside of bone '{bone.name}'")
-            bone, numbers, is_in_limits = _Bone(line=number), [], False
+            bone, num_limits, is_in_limits = _Bone(line=number), 0, False
             continue
         if bone is None:
             raise FormatError(f"line {number}: 'begin' is expected, found '{shorten(words[0])}'")
         where = f"line {number}: bone '{bone.name}'"
         if key == "end":
-            _finish_bone(bone, numbers, number)
+            _finish_bone(bone, num_limits, number)
             if bone.name in bones or bone.name == "root":
                 raise FormatError(f"line {number}: a second bone with the name '{shorten(bone.name)}'")
             if len(bones) >= MAX_BONES:
@@ -264,12 +291,9 @@ def _parse_bones(rows: list[tuple[int, list[str]]], *, is_degrees: bool) -> dict
             bones[bone.name] = bone
             bone = None
         elif key == "limits" or is_in_limits:
-            is_in_limits = True
+            is_in_limits = True  # of the joint, which nothing here uses
             text = " ".join(words[1:] if key == "limits" else words).replace("(", " ").replace(")", " ")
-            for word in text.split():
-                infinite = word.lower().lstrip("+-") in {"inf", "infinity"}
-                sign = -1.0 if word.startswith("-") else 1.0
-                numbers.append(sign * (360.0 if is_degrees else 2 * np.pi) if infinite else parse_number(word, where))
+            num_limits += len(text.split())
         elif key == "name":
             bone.name = " ".join(words[1:])
         elif key == "direction":
@@ -294,7 +318,7 @@ def _parse_bones(rows: list[tuple[int, list[str]]], *, is_degrees: bool) -> dict
     return bones
 
 
-def _finish_bone(bone: _Bone, numbers: list[float], number: int) -> None:
+def _finish_bone(bone: _Bone, num_limits: int, number: int) -> None:
     if not bone.name:
         raise FormatError(f"line {number}: a bone without a name")
     if bone.direction is None or bone.length is None or bone.axis_angles is None:
@@ -307,12 +331,11 @@ def _finish_bone(bone: _Bone, numbers: list[float], number: int) -> None:
     if bone.length > 0 and not 0.5 < norm < 2.0:
         raise FormatError(f"line {number}: the direction of bone '{shorten(bone.name)}' has length {norm:g}, not 1")
     bone.direction = bone.direction / norm if norm > 0 else bone.direction
-    if numbers and len(numbers) != 2 * len(bone.dof):
+    if num_limits and num_limits != 2 * len(bone.dof):
         raise FormatError(
             f"line {number}: bone '{shorten(bone.name)}' has {len(bone.dof)} degrees of freedom "
-            f"but {len(numbers)} numbers in its limits"
+            f"but {num_limits} numbers in its limits"
         )
-    bone.limits = tuple(zip(numbers[0::2], numbers[1::2], strict=True))
 
 
 def _parse_hierarchy(rows: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> dict[str, str]:

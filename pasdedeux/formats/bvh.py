@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.euler import unitquat_from_euler
+from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
+from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE, decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["BvhHeader", "BvhHierarchy", "read_bvh", "read_bvh_header", "read_bvh_hierarchy"]
+__all__ = ["Bvh", "BvhHeader", "BvhHierarchy", "read_bvh", "read_bvh_header", "read_bvh_hierarchy"]
 
 Array = npt.NDArray[np.float64]
 
@@ -61,13 +62,11 @@ class BvhHeader(BvhHierarchy):
 
     Args:
         num_frames: Frames in the motion block.
-        frame_time_s: Time between frames as written.
         rate_hz: Frame rate: the one whole number that the digits of the frame time allow, else its inverse.
         first_line: Line number, from 1, of the first line after `Frame Time:`.
     """
 
     num_frames: int
-    frame_time_s: float
     rate_hz: float
     first_line: int
 
@@ -115,8 +114,7 @@ def read_bvh(data: bytes | str) -> SourceMotion:
     skeleton = header.skeleton
     rest_offsets = header.rest_offsets.copy()
     root_translation = np.tile(header.rest_offsets[skeleton.root], (header.num_frames, 1))
-    local_unitquat = np.zeros((header.num_frames, skeleton.num_joints, 4))
-    local_unitquat[..., 3] = 1.0
+    local_unitquat = identity_unitquat(header.num_frames, skeleton.num_joints)
 
     by_axes: dict[str, list[tuple[int, list[int]]]] = {}
     column = 0
@@ -144,8 +142,29 @@ def read_bvh(data: bytes | str) -> SourceMotion:
         local_unitquat=local_unitquat,
         end_sites=header.end_sites,
         rate_hz=header.rate_hz,
-        metres_per_unit=None,
     )
+
+
+class Bvh(MotionFormat):
+    """BVH: a hierarchy and Euler angles.  It states its rate, rounded; never its unit, nor which axis points up."""
+
+    name = "bvh"
+    recognised_by = "starts with HIERARCHY"
+    suffixes = (".bvh",)
+
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the file starts with the word HIERARCHY."""
+        return start.text[:9].upper() == "HIERARCHY" and not start.text[9:10].isalnum()
+
+    def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
+        """Read everything."""
+        return read_bvh(data)
+
+    def read_head(self, data: bytes, companion: bytes = b"") -> MotionHead:
+        """Read the hierarchy, and check the motion block without converting its numbers."""
+        header = read_bvh_header(data)
+        rest = SourceMotion.at_rest(header.skeleton, header.rest_offsets, rate_hz=header.rate_hz)
+        return MotionHead(rest=rest, num_frames=header.num_frames)
 
 
 def rate_from_frame_time(token: str) -> float:
@@ -356,7 +375,6 @@ def _parse_header(lines: list[str]) -> BvhHeader:
         channels=hierarchy.channels,
         end_sites=hierarchy.end_sites,
         num_frames=num_frames,
-        frame_time_s=frame_time,
         rate_hz=rate_from_frame_time(time_text),
         first_line=time_line + 1,
     )

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.text import MAX_MAGNITUDE, parse_json
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.text import parse_json, parse_triples
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
-__all__ = ["read_coco"]
+__all__ = ["Coco", "read_coco"]
 
 _NUM_KEYPOINTS = KEYPOINT_LAYOUTS["coco17"].num_keypoints
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
@@ -20,7 +22,27 @@ _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 _MAX_FRAME = 1_000_000_000
 
 
-def read_coco(data: bytes | str, *, sequence_id: str, rate_hz: float | None = None) -> AnnotatedFrames:
+class Coco(AnnotationFormat):
+    """COCO keypoints: they may state the size of the images, never the rate."""
+
+    name = "coco"
+    recognised_by = "JSON with 'annotations', 'images' or 'keypoints'"
+    suffixes = (".json",)
+
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the file is JSON with one of COCO's keys, and not OpenPose's."""
+        keys = ('"keypoints"', '"annotations"', '"images"')
+        return start.is_json and '"people"' not in start.text and any(key in start.text for key in keys)
+
+    def read(
+        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
+    ) -> AnnotatedFrames:
+        """Read the one file."""
+        (data,) = files.values()
+        return read_coco(data, sequence_id=sequence_id)
+
+
+def read_coco(data: bytes | str, *, sequence_id: str) -> AnnotatedFrames:
     """Read COCO keypoints.
 
     With a list `images`, frames are the images in the order of `frame_id` or `id`, sequences are their `video_id` where
@@ -52,9 +74,7 @@ def read_coco(data: bytes | str, *, sequence_id: str, rate_hz: float | None = No
             raise FormatError(
                 f"{where} has {len(numbers)} values in 'keypoints'; {3 * _NUM_KEYPOINTS} are allowed (17 keypoints)"
             )
-        if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= MAX_MAGNITUDE for n in numbers):
-            raise FormatError(f"{where}: 'keypoints' holds a value that is no number or absurdly large")
-        table = np.array(numbers, dtype=np.float64).reshape(-1, 3)
+        table = parse_triples(numbers, f"{where}: 'keypoints'")
         if is_results:
             confidence = table[:, 2]
             if (confidence < 0).any() or (confidence > 10).any():
@@ -86,7 +106,6 @@ def read_coco(data: bytes | str, *, sequence_id: str, rate_hz: float | None = No
         keypoints_px=np.array(keypoints),
         confidence=np.array(confidences),
         image_size_px=None if is_results else _common_size(content),
-        rate_hz=rate_hz,
     )
 
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from pasdedeux.kinematics.rotations import multiply, rotmat_from_unitquat
-
-__all__ = ["euler_from_unitquat", "unitquat_from_euler"]
+__all__ = ["euler_from_unitquat", "identity_unitquat", "unitquat_from_euler"]
 
 Array = npt.NDArray[np.float64]
+
+
+def identity_unitquat(*batch: int) -> Array:
+    """Return identity rotations (*batch, 4)."""
+    result = np.zeros((*batch, 4))
+    result[..., 3] = 1.0
+    return result
 
 
 def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
@@ -17,15 +25,10 @@ def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
 
     The first axis listed is the outermost, as in the CHANNELS of a BVH file; no axes give the identity.
     """
-    result = np.zeros((*angles_rad.shape[:-1], 4))
-    result[..., 3] = 1.0
-    for column, axis in enumerate(axes):
-        turn = np.zeros(result.shape)
-        half = angles_rad[..., column] / 2.0
-        turn[..., "XYZ".index(axis)] = np.sin(half)
-        turn[..., 3] = np.cos(half)
-        result = turn if column == 0 else multiply(result, turn)
-    return result
+    batch = angles_rad.shape[:-1]
+    if not axes or 0 in batch:
+        return identity_unitquat(*batch)
+    return np.asarray(Rotation.from_euler(axes, angles_rad.reshape(-1, len(axes))).as_quat().reshape(*batch, 4))
 
 
 def euler_from_unitquat(unitquat: Array, axes: str) -> Array:
@@ -34,16 +37,5 @@ def euler_from_unitquat(unitquat: Array, axes: str) -> Array:
     The middle angle lies within a quarter turn.  Where it is a quarter turn the outer two share one axis: the last one
     is then 0.  `axes` is a permutation of XYZ.
     """
-    i, j, k = ("XYZ".index(axis) for axis in axes)
-    parity = 1.0 if (i, j, k) in {(0, 1, 2), (1, 2, 0), (2, 0, 1)} else -1.0
-    m = rotmat_from_unitquat(unitquat)
-    sine = np.clip(parity * m[..., i, k], -1.0, 1.0)
-    is_locked = np.hypot(m[..., i, i], m[..., i, j]) < 1e-9
-    first = np.where(
-        is_locked,
-        np.arctan2(parity * m[..., k, j], m[..., j, j]),
-        np.arctan2(-parity * m[..., j, k], m[..., k, k]),
-    )
-    middle = np.arctan2(sine, np.hypot(m[..., i, i], m[..., i, j]))
-    last = np.where(is_locked, 0.0, np.arctan2(-parity * m[..., i, j], m[..., i, i]))
-    return np.stack([first, middle, last], axis=-1)
+    rotation: Any = Rotation.from_quat(unitquat.reshape(-1, 4))  # its stubs allow spelled-out axes only
+    return np.asarray(rotation.as_euler(axes, suppress_warnings=True).reshape(*unitquat.shape[:-1], 3))

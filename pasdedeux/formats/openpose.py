@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,10 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, get_keypoint_layout
-from pasdedeux.formats.text import MAX_MAGNITUDE, parse_json
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.text import parse_json, parse_triples
 
-__all__ = ["OpenPoseFrame", "join_openpose_frames", "openpose_frame_number", "read_openpose_frame"]
+__all__ = ["OpenPose", "OpenPoseFrame", "join_openpose_frames", "openpose_frame_number", "read_openpose_frame"]
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +42,39 @@ class OpenPoseFrame:
     confidence: Array
 
 
+class OpenPose(AnnotationFormat):
+    """A folder of OpenPose files, one for each frame, which its name tells; they state no image size and no rate."""
+
+    name = "openpose"
+    recognised_by = "JSON with 'people'"
+    suffixes = (".json",)
+    is_file_per_frame = True
+
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the file is JSON with a list of people."""
+        return start.is_json and '"people"' in start.text
+
+    def frame_numbers(self, names: Sequence[str]) -> list[int]:
+        """Return the frame that each file is of, by its name; one without a number is where it stands."""
+        numbers = [openpose_frame_number(name) for name in names]
+        return [index if number is None else number for index, number in enumerate(numbers)]
+
+    def read(
+        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
+    ) -> AnnotatedFrames:
+        """Read the files of all frames; the one that is damaged is named."""
+        frames: list[tuple[int, OpenPoseFrame]] = []
+        skipped: list[str] = []
+        for number, (name, data) in zip(self.frame_numbers(list(files)), files.items(), strict=True):
+            try:
+                frames.append((number, read_openpose_frame(data)))
+            except FormatError as error:
+                if not skip_unreadable:
+                    raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
+                skipped.append(name)
+        return replace(join_openpose_frames(frames, sequence_id=sequence_id, layout=layout), skipped=tuple(skipped))
+
+
 def openpose_frame_number(file_name: str) -> int | None:
     """Return the frame number that OpenPose wrote into a file name such as `walk_000000000012_keypoints.json`."""
     found = re.search(r"(\d{1,18})(?:_keypoints)?\.json$", file_name)
@@ -59,7 +93,7 @@ def read_openpose_frame(data: bytes | str) -> OpenPoseFrame:
         raise FormatError("this is not an OpenPose file: it has no list 'people'")
     if len(people) > MAX_PEOPLE:
         raise FormatError(f"{len(people)} people in one frame; at most {MAX_PEOPLE} are allowed")
-    values: list[list[float]] = []
+    values: list[Array] = []
     ids: list[int] = []
     for index, person in enumerate(people):
         numbers = person.get("pose_keypoints_2d", person.get("pose_keypoints")) if isinstance(person, dict) else None
@@ -72,11 +106,9 @@ def read_openpose_frame(data: bytes | str) -> OpenPoseFrame:
                 f"person {index} has {len(numbers)} values in 'pose_keypoints_2d'; "
                 "allowed: 75 (BODY_25) and 54 (COCO-18)"
             )
-        if values and len(numbers) != len(values[0]):
-            raise FormatError(f"person {index} has {len(numbers)} values, person 0 has {len(values[0])}")
-        if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= MAX_MAGNITUDE for n in numbers):
-            raise FormatError(f"person {index}: 'pose_keypoints_2d' holds a value that is no number or absurdly large")
-        values.append(numbers)
+        if values and len(numbers) != values[0].size:
+            raise FormatError(f"person {index} has {len(numbers)} values, person 0 has {values[0].size}")
+        values.append(parse_triples(numbers, f"person {index}: 'pose_keypoints_2d'"))
         ids.append(_person_id(person, index))
     if not values:
         return OpenPoseFrame(
@@ -84,7 +116,7 @@ def read_openpose_frame(data: bytes | str) -> OpenPoseFrame:
         )
     if len(set(ids)) != len(ids):
         ids = list(range(len(ids)))
-    table = np.array(values, dtype=np.float64).reshape(len(values), -1, 3)
+    table = np.stack(values)
     confidence = table[..., 2]
     if (confidence < 0).any() or (confidence > MAX_CONFIDENCE).any():
         raise FormatError(f"a confidence lies outside 0..{MAX_CONFIDENCE:g}")
@@ -103,7 +135,6 @@ def join_openpose_frames(
     sequence_id: str,
     layout: str = "auto",
     image_size_px: tuple[int, int] | None = None,
-    rate_hz: float | None = None,
 ) -> AnnotatedFrames:
     """Join the frames of one sequence, given as (frame number, frame).
 
@@ -138,7 +169,6 @@ def join_openpose_frames(
         keypoints_px=keypoints,
         confidence=np.concatenate([frame.confidence for _, frame in people]),
         image_size_px=image_size_px,
-        rate_hz=rate_hz,
     )
 
 

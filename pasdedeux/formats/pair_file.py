@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.formats.exact_motion import exact_motion
+from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17

@@ -6,18 +6,21 @@ joint's rotation channels, without a root translation.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import read_bvh_hierarchy
-from pasdedeux.formats.euler import unitquat_from_euler
+from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
+from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import decode, parse_number, split_lines
 
-__all__ = ["read_rotation_rows"]
+__all__ = ["RotationRows", "read_rotation_rows"]
 
 
-def read_rotation_rows(data: bytes | str, template: bytes | str, *, rate_hz: float | None = None) -> SourceMotion:
+def read_rotation_rows(data: bytes | str, template: bytes | str) -> SourceMotion:
     """Read rows of angles over a template; the root stays at the template's OFFSET.
 
     Raises:
@@ -40,8 +43,7 @@ def read_rotation_rows(data: bytes | str, template: bytes | str, *, rate_hz: flo
             )
         rows.append([parse_number(word, f"line {number}") for word in words])
     angles = np.deg2rad(np.array(rows)).reshape(len(rows), len(joints), 3)
-    local_unitquat = np.zeros((len(rows), header.skeleton.num_joints, 4))
-    local_unitquat[..., 3] = 1.0
+    local_unitquat = identity_unitquat(len(rows), header.skeleton.num_joints)
     for index, (joint, order) in enumerate(zip(joints, axes, strict=True)):
         local_unitquat[:, joint] = unitquat_from_euler(angles[:, index], order)
     return SourceMotion(
@@ -50,6 +52,26 @@ def read_rotation_rows(data: bytes | str, template: bytes | str, *, rate_hz: flo
         root_translation=np.tile(header.rest_offsets[header.skeleton.root], (len(rows), 1)),
         local_unitquat=local_unitquat,
         end_sites=header.end_sites,
-        rate_hz=rate_hz,
-        metres_per_unit=None,
     )
+
+
+class RotationRows(MotionFormat):
+    """Rows of angles over a BVH template; they say nothing of rate, unit and axis."""
+
+    name = "rotation_rows"
+    recognised_by = "rows of nothing but numbers, three for each joint"
+    suffixes = ()
+    companion = "BVH template"
+
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the first line is at least three triples of numbers."""
+        words = start.first_row.split()
+        return len(words) >= 9 and len(words) % 3 == 0 and all(re.fullmatch(r"[-+0-9.eE]+", word) for word in words)
+
+    def companion_names(self, name: str) -> tuple[str, ...]:
+        """Return the template's name, beside the file or above."""
+        return ("template.bvh", "../template.bvh")
+
+    def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
+        """Read everything."""
+        return read_rotation_rows(data, companion)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.formats.euler import identity_unitquat
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
@@ -38,9 +39,9 @@ class SourceMotion:
     rest_offsets: Array
     root_translation: Array
     local_unitquat: Array
-    end_sites: frozenset[str]
-    rate_hz: float | None
-    metres_per_unit: float | None
+    end_sites: frozenset[str] = frozenset()
+    rate_hz: float | None = None
+    metres_per_unit: float | None = None
 
     @property
     def num_frames(self) -> int:
@@ -49,14 +50,29 @@ class SourceMotion:
 
     def frames(self, start: int, stop: int) -> SourceMotion:
         """Return frames `start` to `stop` (exclusive)."""
-        return SourceMotion(
-            skeleton=self.skeleton,
-            rest_offsets=self.rest_offsets,
+        return replace(
+            self,
             root_translation=self.root_translation[start:stop],
             local_unitquat=self.local_unitquat[start:stop],
-            end_sites=self.end_sites,
-            rate_hz=self.rate_hz,
-            metres_per_unit=self.metres_per_unit,
+        )
+
+    @classmethod
+    def at_rest(
+        cls,
+        skeleton: Skeleton,
+        rest_offsets: Array,
+        *,
+        rate_hz: float | None = None,
+        metres_per_unit: float | None = None,
+    ) -> SourceMotion:
+        """Return one frame of a rest pose, its root at the origin."""
+        return cls(
+            skeleton=skeleton,
+            rest_offsets=rest_offsets,
+            root_translation=np.zeros((1, 3)),
+            local_unitquat=identity_unitquat(1, skeleton.num_joints),
+            rate_hz=rate_hz,
+            metres_per_unit=metres_per_unit,
         )
 
     def to_motion(self, *, metres_per_unit: float, rate_hz: float, up_axis: str = "y") -> Motion:

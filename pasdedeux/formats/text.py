@@ -6,9 +6,12 @@ import json
 import math
 from typing import Any, NoReturn
 
+import numpy as np
+import numpy.typing as npt
+
 from pasdedeux.errors import FormatError
 
-__all__ = ["MAX_MAGNITUDE", "decode", "parse_integer", "parse_json", "parse_number", "split_lines"]
+__all__ = ["MAX_MAGNITUDE", "decode", "parse_integer", "parse_json", "parse_number", "parse_triples", "split_lines"]
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
@@ -75,6 +78,17 @@ def parse_integer(token: str, where: str) -> int:
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 9):
         raise FormatError(f"{where}: '{shorten(token)}' is not a whole number of at most nine digits")
     return int(token)
+
+
+def parse_triples(numbers: list[Any], where: str) -> npt.NDArray[np.float64]:
+    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3).
+
+    Raises:
+        FormatError: A value is no number or absurdly large; `where` is put in front.
+    """
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= MAX_MAGNITUDE for n in numbers):
+        raise FormatError(f"{where} holds a value that is no number or absurdly large")
+    return np.array(numbers, dtype=np.float64).reshape(-1, 3)
 
 
 def parse_json(data: bytes | str, what: str) -> Any:

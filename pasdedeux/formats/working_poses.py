@@ -8,15 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
+from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.kinematics import Motion, bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from pasdedeux.skeletons.layouts import Layout
 
-__all__ = ["WorkingPoses", "check_layout", "derive_working_poses", "motion_from_positions"]
+__all__ = ["WorkingPoses", "check_layout", "derive_working_poses"]
 
 Array = npt.NDArray[np.float64]
 
-LEAST_BONE_M = 1e-3
+MIN_BONE_M = 1e-3
 """A bone of a working skeleton shorter than this at rest means that the mapping put two joints on one place."""
 
 
@@ -73,44 +74,12 @@ def check_layout(motion: Motion, layout: Layout) -> None:
         rest = layout.joint_map(skeleton.name).positions(source_rest, extended.skeleton.joint_names)
         lengths = bone_lengths(skeleton, rest)
         for parent, child in skeleton.bones:
-            if lengths[child] < LEAST_BONE_M:
+            if lengths[child] < MIN_BONE_M:
                 raise InputError(
                     f"layout '{layout.name}': the bone from '{skeleton.joint_names[parent]}' to "
                     f"'{skeleton.joint_names[child]}' of '{skeleton.name}' is {lengths[child] * 1000:.2g} mm long "
-                    f"at rest; at least {LEAST_BONE_M * 1000:g} mm is needed"
+                    f"at rest; at least {MIN_BONE_M * 1000:g} mm is needed"
                 )
-
-
-def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
-    """Return a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
-
-    The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
-    motion's joints differ from the positions by that much.
-
-    Raises:
-        InputError: A value is not finite; the frame and joint are named.
-    """
-    is_bad = ~np.isfinite(positions_m).all(axis=-1)
-    if is_bad.any():
-        frame, joint = (int(index) for index in np.argwhere(is_bad)[0])
-        raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
-    lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
-    first = positions_m[0]
-    offsets = np.zeros((skeleton.num_joints, 3))
-    for parent, child in skeleton.bones:
-        vector = first[child] - first[parent]
-        length = float(np.linalg.norm(vector))
-        offsets[child] = vector * (lengths[child] / length) if length > 0 else 0.0
-    rest = np.zeros((skeleton.num_joints, 3))
-    for joint in skeleton.order[1:]:
-        rest[joint] = rest[skeleton.parents[joint]] + offsets[joint]
-    return Motion(
-        skeleton=skeleton,
-        rest_offsets_m=offsets,
-        root_translation_m=positions_m[:, skeleton.root],
-        local_unitquat=local_rotations(skeleton, rest, positions_m),
-        rate_hz=rate_hz,
-    )
 
 
 def _with_points(motion: Motion, layout: Layout) -> Motion:
@@ -130,9 +99,7 @@ def _with_points(motion: Motion, layout: Layout) -> Motion:
         names.append(point.name)
         parents.append(motion.skeleton.index(point.joint))
         offsets.append(np.array(point.offset) * unit)
-    num_points = len(layout.points)
-    still = np.zeros((motion.num_frames, num_points, 4))
-    still[..., 3] = 1.0
+    still = identity_unitquat(motion.num_frames, len(layout.points))
     return Motion(
         skeleton=Skeleton(name=motion.skeleton.name, joint_names=tuple(names), parents=tuple(parents)),
         rest_offsets_m=np.array(offsets),

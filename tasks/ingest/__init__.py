@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from storage_schema import ArtifactRef, Store
-from tasks.ingest.annotation_shards import run_annotations, run_virtual_video
-from tasks.ingest.parameters import IngestParameters
-from tasks.ingest.planning import VERSION, plan
-from tasks.ingest.take_shard import run_take
+from tasks.ingest.annotations import run_annotations
+from tasks.ingest.parameters import (
+    AnnotationParameters,
+    DuetParameters,
+    IngestParameters,
+    TakeParameters,
+    VideoParameters,
+)
+from tasks.ingest.plan import VERSION, plan
+from tasks.ingest.takes import run_duet, run_take
+from tasks.ingest.virtual_video import run_virtual_video
 from tasks.stage import Shard, Stage
 
 __all__ = ["STAGE", "VERSION", "IngestParameters", "plan", "run_shard"]
@@ -14,12 +21,17 @@ __all__ = ["STAGE", "VERSION", "IngestParameters", "plan", "run_shard"]
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Compute and commit one shard: a take, virtual video over a take, or a source of 2D poses."""
-    kind = shard.parameters["kind"]
-    if kind in {"duet", "files"}:
-        return run_take(shard, store)
-    if kind in {"video", "random_views"}:
-        return run_virtual_video(shard, store)
-    return run_annotations(shard, store)
+    match shard.parameters:
+        case DuetParameters() as parameters:
+            return run_duet(shard, store, parameters)
+        case TakeParameters() as parameters:
+            return run_take(shard, store, parameters)
+        case VideoParameters() as parameters:
+            return run_virtual_video(shard, store, parameters)
+        case AnnotationParameters() as parameters:
+            return run_annotations(shard, store, parameters)
+        case other:
+            raise AssertionError(f"ingest has no shards of {type(other).__name__}")
 
 
 STAGE = Stage(

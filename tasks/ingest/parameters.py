@@ -3,26 +3,57 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from storage_schema import SourceCredit
 from tasks.stage import Parameters
 
 __all__ = [
     "AnnotationOptions",
+    "AnnotationParameters",
+    "CommonOptions",
+    "Credit",
     "DuetOptions",
+    "DuetParameters",
     "IngestParameters",
     "PairOptions",
     "PersonOptions",
+    "PersonParameters",
     "TakeOptions",
+    "TakeParameters",
+    "VideoParameters",
     "VirtualVideoOptions",
 ]
 
 _ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 BUILT_IN_DUETS = ("waltz", "hug", "judo", "push_hands")
 MappingTable = dict[str, str | dict[str, float]]
+Mappings = dict[str, dict[Literal["pair17", "op14", "body22"], MappingTable]]
+
+
+def _one_of(names: Iterable[str]) -> AfterValidator:
+    """Refuse what is none of the names of a registry, nor "auto"; the allowed ones are listed."""
+    allowed = ("auto", *names)
+
+    def check(name: str) -> str:
+        if name not in allowed:
+            raise ValueError(f"should be one of {', '.join(allowed)}")
+        return name
+
+    return AfterValidator(check)
+
+
+MotionFormatName = Annotated[str, _one_of(MOTION_FORMATS)]
+AnnotationFormatName = Annotated[str, _one_of(ANNOTATION_FORMATS)]
+KeypointLayoutName = Annotated[str, _one_of(KEYPOINT_LAYOUTS)]
+UpAxis = Literal["auto", "x", "y", "z"]
+Purpose = Literal["video", "random_views"]
 
 
 class PersonOptions(Parameters):
@@ -30,7 +61,7 @@ class PersonOptions(Parameters):
 
     rate_hz: float | None = Field(default=None, gt=0, le=10_000, description="True frame rate of the file")
     metres_per_unit: float | None = Field(default=None, gt=0, description="Length of the file's unit in metres")
-    up_axis: Literal["auto", "x", "y", "z"] | None = Field(default=None, description="Axis of the file that points up")
+    up_axis: UpAxis | None = Field(default=None, description="Axis of the file that points up")
     layout: str | None = Field(default=None, description="Joint mapping: a known layout or one of `ingest.mappings`")
     skeleton: Path | None = Field(default=None, description="ASF of an AMC file, or BVH template of rotation rows")
     first_frame: int = Field(default=0, ge=0, description="Source frame at which the take starts for this person")
@@ -43,8 +74,9 @@ class PersonOptions(Parameters):
 class CommonOptions(Parameters):
     """What single takes and families of takes have in common."""
 
-    format: Literal["auto", "bvh", "asf_amc", "rotation_rows", "positions_npz"] = Field(
-        default="auto", description="Format of the files; told from their content by default"
+    format: MotionFormatName = Field(
+        default="auto",
+        description=f"Format of the files: {', '.join(MOTION_FORMATS)}; told from their content by default",
     )
     rate_hz: float | None = Field(
         default=None,
@@ -59,7 +91,7 @@ class CommonOptions(Parameters):
         description="Length of the files' unit; by default what the file states, what is known of CMU's salsa BVH, "
         "or the unit that makes adults",
     )
-    up_axis: Literal["auto", "x", "y", "z"] = Field(
+    up_axis: UpAxis = Field(
         default="auto", description="Axis that points up; by default the one along which the bodies stand"
     )
     layout: str = Field(default="auto", description="Joint mapping: a known layout or one of `ingest.mappings`")
@@ -136,17 +168,9 @@ class DuetOptions(Parameters):
         return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
 
 
-class VirtualVideoOptions(Parameters):
-    """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
+class VirtualCameras(Parameters):
+    """Where virtual cameras stand, and what they see."""
 
-    takes: tuple[str, ...] | None = Field(default=None, description="Takes that are seen; all by default")
-    num_videos: int = Field(default=1, ge=0, le=100, description="Cameras that see each whole take")
-    num_random_views: int = Field(
-        default=100,
-        ge=0,
-        le=100_000,
-        description="Annotated pairs from random views, for each take of two people that is not held out",
-    )
     distance_m: float = Field(
         default=4.0,
         gt=0.5,
@@ -166,18 +190,31 @@ class VirtualVideoOptions(Parameters):
     )
 
 
-class AnnotationOptions(Parameters):
-    """2D poses of the user's own: a folder of OpenPose JSON, a COCO JSON, or our CSV or npz."""
+class VirtualVideoOptions(VirtualCameras):
+    """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
+
+    takes: tuple[str, ...] | None = Field(default=None, description="Takes that are seen; all by default")
+    num_videos: int = Field(default=1, ge=0, le=100, description="Cameras that see each whole take")
+    num_random_views: int = Field(
+        default=100,
+        ge=0,
+        le=100_000,
+        description="Annotated pairs from random views, for each take of two people that is not held out",
+    )
+
+
+class _AnnotationCommon(Parameters):
+    """What a source of 2D poses is, apart from where it lies."""
 
     id: str = Field(
         pattern=_ID, max_length=100, description="Name of the source, and of its sequence if it has one only"
     )
-    path: Path = Field(description="File, or folder of OpenPose files")
-    format: Literal["auto", "openpose", "coco", "annotation_csv", "annotation_npz"] = Field(
-        default="auto", description="Format; told from the content by default"
+    format: AnnotationFormatName = Field(
+        default="auto", description=f"Format: {', '.join(ANNOTATION_FORMATS)}; told from the content by default"
     )
-    layout: Literal["auto", "coco18", "body25", "coco17", "pair17", "op14"] = Field(
-        default="auto", description="Keypoint layout; told from the file, and refused if it is not the file's"
+    layout: KeypointLayoutName = Field(
+        default="auto",
+        description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; told from the file, and refused if it is another",
     )
     image_size_px: tuple[int, int] | None = Field(default=None, description="Width and height of the images")
     rate_hz: float | None = Field(
@@ -191,6 +228,12 @@ class AnnotationOptions(Parameters):
     credit: str = Field(default="not stated", description="Credit line of the source")
 
 
+class AnnotationOptions(_AnnotationCommon):
+    """2D poses of the user's own: a folder of OpenPose JSON, a COCO JSON, or our CSV or npz."""
+
+    path: Path = Field(description="File, or folder of OpenPose files")
+
+
 class IngestParameters(Parameters):
     """What comes in.  A study that names no source at all gets the four built-in duets."""
 
@@ -199,7 +242,7 @@ class IngestParameters(Parameters):
     takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one or two people, file by file")
     pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
     annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
-    mappings: dict[str, dict[Literal["pair17", "op14", "body22"], MappingTable]] = Field(
+    mappings: Mappings = Field(
         default={},
         description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
         "is a source joint or weights of source joints",
@@ -259,3 +302,89 @@ class IngestParameters(Parameters):
     def is_prior(self, take_id: str) -> bool:
         """Tell whether priors learn from a take."""
         return take_id not in self.held_out if self.prior is None else take_id in self.prior
+
+
+class Credit(Parameters):
+    """Licence and credit of a source."""
+
+    name: str
+    licence: str
+    credit: str
+
+    @classmethod
+    def of(cls, source: SourceCredit) -> Self:
+        """Return what a manifest's line says."""
+        return cls(name=source.name, licence=source.licence, credit=source.credit)
+
+    def to_source(self) -> SourceCredit:
+        """Return the line as manifests have it."""
+        return SourceCredit(name=self.name, licence=self.licence, credit=self.credit)
+
+
+class _OfTake(Parameters):
+    """What the shards of every take are told, whatever it is made from."""
+
+    take_id: str
+    rate_hz: float
+    is_held_out: bool
+    is_prior: bool
+    source: Credit
+
+
+class DuetParameters(_OfTake):
+    """The shard of a take that is a built-in duet."""
+
+    duet: DuetOptions
+
+
+class PersonParameters(Parameters):
+    """One person's file in the shard of a take; all choices are made.
+
+    Attributes:
+        motion_sha256: Digest of the motion file, by which it is found among the shard's files.
+        companion_sha256: Digest of the file that must lie beside it; empty where none must.
+        unit_confidence: How sure the length unit is, 1 where the study or the file says it.
+    """
+
+    source_name: str
+    motion_sha256: str
+    companion_sha256: str
+    format: str
+    layout: str
+    rate_hz: float
+    metres_per_unit: float
+    unit_confidence: float
+    up_axis: UpAxis
+    first_frame: int
+    translation_m: tuple[float, float, float]
+    yaw_deg: float
+
+
+class TakeParameters(_OfTake):
+    """The shard of a take from files; `num_frames` are frames of the files."""
+
+    num_frames: int
+    floor: Literal["auto", "keep"]
+    persons: tuple[PersonParameters, ...]
+    mappings: Mappings
+
+
+class VideoParameters(VirtualCameras):
+    """A shard of virtual video over a take: `count` whole videos, or pairs from random views."""
+
+    purpose: Purpose
+    count: int
+    take_id: str
+    is_held_out: bool
+    rate_hz: float
+
+
+class AnnotationParameters(_AnnotationCommon):
+    """The shard of a source of 2D poses; its format is found.
+
+    Attributes:
+        frames: The frame of each file, where its name tells it: no digest of the content knows.
+    """
+
+    is_held_out: bool
+    frames: tuple[int, ...]

@@ -5,41 +5,44 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import InputError
 from pasdedeux.formats import (
-    SourceMotion,
+    MOTION_FORMATS,
+    MotionFormat,
+    MotionHead,
+    UnitGuess,
     check_layout,
-    count_amc_frames,
-    guess_format,
-    guess_metres_per_unit,
-    read_amc,
-    read_asf,
-    read_bvh,
-    read_bvh_header,
-    read_positions_npz,
-    read_rotation_rows,
+    find_motion_format,
+    guess_unit,
 )
-from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source
-from tasks.ingest.parameters import CommonOptions, PersonOptions
+from tasks.ingest.parameters import CommonOptions, PersonOptions, UpAxis
 from tasks.stage import SourceFile
 
-__all__ = ["PersonSource", "credit_of", "find_person", "layout_named", "load_file", "read_person"]
+__all__ = [
+    "NOT_STATED",
+    "PersonSource",
+    "credit_of",
+    "find_companion",
+    "find_person",
+    "layout_named",
+    "load_file",
+    "read_again",
+]
 
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
 
 NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
-LEAST_UNIT_SURENESS = 0.3
+MIN_UNIT_CONFIDENCE = 0.3
+"""A length unit that is told with less is asked for."""
 
 
 @dataclass(frozen=True)
@@ -55,22 +58,29 @@ class PersonSource:
     """One person's file after the checks: what the shard will need, and how long it is.
 
     Args:
-        files: The motion file first, then its skeleton file if it has one.
-        format: bvh, asf_amc, rotation_rows or positions_npz.
+        motion: The motion file.
+        companion: The file beside it that its format needs, None where none is.
+        format: Name of its format.
         layout: Name of the layout.
         rate_hz: True rate of the file.
-        metres_per_unit: Length of its unit.
+        unit: Length of its unit, and how sure that is.
         up_axis: x, y, z or auto (told from the motion).
         num_frames: Frames in the file.
     """
 
-    files: tuple[SourceFile, ...]
+    motion: SourceFile
+    companion: SourceFile | None
     format: str
     layout: str
     rate_hz: float
-    metres_per_unit: float
-    up_axis: str
+    unit: UnitGuess
+    up_axis: UpAxis
     num_frames: int
+
+    @property
+    def name(self) -> str:
+        """Name of the motion file."""
+        return Path(self.motion.path).name
 
 
 def load_file(path: Path) -> LoadedFile:
@@ -86,6 +96,18 @@ def load_file(path: Path) -> LoadedFile:
     except OSError as error:
         raise InputError(f"file {path} cannot be read: {error.strerror}") from None
     return LoadedFile(file=SourceFile(path=str(path), sha256=hashlib.sha256(data).hexdigest()), data=data)
+
+
+def read_again(file: SourceFile) -> bytes:
+    """Return the bytes of a file that was planned with.
+
+    Raises:
+        InputError: It changed since.
+    """
+    loaded = load_file(Path(file.path))
+    if loaded.file.sha256 != file.sha256:
+        raise InputError(f"file {file.path} changed since the run was planned; run again")
+    return loaded.data
 
 
 def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:
@@ -122,46 +144,52 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
     """
     loaded = load_file(path)
     try:
-        kind = guess_format(loaded.data) if take.format == "auto" else take.format
-        kind = "asf_amc" if kind == "amc" else kind
-        if kind not in {"bvh", "asf_amc", "rotation_rows", "positions_npz"}:
-            raise InputError(f"this is a file of the kind '{kind}', not a motion of one person")
-        skeleton = _skeleton_file(path, kind, person)
-        head = _head(kind, loaded, skeleton)
+        kind = find_motion_format(take.format, loaded.data)
+        companion = find_companion(path, kind, person.skeleton)
+        head = _head(kind.name, loaded.file, companion)
         layout_name = person.layout or take.layout
-        layout = layout_named(layout_name, head.source.skeleton.joint_names, mappings)
+        layout = layout_named(layout_name, head.rest.skeleton.joint_names, mappings)
         known = known_source(path.name, layout.name)
-        rate = person.rate_hz or take.rate_hz or known.rate_hz or head.source.rate_hz
+        rate = person.rate_hz or take.rate_hz or known.rate_hz or head.rest.rate_hz
         if rate is None:
             raise InputError("the file states no frame rate; set rate_hz for this take")
-        scale = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit or _scale(head.source)
-        check_layout(head.source.to_motion(metres_per_unit=scale, rate_hz=rate), layout)
+        stated = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit
+        unit = guess_unit(head.rest) if stated is None else UnitGuess(stated, 1.0, "it is known", 0.0)
+        if unit.confidence < MIN_UNIT_CONFIDENCE:
+            raise InputError(f"its length unit cannot be told ({unit.reason}); set metres_per_unit for this take")
+        check_layout(head.rest.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate), layout)
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
     return PersonSource(
-        files=(loaded.file,) if skeleton is None else (loaded.file, skeleton.file),
-        format=kind,
+        motion=loaded.file,
+        companion=companion,
+        format=kind.name,
         layout=layout_name if layout_name != "auto" else layout.name,
         rate_hz=rate,
-        metres_per_unit=scale,
+        unit=unit,
         up_axis=person.up_axis or take.up_axis,
         num_frames=head.num_frames,
     )
 
 
-def read_person(kind: str, data: bytes, skeleton: bytes | None) -> SourceMotion:
-    """Read one person's motion.
+def find_companion(path: Path, kind: MotionFormat, named: Path | None = None) -> SourceFile | None:
+    """Return the file that a format needs beside its motion: the one that is named, else where it usually lies.
 
     Raises:
-        FormatError: The file is mangled.
+        InputError: It is not there.
     """
-    if kind == "bvh":
-        return read_bvh(data)
-    if kind == "asf_amc":
-        return read_amc(data, read_asf(_needed(skeleton)))
-    if kind == "rotation_rows":
-        return read_rotation_rows(data, _needed(skeleton))
-    return read_positions_npz(data).to_source_motion()
+    if not kind.companion:
+        return None
+    if named is not None:
+        return load_file(named).file
+    names = kind.companion_names(path.name)
+    places = [path.parent / name for name in names]
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        raise InputError(
+            f"its {kind.companion} {' or '.join(names)} is not beside it; set `skeleton` under `persons` of this take"
+        )
+    return load_file(found).file
 
 
 def credit_of(layout: str, licence: str | None, credit: str | None) -> SourceCredit:
@@ -176,90 +204,7 @@ def credit_of(layout: str, licence: str | None, credit: str | None) -> SourceCre
     )
 
 
-@dataclass(frozen=True)
-class _Head:
-    """A file's skeleton with one frame of rest, and its length."""
-
-    source: SourceMotion
-    num_frames: int
-
-
-_heads: dict[tuple[str, str, str], _Head] = {}
-_MAX_HEADS = 2000
-
-
-def _head(kind: str, loaded: LoadedFile, skeleton: LoadedFile | None) -> _Head:
-    """Check a file as far as that is cheap; remembered by digest, because a study is planned several times in a run."""
-    key = (kind, loaded.file.sha256, skeleton.file.sha256 if skeleton else "")
-    if key not in _heads:
-        if len(_heads) >= _MAX_HEADS:
-            _heads.clear()
-        _heads[key] = _read_head(kind, loaded.data, skeleton.data if skeleton else None)
-    return _heads[key]
-
-
-def _read_head(kind: str, data: bytes, skeleton: bytes | None) -> _Head:
-    if kind == "bvh":
-        header = read_bvh_header(data)
-        return _Head(
-            source=_rest(header.skeleton, header.rest_offsets, header.rate_hz, None), num_frames=header.num_frames
-        )
-    if kind == "asf_amc":
-        asf = read_asf(_needed(skeleton))
-        num_frames = count_amc_frames(data, asf)
-        return _Head(source=_rest(asf.skeleton, asf.rest_offsets, None, asf.metres_per_unit), num_frames=num_frames)
-    source = read_person(kind, data, skeleton)
-    rest = _rest(source.skeleton, source.rest_offsets, source.rate_hz, source.metres_per_unit)
-    return _Head(source=rest, num_frames=source.num_frames)
-
-
-def _rest(
-    skeleton: Skeleton, rest_offsets: npt.NDArray[np.float64], rate_hz: float | None, metres_per_unit: float | None
-) -> SourceMotion:
-    still = np.zeros((1, skeleton.num_joints, 4))
-    still[..., 3] = 1.0
-    return SourceMotion(
-        skeleton=skeleton,
-        rest_offsets=rest_offsets,
-        root_translation=np.zeros((1, 3)),
-        local_unitquat=still,
-        end_sites=frozenset(),
-        rate_hz=rate_hz,
-        metres_per_unit=metres_per_unit,
-    )
-
-
-def _skeleton_file(path: Path, kind: str, person: PersonOptions) -> LoadedFile | None:
-    """Return the skeleton file of a kind that needs one.
-
-    The ASF of 60_01.amc is 60.asf beside it; the template of rows of rotations is template.bvh beside them or above.
-    """
-    if kind not in {"asf_amc", "rotation_rows"}:
-        return None
-    if person.skeleton is not None:
-        return load_file(person.skeleton)
-    if kind == "rotation_rows":
-        for folder in (path.parent, path.parent.parent):
-            if (folder / "template.bvh").is_file():
-                return load_file(folder / "template.bvh")
-        raise InputError(
-            "rows of rotations need their BVH template, and there is no template.bvh beside the file or above; "
-            "set `skeleton` under `persons` of this take"
-        )
-    beside = path.with_name(path.stem.rpartition("_")[0] + ".asf")
-    if not beside.is_file():
-        raise InputError(f"its skeleton {beside.name} is not beside it; set `skeleton` under `persons` of this take")
-    return load_file(beside)
-
-
-def _scale(rest: SourceMotion) -> float:
-    scale, sureness, reason, _ = guess_metres_per_unit(rest)
-    if sureness < LEAST_UNIT_SURENESS:
-        raise InputError(f"its length unit cannot be told ({reason}); set metres_per_unit for this take")
-    return scale
-
-
-def _needed(skeleton: bytes | None) -> bytes:
-    if skeleton is None:
-        raise FormatError("this file needs a skeleton file beside it")
-    return skeleton
+@lru_cache(maxsize=1000)
+def _head(kind: str, motion: SourceFile, companion: SourceFile | None) -> MotionHead:
+    """Check a file as far as that is cheap; remembered, because a study is planned several times in a run."""
+    return MOTION_FORMATS[kind].read_head(read_again(motion), read_again(companion) if companion else b"")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
 from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve
-from tasks.ingest.sources import NOT_STATED, load_file
+from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
 
 __all__ = [
@@ -90,11 +89,7 @@ def read_seed(shard: Shard) -> PairFile:
     Raises:
         InputError: A file changed since.
     """
-    data = [Path(file.path).read_bytes() for file in shard.files]
-    for file, content in zip(shard.files, data, strict=True):
-        if hashlib.sha256(content).hexdigest() != file.sha256:
-            raise InputError(f"file {file.path} changed since the run was planned; run again")
-    return _parsed(shard.options(FileSeed), data)
+    return _parsed(shard.options(FileSeed), [read_again(file) for file in shard.files])
 
 
 def _parsed(parameters: FileSeed, data: Sequence[bytes]) -> PairFile:

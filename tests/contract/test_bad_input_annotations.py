@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.formats import write_annotation_npz
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from storage_schema import Store, open_table
+from tests.builders.annotation_files import write_annotation_npz
 from tests.builders.real_study import build_here, call_in_process, never_begun
 from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px
 
@@ -165,7 +165,9 @@ def test_a_motion_file_in_the_place_of_2d_poses_is_called_by_its_kind(
 ) -> None:
     (folder / "walk.json").write_text("HIERARCHY\nROOT hips\n{\n}\n")
     write_study(folder, path="walk.json")
-    assert refusal(folder, capsys) == "annotations walk: walk.json is a file of the kind 'bvh', not one of 2D poses"
+    assert (
+        refusal(folder, capsys) == "annotations walk: walk.json: this is a file of the kind 'bvh', not one of 2D poses"
+    )
 
 
 def test_a_renamed_openpose_file_is_another_frame_and_so_another_artifact(folder: Path) -> None:

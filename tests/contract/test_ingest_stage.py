@@ -274,8 +274,8 @@ def test_a_duet_becomes_a_take(tmp_path: Path) -> None:
 def test_families_of_files_are_paired_by_name(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     section = {"folder": tmp_path, "subjects": ["60", "61"], "takes": ["01"], "rate_hz": 60.0}
     shards = planned(pairs={"salsa": section})
-    assert shards[0].parameters["take_id"] == "60_01"
-    assert [person["source_name"] for person in shards[0].parameters["persons"]] == ["60_01.bvh", "61_01.bvh"]
+    assert shards[0].parameters.take_id == "60_01"
+    assert [person.source_name for person in shards[0].parameters.persons] == ["60_01.bvh", "61_01.bvh"]
     with pytest.raises(InputError, match=r"file 60_02.bvh or 60_02.amc does not exist in"):
         planned(pairs={"salsa": section | {"takes": ["02"]}})
 
@@ -384,7 +384,7 @@ def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tu
     section = {"id": "d", "files": list(pair)}
     with pytest.raises(InputError, match=r"take d: .*\(60_01.bvh 40 and 61_01.bvh 30 frames\)"):
         planned(takes=[section])
-    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters["num_frames"] == 30
+    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.num_frames == 30
     with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
         planned(takes=[section | {"frames": [0, 35]}])
 

@@ -15,7 +15,6 @@ from pasdedeux.formats import (
     OpenPoseFrame,
     SourceMotion,
     check_anatomy,
-    guess_format,
     guess_motion,
     join_openpose_frames,
     read_amc,
@@ -28,8 +27,9 @@ from pasdedeux.formats import (
     read_openpose_frame,
     read_positions_npz,
     read_rotation_rows,
-    write_annotation_npz,
+    recognise_format,
 )
+from tests.builders.annotation_files import write_annotation_npz
 from tests.builders.source_samples import AMC, ASF, BVH_SMALL, coco_text, csv_text, openpose_text, positions_npz
 
 ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
@@ -66,7 +66,7 @@ READERS: dict[str, tuple[bytes, Callable[[bytes], object]]] = {
     "annotation csv": (csv_text().encode(), read_annotation_csv),
     "annotation npz": (write_annotation_npz(read_annotation_csv(csv_text())), read_annotation_npz),
     "positions npz": (positions_npz(), read_positions_npz),
-    "guess": (BVH_SMALL.encode(), guess_format),
+    "guess": (BVH_SMALL.encode(), recognise_format),
 }
 
 TOKENS = [

@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats import read_bvh, write_bvh
-from pasdedeux.formats.exact_motion import exact_motion
+from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion, place_bones
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton
 from tests.builders.source_samples import figure_motion

@@ -12,18 +12,16 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import (
     AnnotatedFrames,
     check_anatomy,
-    guess_format,
     join_openpose_frames,
     openpose_frame_number,
     read_annotation_csv,
     read_annotation_npz,
     read_coco,
     read_openpose_frame,
-    write_annotation_csv,
-    write_annotation_npz,
 )
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px, positions_npz
+from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
+from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px
 
 
 def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
@@ -251,26 +249,6 @@ def test_the_same_person_twice_in_a_frame_is_refused() -> None:
             keypoints_px=np.zeros((2, 17, 2)),
             confidence=np.ones((2, 17)),
         )
-
-
-def test_the_format_of_a_file_is_told_from_its_content() -> None:
-    from tests.builders.source_samples import AMC, ASF, BVH_SMALL
-
-    expected = {
-        "bvh": BVH_SMALL.encode(),
-        "asf": ASF.encode(),
-        "amc": AMC.encode(),
-        "openpose": openpose_text().encode(),
-        "coco": coco_text().encode(),
-        "annotation_csv": csv_text().encode(),
-        "annotation_npz": write_annotation_npz(read_annotation_csv(csv_text())),
-        "positions_npz": positions_npz(),
-        "rotation_rows": b"1 2 3 4 5 6 7 8 9\n",
-    }
-    for name, data in expected.items():
-        assert guess_format(data) == name
-    with pytest.raises(FormatError, match="none of the known formats"):
-        guess_format(b"hello")
 
 
 @pytest.mark.parametrize("layout", ["coco18", "coco17"])

@@ -50,10 +50,10 @@ def test_a_unit_that_cannot_be_told_is_left_to_the_user(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("units_per_metre", "unit"), [(1.0, 1.0), (100.0, 0.01), (39.3701, 0.0254), (1000.0, 0.001)])
 def test_known_units_are_told_from_the_size_of_the_body(units_per_metre: float, unit: float) -> None:
     guess = guess_motion(read_bvh(write_bvh(figure_motion(), units_per_metre=units_per_metre)))
-    assert guess.metres_per_unit == unit
-    assert guess.unit_sureness >= 0.5
-    assert guess.up_axis == "y"
-    assert guess.up_sureness > 0.8
+    assert guess.unit.metres_per_unit == unit
+    assert guess.unit.confidence >= 0.5
+    assert guess.up.axis == "y"
+    assert guess.up.confidence > 0.8
 
 
 def test_folders_of_motion_are_paired_by_take_and_folders_of_json_are_annotations(tmp_path: Path) -> None:

@@ -6,47 +6,40 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.formats.positions_as_motion import motion_from_positions
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import MAX_MAGNITUDE
-from pasdedeux.formats.working_poses import motion_from_positions
 from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["PositionTake", "read_positions_npz"]
+__all__ = ["PositionsNpz", "read_positions_npz"]
 
 _MAX_JOINTS = 1000
 
 
-@dataclass(frozen=True)
-class PositionTake:
-    """Positions (frame, J, 3) of one person in metres; `rate_hz` is None when the file does not say."""
+class PositionsNpz(MotionFormat):
+    """Our npz of 3D positions: metres, y up; it may state its rate."""
 
-    skeleton: Skeleton
-    positions: npt.NDArray[np.float64]
-    rate_hz: float | None
+    name = "positions_npz"
+    recognised_by = "npz archive with 'positions_m'"
+    suffixes = (".npz",)
+    has_rotations = False
 
-    def to_source_motion(self) -> SourceMotion:
-        """Return the positions as a motion whose rotations are swings only, in metres."""
-        motion = motion_from_positions(self.skeleton, self.positions, self.rate_hz or 1.0)
-        return SourceMotion(
-            skeleton=motion.skeleton,
-            rest_offsets=motion.rest_offsets_m,
-            root_translation=motion.root_translation_m,
-            local_unitquat=motion.local_unitquat,
-            end_sites=frozenset(),
-            rate_hz=self.rate_hz,
-            metres_per_unit=1.0,
-        )
+    def recognises(self, start: FileStart) -> bool:
+        """Tell whether the file is an archive with the array positions_m."""
+        return "positions_m" in start.array_names
+
+    def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
+        """Read everything."""
+        return read_positions_npz(data)
 
 
-def read_positions_npz(data: bytes) -> PositionTake:
-    """Read an npz of 3D positions.
+def read_positions_npz(data: bytes) -> SourceMotion:
+    """Read an npz of 3D positions as a motion whose rotations are swings only, in metres.
 
     Raises:
         FormatError: The archive is damaged, an array is missing or wrong, or a position is not finite (frame and joint
@@ -82,4 +75,13 @@ def read_positions_npz(data: bytes) -> PositionTake:
     rate = arrays.get("rate_hz")
     if rate is not None and (rate.shape != () or rate.dtype.kind not in "fiu" or not 1e-3 <= float(rate) <= 1e5):
         raise FormatError("'rate_hz' must be one number from 0.001 to 100000")
-    return PositionTake(skeleton=skeleton, positions=values, rate_hz=None if rate is None else float(rate))
+    rate_hz = None if rate is None else float(rate)
+    motion = motion_from_positions(skeleton, values, rate_hz or 1.0)
+    return SourceMotion(
+        skeleton=motion.skeleton,
+        rest_offsets=motion.rest_offsets_m,
+        root_translation=motion.root_translation_m,
+        local_unitquat=motion.local_unitquat,
+        rate_hz=rate_hz,
+        metres_per_unit=1.0,
+    )

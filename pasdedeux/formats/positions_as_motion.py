@@ -1,21 +1,53 @@
-"""Positions as a motion that passes through them exactly, for formats that know rotations only."""
+"""Positions as a motion: its rotations are swings, or it has joints added so that it passes through them exactly."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.formats.working_poses import motion_from_positions
-from pasdedeux.kinematics import Motion
+from pasdedeux.errors import InputError
+from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, swing_between
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["exact_motion"]
+__all__ = ["exact_motion", "motion_from_positions"]
 
 Array = npt.NDArray[np.float64]
 
 RIGID_M = 1e-4
 """Children that keep their places to each other within this are left to the rotation of their joint."""
+
+
+def motion_from_positions(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:
+    """Return a motion for positions (frame, J, 3) that came without rotations: the rotations are swings only.
+
+    The rest pose has the median bone lengths and the directions of the first frame.  Where bone lengths vary the
+    motion's joints differ from the positions by that much.
+
+    Raises:
+        InputError: A value is not finite; the frame and joint are named.
+    """
+    is_bad = ~np.isfinite(positions_m).all(axis=-1)
+    if is_bad.any():
+        frame, joint = (int(index) for index in np.argwhere(is_bad)[0])
+        raise InputError(f"frame {frame}: the position of '{skeleton.joint_names[joint]}' is not finite")
+    lengths = np.median(bone_lengths(skeleton, positions_m), axis=0)
+    first = positions_m[0]
+    offsets = np.zeros((skeleton.num_joints, 3))
+    for parent, child in skeleton.bones:
+        vector = first[child] - first[parent]
+        length = float(np.linalg.norm(vector))
+        offsets[child] = vector * (lengths[child] / length) if length > 0 else 0.0
+    rest = np.zeros((skeleton.num_joints, 3))
+    for joint in skeleton.order[1:]:
+        rest[joint] = rest[skeleton.parents[joint]] + offsets[joint]
+    return Motion(
+        skeleton=skeleton,
+        rest_offsets_m=offsets,
+        root_translation_m=positions_m[:, skeleton.root],
+        local_unitquat=local_rotations(skeleton, rest, positions_m),
+        rate_hz=rate_hz,
+    )
 
 
 def exact_motion(skeleton: Skeleton, positions_m: Array, rate_hz: float) -> Motion:

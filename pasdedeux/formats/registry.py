@@ -1,0 +1,130 @@
+"""The formats that files come in: one line for each, tried in this order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.annotation_csv import AnnotationCsv
+from pasdedeux.formats.annotation_npz import AnnotationNpz
+from pasdedeux.formats.asf_amc import AsfAmc
+from pasdedeux.formats.bvh import Bvh
+from pasdedeux.formats.coco import Coco
+from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
+from pasdedeux.formats.openpose import OpenPose
+from pasdedeux.formats.positions_npz import PositionsNpz
+from pasdedeux.formats.rotation_rows import RotationRows
+
+__all__ = [
+    "ANNOTATION_FORMATS",
+    "MOTION_FORMATS",
+    "find_annotation_format",
+    "find_motion_format",
+    "is_companion",
+    "read_annotations",
+    "recognise_format",
+]
+
+MOTION_FORMATS: Mapping[str, MotionFormat] = {
+    known.name: known
+    for known in (
+        Bvh(),
+        AsfAmc(),
+        RotationRows(),
+        PositionsNpz(),
+    )
+}
+ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
+    known.name: known
+    for known in (
+        OpenPose(),
+        Coco(),
+        AnnotationCsv(),
+        AnnotationNpz(),
+    )
+}
+
+
+def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
+    """Return the format of a file, told from its content, never from its name.
+
+    Raises:
+        FormatError: It is none of them; what each is recognised by is said.
+    """
+    start = FileStart(data)
+    known: list[MotionFormat | AnnotationFormat] = [*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()]
+    for one in known:
+        if one.recognises(start):
+            return one
+    for one in MOTION_FORMATS.values():
+        if one.is_companion(start):
+            raise FormatError(f"this is the {one.companion} of files of the format '{one.name}', not a motion itself")
+    raise FormatError(
+        "this file is none of the known formats: " + "; ".join(f"{one.name} ({one.recognised_by})" for one in known)
+    )
+
+
+def is_companion(data: bytes) -> bool:
+    """Tell whether a file is no motion itself, but what a motion file needs beside it."""
+    start = FileStart(data)
+    return any(one.is_companion(start) for one in MOTION_FORMATS.values())
+
+
+def find_motion_format(name: str, data: bytes) -> MotionFormat:
+    """Return the format of this name, or for "auto" the one that a motion file's content tells.
+
+    Raises:
+        FormatError: The file is of no format, or holds no motion.
+    """
+    found = recognise_format(data) if name == "auto" else MOTION_FORMATS[name]
+    if not isinstance(found, MotionFormat):
+        raise FormatError(f"this is a file of the kind '{found.name}', not a motion of one person")
+    return found
+
+
+def find_annotation_format(name: str, data: bytes) -> AnnotationFormat:
+    """Return the format of this name, or for "auto" the one that the content of a file of 2D poses tells.
+
+    Raises:
+        FormatError: The file is of no format, or holds no 2D poses.
+    """
+    found = recognise_format(data) if name == "auto" else ANNOTATION_FORMATS[name]
+    if not isinstance(found, AnnotationFormat):
+        raise FormatError(f"this is a file of the kind '{found.name}', not one of 2D poses")
+    return found
+
+
+def read_annotations(
+    kind: AnnotationFormat,
+    files: Mapping[str, bytes],
+    *,
+    source_id: str,
+    layout: str = "auto",
+    skip_unreadable: bool = False,
+) -> AnnotatedFrames:
+    """Read a source of 2D poses and check that they look like people; its sequences are named after the source.
+
+    Args:
+        kind: Format of the files.
+        files: Content of each file by its name.
+        source_id: Name of the source; stands in front of the names that the files give to their sequences.
+        layout: Keypoint layout asked for, or "auto".
+        skip_unreadable: Leave out frames whose file is damaged.
+
+    Raises:
+        InputError: A file is mangled (named), the keypoints are not in the layout asked for, or are not people.
+    """
+    try:
+        frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
+    except InputError as error:
+        if kind.is_file_per_frame:
+            raise
+        raise type(error)(f"{next(iter(files))}: {error}") from None
+    if layout not in {"auto", frames.layout}:
+        raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
+    check_anatomy(frames)
+    own = f"{source_id}."
+    names = tuple(name if name == source_id or name.startswith(own) else own + name for name in frames.sequence_id)
+    return replace(frames, sequence_id=names)

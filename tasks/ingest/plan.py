@@ -1,0 +1,239 @@
+"""The plan of the ingest stage: a shard per take, shards of virtual video over it, a shard per source of 2D poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from pasdedeux.choreography import DUETS
+from pasdedeux.errors import InputError
+from tasks.ingest.annotations import find_annotations
+from tasks.ingest.known_sources import DUET_CREDIT, known_performance
+from tasks.ingest.parameters import (
+    Credit,
+    DuetOptions,
+    DuetParameters,
+    IngestParameters,
+    PairOptions,
+    PersonOptions,
+    PersonParameters,
+    Purpose,
+    TakeOptions,
+    TakeParameters,
+    VideoParameters,
+    VirtualCameras,
+)
+from tasks.ingest.sources import PersonSource, credit_of, find_person
+from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
+from tasks.stage import Parameters, Shard, SourceFile, StageInputs
+
+__all__ = ["VERSION", "plan"]
+
+VERSION = 1
+
+
+def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
+    """Plan all shards of the stage, after checking every source file.
+
+    Raises:
+        InputError: A file is missing or mangled, the files of a pair do not fit, or something must be said in the
+            study and is not; names the take and the file.
+    """
+    takes = [
+        *(_duet_shard(inputs.seed, parameters, duet) for duet in parameters.resolved_duets()),
+        *(_take_shard(inputs.seed, parameters, take) for take in _all_takes(parameters)),
+    ]
+    _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
+    shards: list[Shard] = []
+    for take in takes:
+        shards.append(take)
+        shards.extend(_virtual_video_shards(parameters, take))
+    for options in parameters.annotations:
+        found, files = find_annotations(options, is_held_out=options.take_id in parameters.held_out)
+        shards.append(_shard(inputs.seed, options.id, "annotations", found, files))
+    return shards
+
+
+def _shard(
+    seed: int,
+    partition: str,
+    name: str,
+    parameters: Parameters,
+    files: Sequence[SourceFile] = (),
+    after: tuple[str, ...] = (),
+) -> Shard:
+    return Shard(
+        stage="ingest",
+        version=VERSION,
+        partition=partition,
+        name=name,
+        parameters=parameters,
+        files=tuple(files),
+        after=after,
+        seed=seed,
+    )
+
+
+def _refuse_twins(takes: Sequence[TakeParameters]) -> None:
+    """Refuse a moment of a performance that one take holds out and another learns from.
+
+    The same performance is the same bytes, or a CMU motion that is there as AMC and as BVH.
+
+    Raises:
+        InputError: With the names of both takes.
+    """
+    uses: dict[str, list[tuple[TakeParameters, PersonParameters]]] = {}
+    for take in takes:
+        for person in take.persons:
+            suffix = Path(person.source_name).suffix.lower()
+            performance = known_performance(person.source_name)
+            # Two files of one name and format need not be the same motion, AMC and BVH of one name are.
+            keys = [person.motion_sha256, *([f"{performance} {suffix}"] if performance else [])]
+            twins = [person.motion_sha256, *(f"{performance} {one}" for one in (".amc", ".bvh") if one != suffix)]
+            for other, twin in (use for key in twins for use in uses.get(key, ())):
+                (start, stop), (its_start, its_stop) = _seconds(take, person), _seconds(other, twin)
+                if other.is_held_out != take.is_held_out and max(start, its_start) < min(stop, its_stop):
+                    name, its_name = person.source_name, twin.source_name
+                    shown = name if suffix == Path(its_name).suffix.lower() else f"{its_name}, also {name}"
+                    raise InputError(
+                        f"takes {other.take_id} and {take.take_id} share frames of {shown}, but only one of them "
+                        "is held out: the other would be learned from"
+                    )
+            for key in keys:
+                uses.setdefault(key, []).append((take, person))
+
+
+def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, float]:
+    """Return the part of its file that a person's motion is."""
+    start = person.first_frame / person.rate_hz
+    return start, start + take.num_frames / person.rate_hz
+
+
+def _all_takes(parameters: IngestParameters) -> Iterator[TakeOptions]:
+    """Return the takes named one by one, then those of each family, spelled out."""
+    yield from parameters.takes
+    for family in parameters.pairs.values():
+        for take in family.takes:
+            files = tuple(_family_file(family, subject, take) for subject in family.subjects)
+            common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id"})
+            yield TakeOptions(id=family.id.format(subject=family.subjects[0], take=take), files=files, **common)
+
+
+def _family_file(family: PairOptions, subject: str, take: str) -> Path:
+    patterns = ["{subject}_{take}.bvh", "{subject}_{take}.amc"] if family.pattern == "auto" else [family.pattern]
+    paths = [family.folder / pattern.format(subject=subject, take=take) for pattern in patterns]
+    found = [path for path in paths if path.is_file()]
+    if not found:
+        names = " or ".join(path.name for path in paths)
+        raise InputError(f"file {names} does not exist in {family.folder}")
+    return found[0]
+
+
+def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> Shard:
+    if duet.name not in DUETS:
+        raise InputError(f"duet '{duet.name}' is not known; known duets: {', '.join(DUETS)}")
+    take_id = duet.take_id
+    told = DuetParameters(
+        take_id=take_id,
+        rate_hz=parameters.rate_hz,
+        is_held_out=take_id in parameters.held_out,
+        is_prior=parameters.is_prior(take_id),
+        source=Credit.of(DUET_CREDIT),
+        duet=duet.model_copy(update={"id": None}),
+    )
+    return _shard(seed, take_id, "take", told)
+
+
+def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> Shard:
+    options = [*take.persons, *(PersonOptions() for _ in take.files)][: len(take.files)]
+    if len(take.persons) > len(take.files):
+        raise InputError(
+            f"take {take.id}: options for {len(take.persons)} persons, but it has {len(take.files)} file(s)"
+        )
+    people = []
+    for path, person in zip(take.files, options, strict=True):
+        try:
+            people.append(find_person(path, take, person, parameters.mappings))
+        except InputError as error:
+            raise type(error)(f"take {take.id}: {error}") from None
+    starts = [(take.frames[0] if take.frames else 0) + person.first_frame for person in options]
+    num_frames = _common_length(take, people, starts)
+    order = [1, 0] if take.swap_persons and len(people) == 2 else list(range(len(people)))
+    layouts = {person.layout for person in people}
+    told = TakeParameters(
+        take_id=take.id,
+        rate_hz=parameters.rate_hz,
+        is_held_out=take.id in parameters.held_out,
+        is_prior=parameters.is_prior(take.id),
+        source=Credit.of(credit_of(people[0].layout, take.licence, take.credit)),
+        num_frames=num_frames,
+        floor=take.floor,
+        persons=tuple(
+            PersonParameters(
+                source_name=people[i].name,
+                motion_sha256=people[i].motion.sha256,
+                companion_sha256=getattr(people[i].companion, "sha256", ""),
+                format=people[i].format,
+                layout=people[i].layout,
+                rate_hz=people[i].rate_hz,
+                metres_per_unit=people[i].unit.metres_per_unit,
+                unit_confidence=people[i].unit.confidence,
+                up_axis=people[i].up_axis,
+                first_frame=starts[i],
+                translation_m=options[i].translation_m,
+                yaw_deg=options[i].yaw_deg,
+            )
+            for i in order
+        ),
+        mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
+    )
+    files = [file for i in order for file in (people[i].motion, people[i].companion) if file is not None]
+    return _shard(seed, take.id, "take", told, files)
+
+
+def _common_length(take: TakeOptions, people: list[PersonSource], starts: list[int]) -> int:
+    """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
+    rates = {person.rate_hz for person in people}
+    if len(rates) > 1:
+        found = " and ".join(f"{person.rate_hz:g}" for person in people)
+        raise InputError(f"take {take.id}: its files have different frame rates, {found} Hz; set rate_hz")
+    lengths = []
+    for person, start in zip(people, starts, strict=True):
+        name = person.name
+        wanted = take.frames[1] - take.frames[0] if take.frames else person.num_frames - start
+        if start >= person.num_frames or (take.frames and start + wanted > person.num_frames):
+            stop = f" to {start + wanted}" if take.frames else ""
+            raise InputError(
+                f"take {take.id}: frames from {start}{stop} are wanted, but {name} has {person.num_frames} frames"
+            )
+        lengths.append(wanted)
+    if len(set(lengths)) > 1 and take.on_unequal == "refuse":
+        names = " and ".join(f"{p.name} {n}" for p, n in zip(people, lengths, strict=True))
+        raise InputError(
+            f"take {take.id}: its files have unequal lengths ({names} frames); "
+            'set on_unequal = "trim" to keep what both have'
+        )
+    return min(lengths)
+
+
+def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
+    """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
+    options, told = parameters.virtual_video, take.parameters
+    if options.takes is not None and told.take_id not in options.takes:
+        return
+    cameras = options.model_dump(include=set(VirtualCameras.model_fields))
+    cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
+    is_pair = isinstance(told, DuetParameters) or len(told.persons) == 2
+    num_random_views = options.num_random_views if is_pair and not told.is_held_out else 0
+    wanted: tuple[tuple[Purpose, int], ...] = (("video", options.num_videos), ("random_views", num_random_views))
+    for purpose, count in wanted:
+        if count:
+            video = VideoParameters(
+                purpose=purpose,
+                count=count,
+                take_id=told.take_id,
+                is_held_out=told.is_held_out,
+                rate_hz=parameters.rate_hz,
+                **cameras,
+            )
+            yield _shard(take.seed, told.take_id, purpose, video, after=(take.key,))

@@ -1,0 +1,217 @@
+"""The work of a take's shard: motions at the study's rate, their working skeletons, `takes` and `poses`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from pasdedeux.choreography import make_duet
+from pasdedeux.errors import InputError
+from pasdedeux.formats import (
+    MOTION_FORMATS,
+    AxisGuess,
+    SourceMotion,
+    WorkingPoses,
+    common_up_axis,
+    derive_working_poses,
+    guess_up_axis,
+)
+from pasdedeux.formats.placement import floor_shift, place_motion
+from pasdedeux.kinematics import Motion
+from pasdedeux.skeletons.layouts import LAYOUTS, Layout
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import ArtifactRef, Store
+from tasks.ingest.parameters import DuetParameters, PersonParameters, TakeParameters
+from tasks.ingest.sources import layout_named, read_again
+from tasks.stage import Shard, SourceFile, commit
+
+__all__ = ["run_duet", "run_take"]
+
+SURE = 0.5
+"""Confidence of a guessed unit or axis below which a take is doubted."""
+
+
+@dataclass(frozen=True)
+class _Person:
+    """One person of a take, with what its row of `takes` says about the source."""
+
+    motion: Motion
+    layout: Layout
+    source_name: str
+    source_sha256: str
+    source_format: str
+    source_rate_hz: float
+    metres_per_unit: float
+    up_axis: str
+    has_rotations: bool
+
+
+def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> ArtifactRef:
+    """Make a built-in duet and commit its poses."""
+    duet = parameters.duet
+    shared = duet.model_dump(exclude={"id", "name", "style"})
+    made = make_duet(duet.name, **{**shared, **duet.style})
+    options = duet.model_dump(mode="json", exclude={"id"})
+    people = [
+        _Person(
+            motion=motion.resample(parameters.rate_hz),
+            layout=LAYOUTS["body22"],
+            source_name=duet.name,
+            source_sha256=hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest(),
+            source_format="duet",
+            source_rate_hz=motion.rate_hz,
+            metres_per_unit=1.0,
+            up_axis="y",
+            has_rotations=True,
+        )
+        for motion in made.motions
+    ]
+    return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS))
+
+
+def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
+    """Read the people of a take from their files and commit their poses."""
+    files = {file.sha256: file for file in shard.files}
+    read = [_read(parameters, person, files) for person in parameters.persons]
+    guesses = [
+        guess_up_axis(source)
+        for source, person in zip(read, parameters.persons, strict=True)
+        if person.up_axis == "auto"
+    ]
+    common = common_up_axis(guesses) if guesses else None
+    people = []
+    for person, source in zip(parameters.persons, read, strict=True):
+        up_axis = common.axis if common is not None and person.up_axis == "auto" else person.up_axis
+        motion = source.to_motion(
+            metres_per_unit=person.metres_per_unit, rate_hz=person.rate_hz, up_axis=up_axis
+        ).resample(parameters.rate_hz)
+        people.append(
+            _Person(
+                motion=place_motion(
+                    motion, translation_m=person.translation_m, yaw_rad=float(np.deg2rad(person.yaw_deg))
+                ),
+                layout=layout_named(person.layout, source.skeleton.joint_names, parameters.mappings),
+                source_name=person.source_name,
+                source_sha256=person.motion_sha256,
+                source_format=person.format,
+                source_rate_hz=person.rate_hz,
+                metres_per_unit=person.metres_per_unit,
+                up_axis=up_axis,
+                has_rotations=MOTION_FORMATS[person.format].has_rotations,
+            )
+        )
+    return _commit(shard, store, parameters, people, parameters.floor, _verdict(parameters.persons, common))
+
+
+def _read(take: TakeParameters, person: PersonParameters, files: dict[str, SourceFile]) -> SourceMotion:
+    """Return the wanted frames of one person's file."""
+    data = read_again(files[person.motion_sha256])
+    companion = read_again(files[person.companion_sha256]) if person.companion_sha256 else b""
+    try:
+        source = MOTION_FORMATS[person.format].read(data, companion)
+    except InputError as error:
+        raise type(error)(f"take {take.take_id}: {person.source_name}: {error}") from None
+    return source.frames(person.first_frame, person.first_frame + take.num_frames)
+
+
+def _verdict(persons: tuple[PersonParameters, ...], up: AxisGuess | None) -> Verdict:
+    """Say what of a take was guessed, and whether the stages for pairs will pass it over."""
+    unit = min(person.unit_confidence for person in persons)
+    axis = 1.0 if up is None else up.confidence
+    reasons = []
+    if unit < SURE:
+        reasons.append(f"its length unit is a guess (confidence {unit:.1f}); set metres_per_unit")
+    if up is not None and axis < SURE:
+        reasons.append(f"its up axis {up.axis} is a guess (confidence {axis:.1f}); set up_axis")
+    if len(persons) == 1:
+        reasons.append("it has one person only: what needs pairs passes it over")
+    level = Level.WARN if reasons else Level.PASS
+    return Verdict(level, "; ".join(reasons), figure="confidence of unit and up axis", value=min(unit, axis))
+
+
+def _commit(
+    shard: Shard,
+    store: Store,
+    parameters: DuetParameters | TakeParameters,
+    people: list[_Person],
+    floor: Literal["auto", "keep"],
+    verdict: Verdict,
+) -> ArtifactRef:
+    """Put a take on the floor where asked, derive the working skeletons and commit."""
+    poses = [derive_working_poses(person.motion, person.layout) for person in people]
+    shift = floor_shift(np.stack([pose.body22_m for pose in poses], axis=1)) if floor == "auto" else 0.0
+    if shift:
+        up = (0.0, shift, 0.0)
+        people = [
+            replace(person, motion=place_motion(person.motion, translation_m=up, yaw_rad=0.0)) for person in people
+        ]
+        poses = [derive_working_poses(person.motion, person.layout) for person in people]
+    return commit(
+        shard,
+        store,
+        tables={
+            "takes": _takes(parameters, people, poses),
+            "poses": _poses(parameters.take_id, parameters.rate_hz, people, poses),
+        },
+        facts={
+            "kind": "take",
+            "take_id": parameters.take_id,
+            "takes": [parameters.take_id],
+            "num_persons": len(people),
+            "num_frames": people[0].motion.num_frames,
+            "rate_hz": parameters.rate_hz,
+            "is_held_out": parameters.is_held_out,
+            "is_prior": parameters.is_prior,
+        },
+        sources=[parameters.source.to_source()],
+        verdict=verdict,
+    )
+
+
+def _takes(
+    parameters: DuetParameters | TakeParameters, people: list[_Person], poses: list[WorkingPoses]
+) -> dict[str, Any]:
+    count = len(people)
+    return {
+        "take_id": [parameters.take_id] * count,
+        "person": list(range(count)),
+        "source_name": [person.source_name for person in people],
+        "source_sha256": [person.source_sha256 for person in people],
+        "source_format": [person.source_format for person in people],
+        "num_persons": [count] * count,
+        "num_frames": [person.motion.num_frames for person in people],
+        "rate_hz": [parameters.rate_hz] * count,
+        "source_rate_hz": [person.source_rate_hz for person in people],
+        "metres_per_unit": [person.metres_per_unit for person in people],
+        "up_axis": [person.up_axis for person in people],
+        "layout": [person.layout.name for person in people],
+        "is_position_only": [not person.has_rotations for person in people],
+        "is_held_out": [parameters.is_held_out] * count,
+        "joint_names": [list(person.motion.skeleton.joint_names) for person in people],
+        "joint_parents": [np.array(person.motion.skeleton.parents, dtype=np.int32) for person in people],
+        "rest_offset_m": [person.motion.rest_offsets_m.reshape(-1) for person in people],
+        "body22_rest_m": np.stack([pose.body22_rest_m for pose in poses]),
+        "licence": [parameters.source.licence] * count,
+        "credit": [parameters.source.credit] * count,
+    }
+
+
+def _poses(take_id: str, rate_hz: float, people: list[_Person], poses: list[WorkingPoses]) -> dict[str, Any]:
+    lengths = [person.motion.num_frames for person in people]
+    frames = np.concatenate([np.arange(length) for length in lengths])
+    return {
+        "take_id": [take_id] * sum(lengths),
+        "person": np.repeat(np.arange(len(people)), lengths),
+        "frame": frames,
+        "time_s": frames / rate_hz,
+        "root_translation_m": np.concatenate([person.motion.root_translation_m for person in people]),
+        "local_unitquat": [row.reshape(-1) for person in people for row in person.motion.local_unitquat],
+        "pair17_m": np.concatenate([pose.pair17_m for pose in poses]),
+        "op14_m": np.concatenate([pose.op14_m for pose in poses]),
+        "body22_m": np.concatenate([pose.body22_m for pose in poses]),
+        "body22_world_unitquat": np.concatenate([pose.body22_world_unitquat for pose in poses]),
+    }

@@ -16,7 +16,6 @@ from typing import Annotated, TypeVar
 import typer
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import count_amc_frames, read_asf
 
 __all__ = ["FetchError", "Fetched", "app", "fetch_cmu"]
 
@@ -150,6 +149,8 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
     """Say what is wrong with a file, nothing if it can be read."""
+    from pasdedeux.formats import count_amc_frames, read_asf  # scipy comes with it, which `--help` must not wait for
+
     try:
         if skeleton is None:
             read_asf(data)

@@ -37,7 +37,7 @@ class PriorsParameters(Parameters):
 
 
 class PriorsShard(PriorsParameters):
-    """What the shard of the priors is told."""
+    """Parameters of the one shard of the priors."""
 
     default_basis: str
 

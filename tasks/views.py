@@ -158,12 +158,12 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
 def _in_words(frames: Counter[str], reason: str) -> list[str]:
     """Say for each sequence how many frames were skipped; after twenty the rest together."""
     named = sorted(frames.items())
-    told = [f"{sequence}: {count} frames skipped, {reason}" for sequence, count in named[:_MAX_NAMED]]
+    sentences = [f"{sequence}: {count} frames skipped, {reason}" for sequence, count in named[:_MAX_NAMED]]
     rest = named[_MAX_NAMED:]
     if rest:
         total = sum(count for _, count in rest)
-        told.append(f"{len(rest)} more sequences: {total} frames skipped, {reason}")
-    return told
+        sentences.append(f"{len(rest)} more sequences: {total} frames skipped, {reason}")
+    return sentences
 
 
 STAGE = Stage(

@@ -307,7 +307,7 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     lower = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 - 1e-9))
     upper = np.searchsorted(cumulative, 0.5 * cumulative[-1] * (1.0 + 1e-9))
     median = 0.5 * (ratio[order[lower]] + ratio[order[upper]])
-    # However many cameras there are, the least error stays.
+    # However many cameras there are, the smallest error stays.
     total = min(float(cumulative[-1]), 1.0 / MIN_CALIBRATION_DEVIATION**2) + 1.0 / BODY_DEVIATION**2
     return _Sizes(log_ratio=median * (1.0 - 1.0 / (total * BODY_DEVIATION**2)), variance=1.0 / total)
 

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-LEAST_SEEN = 4
+MIN_SEEN = 4
 """Joints of both people together that must be seen for a comparison to mean anything."""
 _NUM_JOINTS = 2 * PAIR17.num_joints
 _FAR_APART = ("left_wrist", "right_ankle", "head", "right_wrist", "left_ankle", "pelvis", "left_elbow")
@@ -165,8 +165,8 @@ class DrawIndex:
         """Return the joints seen, by their place in the index, and their centred image points."""
         points = np.asarray(image_m, dtype=np.float64).reshape(_NUM_JOINTS, 2)[self._order]
         joints = np.flatnonzero(np.isfinite(points).all(axis=1))
-        if len(joints) < LEAST_SEEN:
-            raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {LEAST_SEEN}")
+        if len(joints) < MIN_SEEN:
+            raise InputError(f"{len(joints)} joints of the two people are seen; retrieval needs at least {MIN_SEEN}")
         image = points[joints]
         return joints, image - image.mean(axis=0)
 

@@ -17,7 +17,7 @@ __all__ = ["Neighbours", "nearest_by_interaction", "nearest_rigid"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-LEAST_KNOWN = 5
+MIN_KNOWN = 5
 """Joints of both people together that must be known: fewer have no tetrahedra, or nearly none."""
 
 
@@ -50,9 +50,9 @@ def nearest_rigid(draws_m: npt.NDArray[np.floating], pair_m: Array, *, count: in
     points = np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
     joints = np.flatnonzero(np.isfinite(points).all(axis=1))
     if not len(draws_m):
-        raise InputError("there are no draws to look among")
-    if len(joints) < LEAST_KNOWN:
-        raise InputError(f"{len(joints)} joints of the two people are known; comparing needs at least {LEAST_KNOWN}")
+        raise InputError("there are no draws to compare with")
+    if len(joints) < MIN_KNOWN:
+        raise InputError(f"{len(joints)} joints of the two people are known; comparing needs at least {MIN_KNOWN}")
     known = points[joints]
     squared = np.empty(len(draws_m))
     flat = np.ascontiguousarray(draws_m, dtype=np.float32).reshape(len(draws_m), -1, 3)

@@ -1,6 +1,6 @@
 """Coverage of real pairs by draws: C(G, S) of eq. 13 (Yin et al. 2018), as a running curve over the draws.
 
-C is the mean over the real pairs G of the least dissimilarity to any draw in S, in D_I (interaction coordinates over
+C is the mean over the real pairs G of the smallest dissimilarity to any draw in S, in D_I (interaction coordinates over
 Delaunay tetrahedra), in D_C (mean joint distance after one proper rigid alignment of the pair) and in D_S (3D shape
 contexts).
 """

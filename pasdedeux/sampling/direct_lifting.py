@@ -2,7 +2,7 @@
 
 Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some.  The
 torso is lifted with the torso basis; what remains is discrete: either twin of each torso, towards or away from the
-camera for each limb bone, and the relative depth of the people.  Joint limits choose among the 256 ways of a person's
+camera for each limb bone, and the relative depth of the people.  Joint limits choose among the 256 poses of a person's
 limbs, the estimated view and penetration among twins and depths.  A lifted pair is right to 8-11 cm on captured
 dancers; growth (`growth.grow`) then finds what the others have in common.
 """
@@ -175,7 +175,7 @@ class _Person:
 
 
 def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits) -> _Person:
-    """Return the likeliest of the 256 ways a person's limbs can point, (17, 3), pelvis at depth 0, with its cost."""
+    """Return the likeliest of 256 poses of a person's limbs, (17, 3), pelvis at depth 0, and its cost."""
     up = normalise(torso_m[1] - torso_m[0])
     across = torso_m[2] - torso_m[3]
     forward = np.cross(normalise(across - (across @ up) * up), up)

@@ -13,7 +13,7 @@ __all__ = ["fill_residuals", "keep_nearest", "place_bones"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_LEAST_DEPTH_M = 1e-4
+_MIN_DEPTH_M = 1e-4
 """Depth that a bone without any keeps: its side of the image plane, metres."""
 
 
@@ -35,7 +35,7 @@ def place_bones(
         tightness: Weight of the squared depth against the squared image distance; positive.
         out: Result (person, joint, 3), metres, camera axes.
     """
-    least = min(1.0, tightness)
+    lowest = -min(1.0, tightness)
     for person in range(image.shape[0]):
         for at in range(order.shape[0]):
             j = order[at]
@@ -47,13 +47,13 @@ def place_bones(
             x = image[person, j, 0] - out[person, p, 0]
             y = image[person, j, 1] - out[person, p, 1]
             z = depth[person, j] - depth[person, p]
-            if abs(z) < _LEAST_DEPTH_M:
-                z = _LEAST_DEPTH_M if z >= 0.0 else -_LEAST_DEPTH_M
+            if abs(z) < _MIN_DEPTH_M:
+                z = _MIN_DEPTH_M if z >= 0.0 else -_MIN_DEPTH_M
             z *= tightness
             flat = x * x + y * y
             squared = lengths[person, j] ** 2
             # The multiplier of the sphere: the length of the weighted mean falls as it grows.
-            low, high = -least, 1.0
+            low, high = lowest, 1.0
             while flat / (1.0 + high) ** 2 + (z / (tightness + high)) ** 2 > squared and high < 1e12:
                 high *= 4.0
             for _ in range(50):
@@ -120,7 +120,7 @@ def keep_nearest(residual: Array, index: int, best: Array, which: Indices) -> No
     Args:
         residual: Distance of pair `index` from every entry, (entry,).
         index: The pair.
-        best: Least distances of each entry so far, rising, (entry, k); overwritten.
+        best: Smallest distances of each entry so far, rising, (entry, k); overwritten.
         which: The pairs that have them, (entry, k); overwritten.
     """
     last = best.shape[1] - 1

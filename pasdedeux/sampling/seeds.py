@@ -21,8 +21,8 @@ SIGMA_P_M = 0.05
 CLOSE_SHARE = 0.25
 """Share of a take's frames, those with the smallest gap, that count as close interaction."""
 SOUND_SHARE = 0.5
-"""Share of the close frames, those with the least violation of the prior, that may become seeds."""
-LEAST_POOL = 16
+"""Share of the close frames, those with the smallest violation of the prior, that may become seeds."""
+MIN_POOL = 16
 """Frames of a take that stay in the choice however few are close and sound."""
 
 
@@ -81,8 +81,8 @@ def choose_seeds(
     pools = []
     for take in np.unique(take_index[possible]):
         own = possible[take_index[possible] == take]
-        close = _least(own, quality.gap_m, max(int(CLOSE_SHARE * len(own)), 2 * LEAST_POOL))
-        pools.append(_least(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), LEAST_POOL)))
+        close = _smallest(own, quality.gap_m, max(int(CLOSE_SHARE * len(own)), 2 * MIN_POOL))
+        pools.append(_smallest(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), MIN_POOL)))
     pool = np.concatenate(pools) if pools else possible
     if len(pool) < num_seeds:
         raise InputError(
@@ -104,5 +104,5 @@ def choose_seeds(
     return np.array(chosen, dtype=np.int64)
 
 
-def _least(indices: npt.NDArray[np.int64], values: Array, count: int) -> npt.NDArray[np.int64]:
+def _smallest(indices: npt.NDArray[np.int64], values: Array, count: int) -> npt.NDArray[np.int64]:
     return indices[np.argsort(values[indices], kind="stable")[:count]]

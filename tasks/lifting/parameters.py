@@ -1,4 +1,4 @@
-"""Settings of the stage `lifting`, and what its shards are told."""
+"""Settings of the stage `lifting`, and the parameters of its shards."""
 
 from __future__ import annotations
 
@@ -31,4 +31,4 @@ class LiftingShard(RetrievalOptions, FitOptions, Parameters):
 class LiftingParameters(LiftingShard):
     """Which annotations are lifted, from which draws, and how."""
 
-    left_out: tuple[str, ...] = Field(("prior_only",), description="Densities whose draws are not looked among")
+    left_out: tuple[str, ...] = Field(("prior_only",), description="Densities whose draws are left out")

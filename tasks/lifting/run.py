@@ -59,17 +59,17 @@ class _Annotated:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Lift the chosen pairs of one artifact of annotations and fill in between them."""
-    told = shard.options(LiftingShard)
+    options = shard.options(LiftingShard)
     annotated = store.manifest(shard.ref("annotations"))
     draws, index = _indexed_draws(store, shard.refs("draws"))
-    every, num_skipped = _read(shard, store, told.num_hypotheses)
-    is_video = annotated.facts.get("purpose") == "video" and told.between_frames > 0
-    spans = _spans(every, told.num_spans, told.between_frames) if is_video else []
-    wanted = sorted({*_spread(every, told.max_frames), *(end for span in spans for end in span)})
+    every, num_skipped = _read(shard, store, options.num_hypotheses)
+    is_video = annotated.facts.get("purpose") == "video" and options.between_frames > 0
+    spans = _spans(every, options.num_spans, options.between_frames) if is_video else []
+    wanted = sorted({*_spread(every, options.max_frames), *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
     for place in wanted:
-        found, fitted[place] = _lift(every[place], draws, index, told)
+        found, fitted[place] = _lift(every[place], draws, index, options)
         rows += found
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
@@ -176,15 +176,15 @@ def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, told: LiftingShard) -> tuple[list[Row], np.ndarray]:
+def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, options: LiftingShard) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place."""
-    found = retrieve(index, one.image_m, one.directions, told)
+    found = retrieve(index, one.image_m, one.directions, options)
     known = {
         "draw": draws.reference(int(found.nearest.draw[0])),
         "hypothesis": int(one.hypotheses[found.nearest.view[0]]),
     }
     lengths = pooled_lengths(found.pairs_m, found.weight)
-    fitted = fit_pair(one.image_m, found.mean_m, lengths, told)
+    fitted = fit_pair(one.image_m, found.mean_m, lengths, options)
     rows = [
         _row(one, "nearest", found.pairs_m[0], **known),
         _row(one, "neighbours", found.mean_m, **known),
@@ -192,7 +192,7 @@ def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, told: LiftingShard)
     ]
     if not one.is_seen.all():
         incomplete = np.where(one.is_seen[..., None], fitted, np.nan)
-        count = min(told.num_completing, len(draws.pairs_m))
+        count = min(options.num_completing, len(draws.pairs_m))
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
@@ -204,9 +204,9 @@ def _baselines(
     shard: Shard, store: Store, wanted: Sequence[_Annotated], every: Mapping[Place, _Annotated]
 ) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
-    told = shard.options(LiftingShard)
+    options = shard.options(LiftingShard)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
-    if not told.baselines or not whole:
+    if not options.baselines or not whole:
         return []
     limits = read_limits(store, shard.refs("priors"))
     basis = read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations")))
@@ -219,13 +219,13 @@ def _baselines(
         if lifted is None:
             continue
         by_ik = lift_by_ik(one.image_m, lifted, lengths, limits)
-        if "lifting" in told.baselines:
+        if "lifting" in options.baselines:
             rows.append(_row(one, "lifting", lifted))
-        if "lifting_ik" in told.baselines:
+        if "lifting_ik" in options.baselines:
             rows.append(_row(one, "lifting_ik", by_ik))
-        if "naive_sampling" in told.baselines:
+        if "naive_sampling" in options.baselines:
             rng = stream(shard.seed, "lifting", one.sequence_id, one.frame)
-            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=told.num_naive)
+            sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=options.num_naive)
             rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
     return rows
 

@@ -1,4 +1,4 @@
-"""Settings of the stage `seeds`, and what each kind of its shards is told."""
+"""Settings of the stage `seeds`, and the parameters of each kind of its shards."""
 
 from __future__ import annotations
 

@@ -41,8 +41,8 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         first = len(shards) + max(parameters.num_lifted - 1, 0)
         refs = named_refs(priors=inputs.of("joint_limits"), annotations=annotated, views=views)
         after = tuple(shard.key for shard in shards)
-        told = parameters.part(GrownSeeds, first_index=first)
-        shards.append(_shard(inputs, "grown", "grown", told, refs, after=after))
+        options = parameters.part(GrownSeeds, first_index=first)
+        shards.append(_shard(inputs, "grown", "grown", options, refs, after=after))
     return shards
 
 
@@ -66,18 +66,18 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
     """Plan a shard per named frame, or as many as are to be chosen."""
     takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
     priors = inputs.of("joint_limits")
-    told: list[FrameSeed | ChosenSeed] = []
+    wanted: list[FrameSeed | ChosenSeed] = []
     poses: list[list[Manifest]] = []
     for index, frame in enumerate(parameters.frames):
         _check_frame(frame, takes)
-        told.append(frame.part(FrameSeed, seed_index=index))
+        wanted.append(frame.part(FrameSeed, seed_index=index))
         poses.append([takes[frame.take]])
     if not parameters.frames and takes:
-        told += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
+        wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
         poses += [list(takes.values())] * parameters.num_seeds
     return [
         _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, priors=priors))
-        for one, own in zip(told, poses, strict=True)
+        for one, own in zip(wanted, poses, strict=True)
     ]
 
 

@@ -31,19 +31,19 @@ MIN_GROWN_SHARE = 0.5
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Read or choose one seed, lift or grow many, and commit them, gauge-fixed."""
     match shard.parameters:
-        case FrameSeed() as told:
-            pair = _read_pairs(store, shard.ref("poses"), np.array([told.frame]))[0]
-            return _commit_frame(shard, store, told.seed_index, pair, told.take, told.frame)
-        case ChosenSeed() as told:
-            return _commit_frame(shard, store, told.seed_index, *_choose(shard, store, told))
-        case FileSeed() as told:
-            return _take_in(shard, store, told.seed_index)
-        case LiftedSeeds() as told:
-            return _lift(shard, store, told)
-        case GrownSeeds() as told:
-            return _grow(shard, store, told)
+        case FrameSeed() as options:
+            pair = _read_pairs(store, shard.ref("poses"), np.array([options.frame]))[0]
+            return _commit_frame(shard, store, options.seed_index, pair, options.take, options.frame)
+        case ChosenSeed() as options:
+            return _commit_frame(shard, store, options.seed_index, *_choose(shard, store, options))
+        case FileSeed() as options:
+            return _take_in(shard, store, options.seed_index)
+        case LiftedSeeds() as options:
+            return _lift(shard, store, options)
+        case GrownSeeds() as options:
+            return _grow(shard, store, options)
         case other:
-            raise TypeError(f"the stage seeds has no shards that are told {type(other).__name__}")
+            raise TypeError(f"the stage seeds has no shards with {type(other).__name__}")
 
 
 def _commit_frame(shard: Shard, store: Store, index: int, pair_m: np.ndarray, take_id: str, frame: int) -> ArtifactRef:
@@ -130,18 +130,18 @@ def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
     }
 
 
-def _lift(shard: Shard, store: Store, told: LiftedSeeds) -> ArtifactRef:
+def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
     """Lift annotations that stand for all of them from 2D alone."""
-    placed = _annotated(shard, store, told.num_hypotheses)
+    placed = _annotated(shard, store, options.num_hypotheses)
     seeds = lift_seeds(
         placed.gathered.pairs,
         placed.gathered.weights,
         read_limits(store, shard.refs("priors")),
         read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
-        num_seeds=told.num_lifted,
-        max_annotations=told.max_annotations,
+        num_seeds=options.num_lifted,
+        max_annotations=options.max_annotations,
     )
-    indices = told.first_index + np.arange(len(seeds.pairs_m))
+    indices = options.first_index + np.arange(len(seeds.pairs_m))
     columns = _columns("lifted", indices, seeds.pairs_m, seeds.log_prior, **_places(placed, seeds.entry))
     facts = {
         "kind": "lifted_seeds",
@@ -153,19 +153,19 @@ def _lift(shard: Shard, store: Store, told: LiftedSeeds) -> ArtifactRef:
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
 
-def _grow(shard: Shard, store: Store, told: GrownSeeds) -> ArtifactRef:
+def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
     before = [_done(key, store) for key in shard.after]
     roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
-    placed = _annotated(shard, store, told.num_hypotheses)
+    placed = _annotated(shard, store, options.num_hypotheses)
     limits = read_limits(store, shard.refs("priors"))
-    growth = grow(roots, placed.gathered.pairs, limits, num_grown=told.num_grown, options=told)
+    growth = grow(roots, placed.gathered.pairs, limits, num_grown=options.num_grown, options=options)
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
     columns = _columns(
         "grown",
-        told.first_index + np.arange(len(growth.pairs_m)),
+        options.first_index + np.arange(len(growth.pairs_m)),
         growth.pairs_m,
         growth.log_prior,
         parent_seed_index=growth.parent,
@@ -179,22 +179,22 @@ def _grow(shard: Shard, store: Store, told: GrownSeeds) -> ArtifactRef:
         "num_refused": growth.num_refused,
         "num_left": growth.num_left,
         "num_annotations_skipped": placed.gathered.num_skipped,
-        "starts": (told.first_index + possible[: told.num_starts]).tolist(),
+        "starts": (options.first_index + possible[: options.num_starts]).tolist(),
         "takes": merge_takes(*before, *(store.manifest(ref) for ref in shard.all_inputs)),
     }
-    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=_growth_verdict(growth, told))
+    return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=_growth_verdict(growth, options))
 
 
-def _growth_verdict(growth: Growth, told: GrownSeeds) -> Verdict:
+def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:
     """Return how many pairs grew of how many could have."""
     count = len(growth.pairs_m)
-    possible = min(told.num_grown, count + growth.num_refused + growth.num_left)
+    possible = min(options.num_grown, count + growth.num_refused + growth.num_left)
     level, reason = Level.PASS, ""
     if count < MIN_GROWN_SHARE * possible:
         level = Level.WARN if count else Level.FAIL
         reason = (
             f"{count} of {possible} pairs grew: {growth.num_refused} lifted pairs broke the joint limits, and "
-            f"{growth.num_left} annotations lie farther than {told.farthest_m} m from everything lifted"
+            f"{growth.num_left} annotations lie farther than {options.farthest_m} m from everything lifted"
         )
     return Verdict(
         level, reason, figure="grown pairs", value=count, baseline=possible, baseline_name="asked of annotations there"
@@ -208,13 +208,13 @@ def _done(key: str, store: Store) -> Manifest:
     return manifest
 
 
-def _choose(shard: Shard, store: Store, told: ChosenSeed) -> tuple[np.ndarray, str, int]:
+def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray, str, int]:
     """Return the pair, take and frame of an automatically chosen seed; the choice of earlier seeds is repeated."""
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(shard.refs("poses")):
         facts = store.manifest(ref).facts
         num_frames = int(facts["num_frames"])
-        count = min(told.max_frames_per_take, num_frames)
+        count = min(options.max_frames_per_take, num_frames)
         frames = np.unique(np.linspace(0, num_frames - 1, count).round().astype(int))
         pairs.append(_read_pairs(store, ref, frames))
         take_of.append(np.full(len(frames), take))
@@ -222,7 +222,7 @@ def _choose(shard: Shard, store: Store, told: ChosenSeed) -> tuple[np.ndarray, s
         take_ids.append(str(facts["take_id"]))
     every, takes = np.concatenate(pairs), np.concatenate(take_of)
     quality = seed_quality(every, read_limits(store, shard.refs("priors")))
-    chosen = choose_seeds(every, takes, quality, told.seed_index + 1)[told.seed_index]
+    chosen = choose_seeds(every, takes, quality, options.seed_index + 1)[options.seed_index]
     return every[chosen], take_ids[int(takes[chosen])], int(np.concatenate(frame_of)[chosen])
 
 

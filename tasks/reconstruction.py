@@ -14,8 +14,13 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
 from pasdedeux.reconstruction.people import follow_and_repair, reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
-from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, ReconstructionOptions, Searcher
-from pasdedeux.reconstruction.temporal import TemporalWeights
+from pasdedeux.reconstruction.reconstruct import (
+    Method,
+    Reconstruction,
+    ReconstructionOptions,
+    Searcher,
+    TrackSettings,
+)
 from pasdedeux.reconstruction.tracks import PersonTrack, why_no_video
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
@@ -30,7 +35,7 @@ MOST_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 
 
-class ReconstructionParameters(Parameters):
+class ReconstructionParameters(TrackSettings, Parameters):
     """Which sequences are reconstructed, against which views of the database, and how a motion is chosen."""
 
     sequences: Literal["held_out", "given", "all"] = Field(
@@ -49,18 +54,12 @@ class ReconstructionParameters(Parameters):
     has_repair: bool = Field(
         True, description="Swapped sides, exchanged limbs and wild keypoints are put right or left out"
     )
-    num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
     exact_up_to: int = Field(
         EXACT_UP_TO,
         ge=0,
         description="Projections (poses times yaws) up to which the search is exact; of more it may miss some of the "
         "nearest, and its recall is measured",
     )
-    min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
-    pose_weight: float = Field(
-        0.5, ge=0, description="Cost of a pose change per metre, against the misfit in the image"
-    )
-    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
     has_pairs: bool = Field(
         True,
         description="Two people near each other are placed by the pairs of the database that look like both; `nearest` "
@@ -73,7 +72,6 @@ class ReconstructionParameters(Parameters):
         description="Height of the camera over the floor where it is known, which gives people their true size (as "
         "exactly as pitches_deg of [projections] has the true pitch); else everybody is about 1.75 m tall",
     )
-    smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
     has_clean_up: bool = Field(
         True,
         description="The last method gives one more motion, `<method>_clean`: planted feet still, nothing below the "
@@ -189,13 +187,7 @@ def _reconstruct(
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
     """Return the rows of `motions` of every method and person, and a BVH file a person."""
-    options = ReconstructionOptions(
-        num_candidates=parameters.num_candidates,
-        min_joints=parameters.min_joints,
-        temporal=TemporalWeights(pose=parameters.pose_weight),
-        smoothing_s=parameters.smoothing_s,
-        has_own_proportions=parameters.has_own_proportions,
-    )
+    options = ReconstructionOptions(**{name: getattr(parameters, name) for name in TrackSettings.model_fields})
     poses, starts, take_ids, frames = read_database(store, database_refs)
     if len(poses) == 0:
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")

@@ -27,8 +27,8 @@ from pasdedeux.projections.search import (
     Neighbours,
     ProjectionIndex,
     build_index,
+    prepare_query,
     recall,
-    search_brute_force,
 )
 from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.identity import Follower
@@ -39,7 +39,7 @@ from pasdedeux.reconstruction.temporal import choose_viterbi, choose_window
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
-__all__ = ["BENCHMARKS", "LARGE_BENCHMARKS", "made_up_database"]
+__all__ = ["BENCHMARKS", "LARGE_BENCHMARKS", "made_up_database", "search_brute_force"]
 
 Waits = npt.NDArray[np.float64]
 
@@ -84,6 +84,35 @@ def made_up_database(num_poses: int = _NUM_POSES, *, seed: int = 0, own_rad: flo
     rotvec[:, OP14.root] *= 0.2
     poses = place_bone_rotations(unitquat_from_rotvec(rotvec), REFERENCE_LENGTHS_M, np.zeros((num_poses, 3)))
     return Database(centre_and_face(poses).poses_m.astype(np.float32), np.arange(num_poses) % 300 == 0)
+
+
+def search_brute_force(
+    database: Database, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
+) -> Neighbours:
+    """Return what `ProjectionIndex.search` gives, by looking at all projections: the plain form, the tests' oracle."""
+    joints = database.num_joints
+    query, weight = prepare_query(query_m, weights, num_joints=joints)
+    projections = database.project().reshape(-1, joints, 2)
+    flat_query, flat_weight = query.reshape(-1, joints, 2), weight.reshape(-1, joints)
+    found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
+    distance = np.full((len(flat_query), num_neighbours), np.inf)
+    for number, (one, joint_weight) in enumerate(zip(flat_query, flat_weight, strict=True)):
+        total = float(joint_weight.sum(dtype=np.float64))
+        if total <= 0:
+            continue
+        summed = np.zeros(len(projections), dtype=np.float32)
+        for joint in range(joints):
+            dx = one[joint, 0] - projections[:, joint, 0]
+            dy = one[joint, 1] - projections[:, joint, 1]
+            summed += joint_weight[joint] * np.sqrt(dx * dx + dy * dy)
+        count = min(num_neighbours, len(summed))
+        cut = np.partition(summed, count - 1)[count - 1]
+        near = np.flatnonzero(summed <= cut)
+        order = near[np.lexsort((near, summed[near]))][:count]
+        found[number, :count] = order
+        distance[number, :count] = summed[order].astype(np.float64) / total
+    shape = (*query.shape[:-2], num_neighbours)
+    return Neighbours(found.reshape(shape), distance.reshape(shape), database.num_yaws)
 
 
 def _queries(*, own_rad: float = 0.0) -> npt.NDArray[np.float64]:

@@ -92,7 +92,7 @@ class Setting(StrEnum):
 _KNOWN_BODY = ReconstructionOptions(
     has_own_proportions=False,
     metres_per_pixel=1.0 / _PIXELS_PER_METRE,
-    fit=ObservedFitSettings(least_noise_m=0.001),
+    fit=ObservedFitSettings(min_noise_m=0.001),
     trust_per_misfit=4.0,
 )
 """Proportions, scale and lens are right, so the image is believed to 1 mm, and retrieved bones half as tightly.
@@ -101,7 +101,7 @@ Chosen on clips of a database left out in turn; where scale or proportions are e
 fit worse.
 """
 
-_KNOWN_PROPORTIONS = ReconstructionOptions(has_own_proportions=False, fit=ObservedFitSettings(least_noise_m=0.002))
+_KNOWN_PROPORTIONS = ReconstructionOptions(has_own_proportions=False, fit=ObservedFitSettings(min_noise_m=0.002))
 """The scale is not known."""
 
 
@@ -274,7 +274,7 @@ def live_motion(searcher: Searcher, seen: Seen, *, has_clean_up: bool) -> Array:
     options = seen.options
     fit = WindowFitOptions()
     if options.metres_per_pixel is not None:
-        fit = replace(fit, least_noise_m=options.fit.least_noise_m)
+        fit = fit.model_copy(update={"min_noise_m": options.fit.min_noise_m})
     live = LiveOptions(
         min_joints=options.min_joints,
         metres_per_pixel=options.metres_per_pixel,

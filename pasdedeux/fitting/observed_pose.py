@@ -14,16 +14,28 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.bones import BoneForest
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import DifferenceTerm, Normal, PointTerm, Term
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["BoneVectorTerm", "ObservedFit", "ObservedFitSettings", "fit_observed", "image_noise"]
+__all__ = [
+    "BoneVectorTerm",
+    "ObservedFit",
+    "ObservedFitSettings",
+    "fit_observed",
+    "flatten_image",
+    "image_noise",
+    "image_term",
+]
 
 Array = npt.NDArray[np.float64]
+
+_DEPTH_HOLD = 1e-2
 
 
 @dataclass(frozen=True)
@@ -76,28 +88,16 @@ class BoneVectorTerm(Term):
             normal.matrix[:, :, parent, child] -= weight
 
 
-@dataclass(frozen=True)
-class ObservedFitSettings:
-    """What is believed of image, retrieval and time.
+class ObservedFitSettings(Settings):
+    """What is believed of image, retrieval and time."""
 
-    Args:
-        least_noise_m: The image is never believed better than this.
-        acceleration_m_s2: Standard deviation of a joint's acceleration.
-        num_rounds: Fits; between them the image's weights follow the residuals.
-        max_iterations: Steps of each fit.
-        tolerance: A fit stops when a step lowers its energy by less than this share.
-    """
-
-    least_noise_m: float = 0.002
-    acceleration_m_s2: float = 8.0
-    num_rounds: int = 2
-    max_iterations: int = 6
-    tolerance: float = 3e-3
-
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if not (self.least_noise_m > 0 and self.acceleration_m_s2 > 0 and self.num_rounds > 0):
-            raise InputError(f"observed fit: standard deviations and rounds must be positive: {self}")
+    min_noise_m: float = Field(0.002, gt=0, description="The image is never believed better than this")
+    acceleration_m_s2: float = Field(8.0, gt=0, description="Standard deviation of a joint's acceleration")
+    num_rounds: int = Field(2, ge=1, description="Fits; between them the image's weights follow the residuals")
+    max_iterations: int = Field(6, ge=0, description="Steps of each fit")
+    tolerance: float = Field(
+        3e-3, ge=0, description="A fit stops when a step lowers its energy by less than this share"
+    )
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def fit_observed(
         )
     is_seen = np.isfinite(observed_m).all(axis=-1) & (confidence > 0)
     weight = np.where(is_seen, confidence, 0.0)
-    noise = np.full(joints, max(image_noise(observed_m, is_seen), settings.least_noise_m))
+    noise = np.full(joints, max(image_noise(observed_m, is_seen), settings.min_noise_m))
     robust = np.ones((frames, joints))
     forest = BoneForest((skeleton,), np.asarray(lengths_m, dtype=np.float64))
     state = forest.state_of(start_m)
@@ -178,15 +178,11 @@ def fit_observed(
     smooth = DifferenceTerm(np.zeros(start_m.shape), np.array(1.0 / time_deviation**2), 2)
     bones = BoneVectorTerm(skeleton, bone_m, (1.0 / bone_deviation_m**2)[..., None])
     for round_number in range(settings.num_rounds):
-        targets = np.concatenate([_shrink(observed_m, positions, distance_m), positions[..., 2:]], axis=-1)
-        weights = np.zeros((frames, joints, 3))
-        weights[..., :2] = (weight * robust / noise**2)[..., None]
-        # Depth of the whole body is free for parallel rays: a light hand keeps it where it was.
-        weights[..., 2] = 1e-2
+        image = image_term(observed_m, weight * robust / noise**2, positions, distance_m)
         stop = FitSettings(settings.max_iterations, settings.tolerance)
-        result = fit_bones(forest, state, [PointTerm(targets, weights), smooth, bones], stop)
+        result = fit_bones(forest, state, [image, smooth, bones], stop)
         state, positions = result.state, result.positions_m
-        residual = np.linalg.norm(_shrink(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
+        residual = np.linalg.norm(flatten_image(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
         residual = np.where(is_seen, residual, np.nan)
         if round_number < settings.num_rounds - 1:
             noise = np.maximum(noise, _joint_noise(residual))
@@ -194,12 +190,29 @@ def fit_observed(
     return ObservedFit(positions, noise, residual)
 
 
-def _shrink(observed_m: Array, positions: Array, distance_m: Array | None) -> Array:
-    """Undo perspective at the present depth: a joint nearer to the camera looks larger than it is."""
+def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float | None) -> Array:
+    """Undo perspective in images (*batch, N, 2) at the depths of poses (*batch, N, 3): what is nearer looks larger.
+
+    Args:
+        observed_m: Observed joints, metres at the depth of z = 0.
+        positions_m: Poses, camera axes.
+        distance_m: Distance (*batch,) of z = 0 from a pinhole; parallel rays when not given.
+    """
     if distance_m is None:
         return observed_m
-    depth = positions[..., 2]
-    return np.asarray(observed_m * (1.0 - depth / distance_m[:, None])[..., None])
+    depth = positions_m[..., 2]
+    return np.asarray(observed_m * (1.0 - depth / np.asarray(distance_m)[..., None])[..., None])
+
+
+def image_term(observed_m: Array, weights: Array, positions_m: Array, distance_m: Array | None) -> PointTerm:
+    """Return the term that draws joints to their image (T, N, 2), weights (T, N), without perspective at these poses.
+
+    Depth of the whole body is free for parallel rays: a light hand keeps it where it is.
+    """
+    flat = flatten_image(observed_m, positions_m, distance_m)
+    over = np.full(positions_m.shape, _DEPTH_HOLD)
+    over[..., :2] = weights[..., None]
+    return PointTerm(np.concatenate([flat, positions_m[..., 2:]], axis=-1), over)
 
 
 def _joint_noise(residual: Array) -> Array:

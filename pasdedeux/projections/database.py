@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -25,7 +26,8 @@ class Database:
     Narrowed to float32: 1e-7 of a metre-sized body, far below any pixel.
 
     Args:
-        poses_m: Poses (row, 14, 3), reference proportions, mid-hip at the origin, facing +Z, metres.
+        poses_m: Poses (row, 14, 3), reference proportions, mid-hip at the origin, facing +Z, metres; or people who
+            are looked up as one, 14 joints each (see `pairs`).
         is_sequence_start: (row,), no previous frame of the same motion in the row above.
         num_yaws: Yaw steps over the full turn (30 steps of 12 degrees in the paper).
         rate_hz: Frames per second of the motions in the database.
@@ -45,7 +47,8 @@ class Database:
         """Check shapes and values; the first row always starts a motion."""
         poses = np.ascontiguousarray(self.poses_m, dtype=np.float32)
         starts = np.array(self.is_sequence_start, dtype=np.bool_)
-        if poses.ndim != 3 or poses.shape[1:] != (OP14.num_joints, 3) or starts.shape != poses.shape[:1]:
+        is_people = poses.ndim == 3 and poses.shape[1] % OP14.num_joints == 0 and poses.shape[2] == 3
+        if not is_people or starts.shape != poses.shape[:1]:
             raise InputError(
                 f"database poses have shape {poses.shape} and sequence starts {starts.shape}; "
                 f"expected (rows, {OP14.num_joints}, 3) and (rows,)"
@@ -68,6 +71,11 @@ class Database:
         return len(self.poses_m)
 
     @property
+    def num_joints(self) -> int:
+        """Joints of a pose."""
+        return self.poses_m.shape[1]
+
+    @property
     def num_projections(self) -> int:
         """Number of projections."""
         return self.num_rows * self.num_yaws
@@ -82,11 +90,11 @@ class Database:
 
         Yaws count in steps and may lie between them.
         """
-        yaw = np.asarray(yaw_index) * self.yaw_step_rad
-        pose = self.poses_m[np.asarray(rows)].astype(np.float64)
-        cosine, sine = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
-        x, y, z = pose[..., 0], pose[..., 1], pose[..., 2]
-        return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)
+        row, yaw = np.asarray(rows, dtype=np.int64), np.asarray(yaw_index, dtype=np.float64) * self.yaw_step_rad
+        if row.shape != yaw.shape:
+            row, yaw = (np.ascontiguousarray(one) for one in np.broadcast_arrays(row, yaw))
+        turned = _turned(self.poses_m, row.ravel(), yaw.ravel())
+        return turned.reshape(*row.shape, *turned.shape[1:])
 
     def successors(self) -> Integers:
         """Return for each row the row of the next frame of its motion, or the row itself where there is none."""
@@ -118,7 +126,7 @@ class Database:
         sine = np.sin(yaw).astype(np.float32)[yaw_index][..., None]
         poses = self.poses_m[rows]
         x, z = poses[..., 0], poses[..., 2]
-        turned = np.empty((*np.broadcast_shapes(rows.shape, yaw_index.shape), OP14.num_joints, 3), dtype=np.float32)
+        turned = np.empty((*np.broadcast_shapes(rows.shape, yaw_index.shape), self.num_joints, 3), dtype=np.float32)
         turned[..., 0] = cosine * x + sine * z
         turned[..., 1] = poses[..., 1]
         turned[..., 2] = cosine * z - sine * x
@@ -148,3 +156,17 @@ def concatenate(databases: Sequence[Database]) -> Database:
         rate_hz=first.rate_hz,
         camera=first.camera,
     )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _turned(poses: Floats32, rows: Integers, yaw_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return poses of some rows (k, joint, 3), each turned by its yaw (k,)."""
+    out = np.empty((rows.shape[0], poses.shape[1], 3))
+    for at in range(rows.shape[0]):
+        cosine, sine = np.cos(yaw_rad[at]), np.sin(yaw_rad[at])
+        for joint in range(poses.shape[1]):
+            x, z = np.float64(poses[rows[at], joint, 0]), np.float64(poses[rows[at], joint, 2])
+            out[at, joint, 0] = cosine * x + sine * z
+            out[at, joint, 1] = poses[rows[at], joint, 1]
+            out[at, joint, 2] = cosine * z - sine * x
+    return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -17,14 +18,22 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Placement", "ScaleReference", "bounding_box_height", "place_track", "refine_placement", "running_median"]
+__all__ = [
+    "Placement",
+    "ScaleReference",
+    "bounding_box_height",
+    "match_scale",
+    "place_track",
+    "refine_placement",
+    "running_median",
+]
 
 Array = npt.NDArray[np.float64]
 _PARENT = np.array([parent for parent, _ in OP14.bones])
 _CHILD = np.array([child for _, child in OP14.bones])
 _QUANTILE = 0.75
 _MIN_BONES = 3
-_WAY_ORDER = 2
+_PATH_ORDER = 2
 
 
 @dataclass(frozen=True)
@@ -118,7 +127,7 @@ def place_track(
     both_hips = (weights[:, left] > 0) & (weights[:, right] > 0)
     place = np.where(both_hips[:, None], 0.5 * (keypoints_px[:, left] + keypoints_px[:, right]), place)
     place[~has_any] = np.nan
-    return Placement(_soften(scale, window), _smooth_way(place, window))
+    return Placement(_soften(scale, window), _smooth_path(place, window))
 
 
 def refine_placement(
@@ -137,21 +146,50 @@ def refine_placement(
     keeps its neighbours' scale.
     """
     weight = np.where(weights > 0, weights, 0.0) * np.isfinite(matched_m).all(axis=-1)
-    total = weight.sum(axis=1)
     is_usable = (weight > 0).sum(axis=1) >= _MIN_BONES
-    share = weight / np.where(total > 0, total, 1.0)[:, None]
-    points, match = np.nan_to_num(keypoints_px), np.nan_to_num(matched_m)
-    mean_px = np.einsum("fj,fjd->fd", share, points)
-    mean_m = np.einsum("fj,fjd->fd", share, match)
-    spread_px = np.einsum("fj,fjd->f", share, (points - mean_px[:, None]) ** 2)
-    spread_m = np.einsum("fj,fjd->f", share, (match - mean_m[:, None]) ** 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(is_usable, np.sqrt(spread_m / spread_px), np.nan)
+    fits = [match_scale(*frame) for frame in zip(keypoints_px, weight, matched_m, strict=True)]
+    ratio, mean_px, mean_m = np.split(np.array(fits), [1, 3], axis=1)
+    ratio = ratio[:, 0]
     ratio[~np.isfinite(ratio) | (ratio <= 0)] = np.nan
     scale = running_median(ratio, window) if np.isfinite(ratio).any() else previous.metres_per_pixel
     scale = _soften(scale, window) if metres_per_pixel is None else np.full(len(scale), metres_per_pixel)
     place = np.where(is_usable[:, None], mean_px - mean_m / scale[:, None], previous.mid_hip_px)
-    return Placement(scale, _smooth_way(place, window))
+    return Placement(scale, _smooth_path(place, window))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def match_scale(points: Array, weight: Array, match: Array) -> Array:
+    """Return the scale of a frame by its match, and the weighted means of both images.
+
+    Args:
+        points: Joints (14, 2), pixels, y up.
+        weight: Weights (14,); 0 where not seen.
+        match: Image of the match (14, 2), metres.
+
+    Returns:
+        Metres per pixel, mean of the points, mean of the match (5,); NaN for the scale where fewer than three joints
+        or joints in one place do not tell it.
+    """
+    out = np.zeros(5)
+    total, count = 0.0, 0
+    for joint in range(points.shape[0]):
+        if weight[joint] > 0:
+            total += weight[joint]
+            count += 1
+    for joint in range(points.shape[0]):
+        if weight[joint] > 0:
+            for axis in range(2):
+                out[1 + axis] += weight[joint] / total * points[joint, axis]
+                out[3 + axis] += weight[joint] / total * match[joint, axis]
+    spread_px, spread_m = 0.0, 0.0
+    for joint in range(points.shape[0]):
+        if weight[joint] > 0:
+            for axis in range(2):
+                spread_px += weight[joint] * (points[joint, axis] - out[1 + axis]) ** 2
+                spread_m += weight[joint] * (match[joint, axis] - out[3 + axis]) ** 2
+    is_told = count >= _MIN_BONES and spread_px > 0 and spread_m > 0
+    out[0] = np.sqrt(spread_m / spread_px) if is_told else np.nan
+    return out
 
 
 def _soften(scale: Array, window: int) -> Array:
@@ -161,20 +199,20 @@ def _soften(scale: Array, window: int) -> Array:
     return np.convolve(padded, np.full(length, 1.0 / length), mode="valid")
 
 
-def _smooth_way(place: Array, window: int) -> Array:
-    """Smooth the way of a mid-hip (frame, 2) over a fifth of the window; NaN stays NaN.
+def _smooth_path(place: Array, window: int) -> Array:
+    """Smooth the path of a mid-hip (frame, 2) over a fifth of the window; NaN stays NaN.
 
     Where hips are hidden the place is a guess of its own in every frame, and its jumps would be taken for motion.
     """
     is_known = np.asarray(np.isfinite(place).all(axis=-1))
     frames = np.arange(len(place))
     length = min(max(5, window // 5) | 1, len(place) - (len(place) + 1) % 2)
-    if not is_known.any() or length < _WAY_ORDER + 2:
+    if not is_known.any() or length < _PATH_ORDER + 2:
         return place
-    way = np.stack([np.interp(frames, frames[is_known], axis[is_known]) for axis in place.T], axis=-1)
+    path = np.stack([np.interp(frames, frames[is_known], axis[is_known]) for axis in place.T], axis=-1)
     from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
 
-    smooth = savgol_filter(way, length, _WAY_ORDER, axis=0, mode="interp")
+    smooth = savgol_filter(path, length, _PATH_ORDER, axis=0, mode="interp")
     return np.where(is_known[:, None], smooth, np.nan)
 
 

@@ -4,10 +4,10 @@ The metric is eq. 1 of Yiannakides et al. 2019, the sum over joints of the 2D jo
 (confidence; 0 where the joint was not seen) and divided by the sum of the weights, so that queries with different
 joints missing compare.
 
-`search_brute_force` is the plain form and the oracle.  `ProjectionIndex` gives the same answers, ties included, from
-trees of boxes (`tree`, where the bound is proven), one per part of the database, so that it is built part by part and
-more can be appended.  Over `EXACT_UP_TO` projections it takes a slack: then the i-th projection given is at most
-1 + slack times as far as the i-th nearest, and `measure_recall` says how many of the nearest are found.
+`ProjectionIndex` gives the same answers as looking at every projection, ties included, from trees of boxes (`tree`,
+where the bound is proven), one per cell of the space of projections.  Over `EXACT_UP_TO`
+projections it takes a slack: then the i-th projection given is at most 1 + slack times as far as the i-th nearest, and
+`measure_recall` says how many of the nearest are found.
 """
 
 from __future__ import annotations
@@ -23,18 +23,14 @@ from pasdedeux.projections.tree import Tree, build_tree, search_trees, sort_into
 from pasdedeux.skeletons import OP14
 
 __all__ = [
-    "CELL_SIZE",
     "EXACT_UP_TO",
     "SLACK_BEYOND",
     "Neighbours",
     "ProjectionIndex",
     "build_index",
-    "look_at_all",
     "measure_recall",
     "prepare_query",
     "recall",
-    "search_brute_force",
-    "search_index",
 ]
 
 EXACT_UP_TO = 5_000_000
@@ -42,8 +38,7 @@ EXACT_UP_TO = 5_000_000
 SLACK_BEYOND = 0.1
 """Slack of the search of more projections: of many variants of the same poses it finds 95 % of the 50 nearest."""
 
-_JOINTS = OP14.num_joints
-CELL_SIZE = 1_000_000
+_CELL_SIZE = 1_000_000
 """Projections of a tree, about: only those of one are held besides the trees while building."""
 _SAMPLE = 50_000
 """Projections that the cells are laid out by."""
@@ -78,7 +73,7 @@ class Neighbours:
 
 
 def prepare_query(
-    query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_joints: int = _JOINTS
+    query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_joints: int = OP14.num_joints
 ) -> tuple[Floats32, Floats32]:
     """Return queries (*batch, J, 2) and weights (*batch, J) in float32, weight 0 where a joint is not finite.
 
@@ -100,74 +95,13 @@ def prepare_query(
     return query, weight
 
 
-def search_brute_force(
-    database: Database, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
-) -> Neighbours:
-    """Return the nearest projections by looking at all of them: the plain form, kept as oracle.
-
-    Args:
-        database: Database of n projections.
-        query_m: Queries (*batch, 14, 2), metres, x right, y up, mid-hip at the origin; NaN where not seen.
-        weights: Weights (*batch, 14) of the joints, 1 when not given.
-        num_neighbours: Neighbours k wanted.
-
-    Returns:
-        Neighbours (*batch, k), ties by projection number; none where no joint was seen.
-    """
-    query, weight = prepare_query(query_m, weights)
-    projections = database.project().reshape(-1, _JOINTS, 2)
-    return look_at_all(projections, query, weight, num_neighbours=num_neighbours, num_yaws=database.num_yaws)
-
-
-def look_at_all(
-    projections: Floats32, query: Floats32, weight: Floats32, *, num_neighbours: int, num_yaws: int
-) -> Neighbours:
-    """Return the nearest of projections (n, J, 2) to prepared queries (*batch, J, 2) with weights (*batch, J)."""
-    joints = projections.shape[1]
-    flat_query, flat_weight = query.reshape(-1, joints, 2), weight.reshape(-1, joints)
-    found = np.full((len(flat_query), num_neighbours), -1, dtype=np.int64)
-    distance = np.full((len(flat_query), num_neighbours), np.inf)
-    for number, (one, joint_weight) in enumerate(zip(flat_query, flat_weight, strict=True)):
-        total = _total(joint_weight)
-        if total <= 0:
-            continue
-        summed = np.zeros(len(projections), dtype=np.float32)
-        for joint in range(joints):
-            dx = one[joint, 0] - projections[:, joint, 0]
-            dy = one[joint, 1] - projections[:, joint, 1]
-            summed += joint_weight[joint] * np.sqrt(dx * dx + dy * dy)
-        count = min(num_neighbours, len(summed))
-        cut = np.partition(summed, count - 1)[count - 1]
-        near = np.flatnonzero(summed <= cut)
-        order = near[np.lexsort((near, summed[near]))][:count]
-        found[number, :count] = order
-        distance[number, :count] = summed[order].astype(np.float64) / total
-    shape = (*query.shape[:-2], num_neighbours)
-    return Neighbours(found.reshape(shape), distance.reshape(shape), num_yaws)
-
-
-def search_index(
-    trees: tuple[Tree, ...], query: Floats32, weight: Floats32, *, num_neighbours: int, slack: float, num_yaws: int
-) -> Neighbours:
-    """Return the nearest projections of trees to prepared queries (*batch, J, 2) with weights (*batch, J)."""
-    joints = query.shape[-2]
-    flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
-    flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
-    found, summed = search_trees(trees, flat_query, flat_weight, num_neighbours=num_neighbours, slack=slack)
-    total = np.array([_total(row) for row in flat_weight])[:, None]
-    distance = np.full(summed.shape, np.inf)
-    np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
-    shape = (*query.shape[:-2], num_neighbours)
-    return Neighbours(found.reshape(shape), distance.reshape(shape), num_yaws)
-
-
 @dataclass(frozen=True)
 class ProjectionIndex:
     """The search trees of a database.
 
     Args:
         num_yaws: Yaw steps of the database.
-        trees: One per cell of the space of projections and part that was appended.
+        trees: One per cell of the space of projections.
         slack: 0 for the exact search.
     """
 
@@ -180,38 +114,35 @@ class ProjectionIndex:
         if not (np.isfinite(self.slack) and self.slack >= 0):
             raise InputError(f"the slack of the search is {self.slack}; it must be finite and not negative")
 
-    @property
-    def num_projections(self) -> int:
-        """Projections that are searched."""
-        return sum(tree.num_projections for tree in self.trees)
-
-    @property
-    def num_bytes(self) -> int:
-        """Memory held."""
-        return sum(tree.num_bytes for tree in self.trees)
-
     def search(
         self, query_m: npt.ArrayLike, weights: npt.ArrayLike | None = None, *, num_neighbours: int = 50
     ) -> Neighbours:
-        """Return exactly what `search_brute_force` gives when the slack is 0; one query or a batch of them."""
-        query, weight = prepare_query(query_m, weights)
-        return search_index(
-            self.trees, query, weight, num_neighbours=num_neighbours, slack=self.slack, num_yaws=self.num_yaws
+        """Return the nearest projections of one query or a batch of them.
+
+        Args:
+            query_m: Queries (*batch, J, 2), metres, x right, y up, mid-hip at the origin; NaN where not seen.
+            weights: Weights (*batch, J) of the joints, 1 when not given.
+            num_neighbours: Neighbours k wanted.
+
+        Returns:
+            Neighbours (*batch, k), ties by projection number; none where no joint was seen.
+        """
+        joints = self.trees[0].leaves.shape[1] // 2
+        query, weight = prepare_query(query_m, weights, num_joints=joints)
+        flat_query = np.ascontiguousarray(np.swapaxes(query.reshape(-1, joints, 2), 1, 2)).reshape(-1, 2 * joints)
+        flat_weight = np.ascontiguousarray(weight.reshape(-1, joints))
+        found, summed = search_trees(
+            self.trees, flat_query, flat_weight, num_neighbours=num_neighbours, slack=self.slack
         )
+        total = flat_weight.sum(axis=1, dtype=np.float64)[:, None]
+        distance = np.full(summed.shape, np.inf)
+        np.divide(summed.astype(np.float64), total, out=distance, where=total > 0)
+        shape = (*query.shape[:-2], num_neighbours)
+        return Neighbours(found.reshape(shape), distance.reshape(shape), self.num_yaws)
 
     def with_slack(self, slack: float) -> ProjectionIndex:
         """Return the same trees searched with another slack; 0 is exact."""
         return replace(self, slack=slack)
-
-    def append(self, database: Database) -> ProjectionIndex:
-        """Return an index that also holds another part, its rows numbered after those that are there; same slack.
-
-        Raises:
-            InputError: The part has another number of yaw steps.
-        """
-        if database.num_yaws != self.num_yaws:
-            raise InputError(f"the part has {database.num_yaws} yaw steps, the index {self.num_yaws}")
-        return replace(self, trees=(*self.trees, *_trees_of(database, self.num_projections, CELL_SIZE)))
 
 
 def build_index(
@@ -219,7 +150,7 @@ def build_index(
     *,
     exact_up_to: int = EXACT_UP_TO,
     slack_beyond: float = SLACK_BEYOND,
-    cell_size: int = CELL_SIZE,
+    cell_size: int = _CELL_SIZE,
 ) -> ProjectionIndex:
     """Return the search trees of a database.
 
@@ -233,20 +164,20 @@ def build_index(
         cell_size: Projections of a tree, about; more than twice as many are divided.
     """
     slack = 0.0 if database.num_projections <= exact_up_to else slack_beyond
-    return ProjectionIndex(database.num_yaws, _trees_of(database, 0, cell_size), slack)
+    return ProjectionIndex(database.num_yaws, _trees_of(database, cell_size), slack)
 
 
-def _trees_of(database: Database, first_number: int, cell_size: int) -> tuple[Tree, ...]:
+def _trees_of(database: Database, cell_size: int) -> tuple[Tree, ...]:
     """Return one tree of a database's projections, or of many one for every cell of about `cell_size` of them."""
     count = database.num_projections
     step = max(1, 100_000 // database.num_yaws)
     starts = range(0, database.num_rows, step)
     if count <= 2 * cell_size:
-        flat = np.empty((count, 2 * _JOINTS), dtype=np.float32)
+        flat = np.empty((count, 2 * database.num_joints), dtype=np.float32)
         for row in starts:
             part = _flat(database.project(row, row + step))
             flat[row * database.num_yaws :][: len(part)] = part
-        return (build_tree(flat, first_number=first_number),)
+        return (build_tree(flat),)
     sample = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(np.int64))
     cell_of = sort_into_cells(_flat(database.projections(sample)), int(np.log2(count / cell_size)))
     cell = np.concatenate([cell_of(_flat(database.project(row, row + step))).astype(np.int16) for row in starts])
@@ -254,15 +185,15 @@ def _trees_of(database: Database, first_number: int, cell_size: int) -> tuple[Tr
     for one in np.unique(cell):
         number = np.flatnonzero(cell == one)
         pieces = np.array_split(number, -(-len(number) // 100_000))
-        flat = np.empty((len(number), 2 * _JOINTS), dtype=np.float32)
+        flat = np.empty((len(number), 2 * database.num_joints), dtype=np.float32)
         np.concatenate([_flat(database.projections(piece)) for piece in pieces], out=flat)
-        trees.append(build_tree(flat, number.astype(np.int32), first_number=first_number))
+        trees.append(build_tree(flat, number.astype(np.int32)))
     return tuple(trees)
 
 
 def _flat(projections: Floats32) -> Floats32:
-    """Return projections (*batch, 14, 2) as rows (n, 28), x of the joints, then y."""
-    points = projections.reshape(-1, _JOINTS, 2)
+    """Return projections (*batch, J, 2) as rows (n, 2 J), x of the joints, then y."""
+    points = projections.reshape(-1, *projections.shape[-2:])
     return np.concatenate([points[..., 0], points[..., 1]], axis=-1)
 
 
@@ -308,8 +239,3 @@ def measure_recall(
     query += rng.normal(0.0, noise_m, query.shape)
     found = index.search(query, num_neighbours=num_best)
     return recall(found, index.with_slack(0.0).search(query, num_neighbours=num_best), num_best=num_best)
-
-
-def _total(weight: Floats32) -> float:
-    """Sum the weights of one query the same way for every form of the search."""
-    return float(np.sum(weight, dtype=np.float64))

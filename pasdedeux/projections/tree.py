@@ -45,8 +45,7 @@ class Tree:
     """A tree of boxes; 16 projections of J joints a leaf, 16 children a node.
 
     Args:
-        first_number: What is added to the numbers kept, which are narrow.
-        number: Number of the projection in each lane of each leaf (leaf, lane), less `first_number`; -1 for none.
+        number: Number of the projection in each lane of each leaf (leaf, lane); -1 for none.
         leaves: Projections (leaf, 2 J, lane): x of the joints, then y; far away in empty lanes.
         centre: Middle of the boxes of the nodes under each node (node, 2 J, lane), all levels, root first.
         half: Their half-widths; -1 in empty lanes.
@@ -55,7 +54,6 @@ class Tree:
         reach: Its half-widths (2 J,).
     """
 
-    first_number: int
     number: Integers32
     leaves: Floats32
     centre: Floats32
@@ -64,24 +62,13 @@ class Tree:
     middle: Floats32
     reach: Floats32
 
-    @property
-    def num_projections(self) -> int:
-        """Projections below the root."""
-        return int((self.number >= 0).sum())
 
-    @property
-    def num_bytes(self) -> int:
-        """Memory held."""
-        return sum(one.nbytes for one in (self.number, self.leaves, self.centre, self.half))
-
-
-def build_tree(flat: Floats32, number_of: Integers32 | None = None, *, first_number: int = 0) -> Tree:
+def build_tree(flat: Floats32, number_of: Integers32 | None = None) -> Tree:
     """Return the tree of projections (n, 2 J), n at least 1: ordered by median splits, boxes bottom-up.
 
     Args:
         flat: Projections, x of the joints, then y, metres.
-        number_of: Their numbers (n,), less `first_number`; 0, 1, ... when not given.
-        first_number: See there.
+        number_of: Their numbers (n,); 0, 1, ... when not given.
     """
     count, dims = flat.shape
     order = np.arange(count, dtype=np.int32)
@@ -108,7 +95,6 @@ def build_tree(flat: Floats32, number_of: Integers32 | None = None, *, first_num
     sizes = [len(centre) for centre in reversed(centres)]
     middle = 0.5 * (low[0] + high[0])
     return Tree(
-        first_number=first_number,
         number=number.reshape(num_leaves, _LANES),
         leaves=leaves,
         centre=np.concatenate(centres[::-1]),
@@ -161,7 +147,6 @@ def _search_one(
     _search_batch(
         query,
         weight,
-        tree.first_number,
         tree.number,
         tree.leaves,
         tree.centre,
@@ -356,7 +341,6 @@ def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> 
 def _search_batch(
     queries: Floats32,
     weights: Floats32,
-    first_number: int,
     number: Integers32,
     leaves: Floats32,
     centre: Floats32,
@@ -395,7 +379,7 @@ def _search_batch(
                 _distances(query, weight, leaves[node], lane_value)
                 for lane in range(lanes):
                     if number[node, lane] >= 0 and lane_value[lane] <= best[last]:
-                        _keep(best_number, best, first_number + number[node, lane], lane_value[lane])
+                        _keep(best_number, best, int(number[node, lane]), lane_value[lane])
                 continue
             inner = level_start[level] + node
             _bounds(query, weight, centre[inner], half[inner], lane_value)

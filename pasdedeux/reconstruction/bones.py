@@ -7,24 +7,36 @@ body, every other joint the swing of its bone against the bone before it.  Rest 
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.kinematics.rotations import (
+from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
+    cross,
+    dot,
+    length,
+    mix,
     multiply,
     normalise,
     rotate,
+    row_of,
+    scale,
+    subtract,
     swing_between,
-    unitquat_from_rotmat,
+    unitquat_from_axes,
 )
 from pasdedeux.skeletons import OP14
 
-__all__ = ["REST_DIRECTIONS", "bone_rotations", "place_bone_rotations", "world_bone_rotations"]
+__all__ = ["REST_DIRECTIONS", "bone_rotations", "place_bone_rotations"]
 
 Array = npt.NDArray[np.float64]
 
 _NECK = OP14.root
+_ORDER = np.array(OP14.order[1:])
+_PARENTS = np.array(OP14.parents)
+_LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
+_LEFT_SHOULDER, _RIGHT_SHOULDER = OP14.index("left_shoulder"), OP14.index("right_shoulder")
 _HIP_SLOPE = 0.19
 """Sideways part of the bone from neck to hip at rest: 0.055 over 0.293 of stature, the reference body's."""
 
@@ -50,54 +62,20 @@ REST_DIRECTIONS: Array = _rest_directions()
 """Direction (14, 3) of each bone at rest: T-pose facing +Z, so the left side is +X; zero for the neck.
 
 The head of op14 is the nose, before the neck's line."""
+_REST = REST_DIRECTIONS.copy()  # compiled code wants it writeable, or it compiles twice
 REST_DIRECTIONS.flags.writeable = False
-
-
-def _body_rotation(positions: Array) -> Array:
-    """Return the frame of the body (*batch, 4): up from mid-hip to neck, left from right to left hip and shoulder."""
-    left_hip, right_hip, left_shoulder, right_shoulder = OP14.indices(
-        ["left_hip", "right_hip", "left_shoulder", "right_shoulder"]
-    )
-    hips = positions[..., left_hip, :] - positions[..., right_hip, :]
-    shoulders = positions[..., left_shoulder, :] - positions[..., right_shoulder, :]
-    up = positions[..., _NECK, :] - 0.5 * (positions[..., left_hip, :] + positions[..., right_hip, :])
-    up = normalise(up, fallback=np.array([0.0, 1.0, 0.0]))
-    across = hips + shoulders
-    across = across - np.sum(across * up, axis=-1, keepdims=True) * up
-    helper = np.where(np.abs(up[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-    helper = helper - np.sum(helper * up, axis=-1, keepdims=True) * up
-    is_flat = np.linalg.norm(across, axis=-1, keepdims=True) < 1e-9
-    left = normalise(np.where(is_flat, helper, across))
-    return unitquat_from_rotmat(np.stack([left, up, np.cross(left, up)], axis=-1))
 
 
 def bone_rotations(positions: Array) -> Array:
     """Return the rotations (*batch, 14, 4) of op14 bones from positions (*batch, 14, 3), any unit.
 
-    Entry of the neck: the frame of the body in the world.  Entry of every other joint: the shortest rotation of the
-    bone that ends there, against the bone before it (the frame of the body for head, shoulders and hips).  A bone of
-    length zero keeps the rotation of the bone before it (identity).
+    Entry of the neck: the frame of the body in the world, up from mid-hip to neck and left from the right to the left
+    hip and shoulder.  Entry of every other joint: the shortest rotation of the bone that ends there, against the bone
+    before it (the frame of the body for head, shoulders and hips).  A bone of length zero keeps the rotation of the
+    bone before it (identity).
     """
-    local = np.empty((*positions.shape[:-1], 4))
-    world = np.empty_like(local)
-    local[..., _NECK, :] = world[..., _NECK, :] = _body_rotation(positions)
-    for joint in OP14.order[1:]:
-        parent = OP14.parents[joint]
-        bone = rotate(conjugate(world[..., parent, :]), positions[..., joint, :] - positions[..., parent, :])
-        rest = np.broadcast_to(REST_DIRECTIONS[joint], bone.shape)
-        local[..., joint, :] = swing_between(rest, bone)
-        world[..., joint, :] = multiply(world[..., parent, :], local[..., joint, :])
-    return local
-
-
-def world_bone_rotations(bone_unitquat: Array) -> Array:
-    """Return the rotation of every bone against the world (*batch, 14, 4) from `bone_rotations`."""
-    world = np.empty(bone_unitquat.shape)
-    for joint in OP14.order:
-        parent = OP14.parents[joint]
-        own = bone_unitquat[..., joint, :]
-        world[..., joint, :] = own if parent < 0 else multiply(world[..., parent, :], own)
-    return world
+    flat = np.array(positions, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 3)
+    return _bone_rotations(flat).reshape(*positions.shape[:-1], 4)
 
 
 def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) -> Array:
@@ -108,12 +86,68 @@ def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) 
         lengths_m: Bone lengths (14,) or (*batch, 14), metres.
         root_m: Mid-hip (*batch, 3), metres.
     """
-    world = world_bone_rotations(bone_unitquat)
-    directions = rotate(world, np.broadcast_to(REST_DIRECTIONS, (*world.shape[:-1], 3)))
-    positions = np.zeros(directions.shape)
-    for joint in OP14.order[1:]:
-        reach = np.asarray(lengths_m)[..., joint, None]
-        positions[..., joint, :] = positions[..., OP14.parents[joint], :] + directions[..., joint, :] * reach
-    left_hip, right_hip = OP14.index("left_hip"), OP14.index("right_hip")
-    mid = 0.5 * (positions[..., left_hip, :] + positions[..., right_hip, :])
-    return np.asarray(positions + (root_m - mid)[..., None, :])
+    shape = bone_unitquat.shape[:-1]
+    flat = np.array(bone_unitquat, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 4)
+    lengths = np.array(np.broadcast_to(lengths_m, shape), dtype=np.float64, order="C")
+    placed = _place_bones(flat, lengths.reshape(flat.shape[:-1])).reshape(*shape, 3)
+    return np.asarray(placed + np.asarray(root_m)[..., None, :])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bone_rotations(positions: Array) -> Array:
+    """Do `bone_rotations` for poses (n, 14, 3)."""
+    local = np.empty((*positions.shape[:2], 4))
+    for at in range(positions.shape[0]):
+        pose = positions[at]
+        left_hip, right_hip = row_of(pose, _LEFT_HIP), row_of(pose, _RIGHT_HIP)
+        hips, shoulders = (
+            subtract(left_hip, right_hip),
+            subtract(row_of(pose, _LEFT_SHOULDER), row_of(pose, _RIGHT_SHOULDER)),
+        )
+        up = normalise(subtract(row_of(pose, _NECK), mix(0.5, left_hip, 0.5, right_hip)))
+        if dot(up, up) == 0.0:
+            up = (0.0, 1.0, 0.0)
+        across = mix(1.0, hips, 1.0, shoulders)
+        across = subtract(across, scale(dot(across, up), up))
+        if length(across) < 1e-9:
+            across = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
+            across = subtract(across, scale(dot(across, up), up))
+        left = normalise(across)
+        world = np.empty((pose.shape[0], 4))
+        _put(local[at], _NECK, unitquat_from_axes(left, up, cross(left, up)))
+        world[_NECK] = local[at, _NECK]
+        for joint in _ORDER:
+            before = _of(world, _PARENTS[joint])
+            bone = rotate(conjugate(before), subtract(row_of(pose, joint), row_of(pose, _PARENTS[joint])))
+            swing = swing_between(row_of(_REST, joint), bone)
+            _put(local[at], joint, swing)
+            _put(world, joint, multiply(before, swing))
+    return local
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _place_bones(unitquat: Array, lengths: Array) -> Array:
+    """Return positions (n, 14, 3) about the mid-hip of rotations (n, 14, 4) of bones of these lengths (n, 14)."""
+    positions = np.zeros((*unitquat.shape[:2], 3))
+    for at in range(unitquat.shape[0]):
+        pose, world = positions[at], unitquat[at].copy()
+        for joint in _ORDER:
+            parent = _PARENTS[joint]
+            turn = multiply(_of(world, parent), _of(unitquat[at], joint))
+            _put(world, joint, turn)
+            bone = rotate(turn, row_of(_REST, joint))
+            for axis in range(3):
+                pose[joint, axis] = pose[parent, axis] + lengths[at, joint] * bone[axis]
+        for axis in range(3):
+            pose[:, axis] -= 0.5 * (pose[_LEFT_HIP, axis] + pose[_RIGHT_HIP, axis])
+    return positions
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
+    return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
+    rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q

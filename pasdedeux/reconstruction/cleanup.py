@@ -1,7 +1,7 @@
 """Clean-up of a reconstructed motion: planted feet stand still, nobody sinks into the floor, bones keep their length.
 
 One camera sees the depth of a person badly, so reconstructed people glide.  Feet on the floor tell how the body really
-moved: first the way of the whole body is corrected (poses stay as they are) so that planted feet move least, then what
+moved: first the path of the whole body is corrected (poses stay as they are) so that planted feet move least, then what
 is left is taken up by the legs: hips and feet are given, and the knee keeps the plane it bends in.
 """
 
@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.forward import bone_lengths
@@ -19,9 +21,19 @@ from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["CleanUpOptions", "CleanedMotion", "bend_leg", "clean_reconstruction", "clean_up", "find_contacts"]
+__all__ = [
+    "CleanUpOptions",
+    "CleanedMotion",
+    "ContactOptions",
+    "bend_leg",
+    "bend_one_leg",
+    "clean_reconstruction",
+    "clean_up",
+    "find_contacts",
+]
 
 Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
@@ -36,43 +48,39 @@ _NEAR_QUANTILE = 0.2
 _STRAIGHT = 1.0 - 1e-6
 """A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
 
-_LEAST_BEND_M = 1e-4
+_MIN_BEND_M = 1e-4
 
 
-@dataclass(frozen=True)
-class CleanUpOptions:
-    """What counts as a planted foot, and how far a motion may be changed.
+class ContactOptions(Settings):
+    """What counts as a planted foot, and how far the legs may move it."""
 
-    Args:
-        contact_speed_m_s: Feet slower than this may be planted.
-        away_share: Part of the speed along z, away from the camera, that counts: one camera sees it badly.
-        contact_height_m: Feet lower than this over the lower foot and, twice this, over the floor may be planted.
-        floor_s: The floor that contacts are judged by is that of this time: a wrong pitch tilts it.
-        least_contact_s: Shorter contacts are none.
-        blend_s: A foot comes into its lock and out of it over this time.
-        most_bend_m: The legs move a foot by at most this.
-        way_stiffness: Cost of a second difference of the correction of the way, against 1 for a planted foot's step.
-        way_hold: Cost of the correction itself.
-        floor_pull: Cost of the height of a planted foot over the floor.
-    """
+    contact_speed_m_s: float = Field(0.3, gt=0, description="Feet slower than this may be planted")
+    away_share: float = Field(
+        0.5, ge=0, description="Part of the speed along z, away from the camera, that counts: one camera sees it badly"
+    )
+    contact_height_m: float = Field(
+        0.05,
+        gt=0,
+        description="Feet lower than this over the lower foot and, twice this, over the floor may be planted",
+    )
+    floor_s: float = Field(
+        1.5, gt=0, description="The floor that contacts are judged by is that of this time: a wrong pitch tilts it"
+    )
+    blend_s: float = Field(0.12, gt=0, description="A foot comes into its lock and out of it over this time")
+    max_bend_m: float = Field(0.04, ge=0, description="The legs move a foot by at most this")
 
-    contact_speed_m_s: float = 0.3
-    away_share: float = 0.5
-    contact_height_m: float = 0.05
-    floor_s: float = 1.5
-    least_contact_s: float = 0.1
-    blend_s: float = 0.12
-    most_bend_m: float = 0.04
-    way_stiffness: float = 1.0
-    way_hold: float = 1e-4
-    floor_pull: float = 0.1
 
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if min(self.contact_speed_m_s, self.contact_height_m, self.way_stiffness, self.way_hold, self.floor_pull) <= 0:
-            raise InputError(f"clean-up: speeds, heights and costs must be positive: {self}")
-        if min(self.least_contact_s, self.blend_s, self.most_bend_m, self.away_share, self.floor_s) < 0:
-            raise InputError(f"clean-up: times and ways must not be negative: {self}")
+class CleanUpOptions(ContactOptions):
+    """The same of a whole motion."""
+
+    min_contact_s: float = Field(0.1, ge=0, description="Shorter contacts are none")
+    shift_stiffness: float = Field(
+        1.0,
+        gt=0,
+        description="Cost of a second difference of the correction of the path, against 1 for a planted foot's step",
+    )
+    shift_hold: float = Field(1e-4, gt=0, description="Cost of the correction itself")
+    floor_pull: float = Field(0.1, gt=0, description="Cost of the height of a planted foot over the floor")
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,7 @@ class CleanedMotion:
     Args:
         positions_m: (frame, 14, 3), upright axes, metres.
         is_planted: Left and right foot on the floor (frame, 2).
-        shift_m: What the body's way was corrected by (frame, 3).
+        shift_m: What the body's path was corrected by (frame, 3).
         floor_m: Height of ankles that stand.
     """
 
@@ -112,7 +120,7 @@ def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | No
     positions = retarget_proportions(positions_m, lengths)
     floor = float(np.quantile(positions[:, _ANKLES, _UP].min(axis=1), _FLOOR_QUANTILE))
     is_planted = find_contacts(positions, rate_hz=rate_hz, options=options)
-    shift = _correct_way(positions[:, _ANKLES], is_planted, floor, options)
+    shift = _correct_path(positions[:, _ANKLES], is_planted, floor, options)
     positions = positions + shift[:, None]
     for side, (hip, knee, ankle) in enumerate(_LEGS):
         target = _targets(positions[:, ankle], is_planted[:, side], floor, rate_hz, options)
@@ -138,7 +146,7 @@ def find_contacts(positions_m: Array, *, rate_hz: float, options: CleanUpOptions
     floor = percentile_filter(height.min(axis=1), 100.0 * _NEAR_QUANTILE, window)
     is_near = height < floor[:, None] + 2.0 * options.contact_height_m
     planted = (speed < options.contact_speed_m_s) & is_low & is_near
-    least = max(2, round(options.least_contact_s * rate_hz))
+    least = max(2, round(options.min_contact_s * rate_hz))
     for side in range(2):
         for first, last in _runs(planted[:, side]):
             if last - first < least:
@@ -152,19 +160,31 @@ def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fa
     The knee stays in the plane of hip, knee and ankle, on its side of the line between them.  A target that is out of
     reach is approached along its line.  A leg that is straight bends towards `fallback` (frame, 3).
     """
-    thigh = np.linalg.norm(knee_m - hip_m, axis=-1, keepdims=True)
-    shank = np.linalg.norm(ankle_m - knee_m, axis=-1, keepdims=True)
-    old_line = normalise(ankle_m - hip_m, fallback=np.array([0.0, -1.0, 0.0]))
-    line = normalise(target_m - hip_m, fallback=np.array([0.0, -1.0, 0.0]))
-    reach = np.linalg.norm(target_m - hip_m, axis=-1, keepdims=True)
-    reach = np.clip(reach, np.abs(thigh - shank) + _LEAST_BEND_M, _STRAIGHT * (thigh + shank))
-    bend = (knee_m - hip_m) - np.sum((knee_m - hip_m) * old_line, axis=-1, keepdims=True) * old_line
-    is_bent = np.linalg.norm(bend, axis=-1, keepdims=True) > _LEAST_BEND_M
-    pole = np.where(is_bent, bend, fallback)
-    pole = normalise(pole - np.sum(pole * line, axis=-1, keepdims=True) * line, fallback=np.array([0.0, 0.0, 1.0]))
+    knees, ankles = np.empty(hip_m.shape), np.empty(hip_m.shape)
+    for at, leg in enumerate(zip(hip_m, knee_m, ankle_m, target_m, fallback, strict=True)):
+        knees[at], ankles[at] = bend_one_leg(*leg)
+    return knees, ankles
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def bend_one_leg(start: Array, middle: Array, end: Array, target: Array, fallback: Array) -> tuple[Array, Array]:
+    """Do `bend_leg` for one leg, each argument (3,)."""
+    thigh, shank = np.sqrt(((middle - start) ** 2).sum()), np.sqrt(((end - middle) ** 2).sum())
+    old_line, line = end - start, target - start
+    old_reach, reach = np.sqrt((old_line**2).sum()), np.sqrt((line**2).sum())
+    down = np.array([0.0, -1.0, 0.0])
+    old_line = old_line / old_reach if old_reach > 1e-12 else down
+    line = line / reach if reach > 1e-12 else down
+    reach = min(max(reach, abs(thigh - shank) + _MIN_BEND_M), _STRAIGHT * (thigh + shank))
+    bend = (middle - start) - ((middle - start) * old_line).sum() * old_line
+    if np.sqrt((bend**2).sum()) <= _MIN_BEND_M:
+        bend = fallback
+    pole = bend - (bend * line).sum() * line
+    length = np.sqrt((pole**2).sum())
+    pole = pole / length if length > 1e-12 else np.array([0.0, 0.0, 1.0])
     along = (thigh**2 - shank**2 + reach**2) / (2.0 * reach)
-    aside = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
-    return hip_m + along * line + aside * pole, hip_m + reach * line
+    aside = np.sqrt(max(thigh**2 - along**2, 0.0))
+    return start + along * line + aside * pole, start + reach * line
 
 
 def _forward(positions: Array) -> Array:
@@ -174,8 +194,8 @@ def _forward(positions: Array) -> Array:
     return normalise(np.cross(left - right, up), fallback=np.array([0.0, 0.0, 1.0]))
 
 
-def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: CleanUpOptions) -> Array:
-    """Return the correction of the way (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
+def _correct_path(ankles: Array, is_planted: Booleans, floor: float, options: CleanUpOptions) -> Array:
+    """Return the correction of the path (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
 
     Upwards, planted feet are also drawn to the floor.
     """
@@ -190,7 +210,7 @@ def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: Cle
     for axis in range(3):
         # Upper bands of the symmetric pentadiagonal normal matrix, as solveh_banded takes them.
         bands = np.zeros((3, frames))
-        bands[2] += options.way_hold
+        bands[2] += options.shift_hold
         rhs = np.zeros(frames)
         weight = stays.sum(axis=1)
         bands[2, :-1] += weight
@@ -199,7 +219,7 @@ def _correct_way(ankles: Array, is_planted: Booleans, floor: float, options: Cle
         pull = (stays * steps[..., axis]).sum(axis=1)
         rhs[:-1] += pull
         rhs[1:] -= pull
-        stiff = options.way_stiffness
+        stiff = options.shift_stiffness
         bands[2, :-2] += stiff
         bands[2, 1:-1] += 4.0 * stiff
         bands[2, 2:] += stiff
@@ -237,7 +257,7 @@ def _targets(ankle: Array, is_planted: Booleans, floor: float, rate_hz: float, o
         weight += share[:, None]
     move = move / np.maximum(weight, 1.0)
     length = np.linalg.norm(move, axis=-1, keepdims=True)
-    move *= np.minimum(1.0, options.most_bend_m / np.maximum(length, 1e-12))
+    move *= np.minimum(1.0, options.max_bend_m / np.maximum(length, 1e-12))
     target = ankle + move
     target[:, _UP] = np.maximum(target[:, _UP], floor)
     return np.asarray(target)

@@ -9,21 +9,34 @@ hips and shoulders turn together and a knee bends one way.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["SIGN_GROUPS", "BoneDepths", "DepthSettings", "bone_vectors", "decode_depths", "place_depths"]
+__all__ = [
+    "BoneDepths",
+    "DepthSettings",
+    "SignStep",
+    "bone_vectors",
+    "bones_by_votes",
+    "decode_depths",
+    "place_depths",
+    "trace_signs",
+    "vote_on_signs",
+]
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 _PARENTS = np.array([max(parent, 0) for parent in OP14.parents])
-SIGN_GROUPS: tuple[tuple[int, ...], ...] = tuple(
+_SIGN_GROUPS = tuple(
     tuple(OP14.indices(names))
     for names in (
         ("head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),
@@ -31,28 +44,29 @@ SIGN_GROUPS: tuple[tuple[int, ...], ...] = tuple(
         ("left_knee", "left_ankle", "right_knee", "right_ankle"),
     )
 )
+_JOINTS = OP14.num_joints
+_ORDER = np.array(OP14.order[1:])
+_GROUP_JOINTS = np.array([joint for group in _SIGN_GROUPS for joint in group])
+_GROUP_SIZES = np.array([len(group) for group in _SIGN_GROUPS])
+_FIRST_JOINT = np.concatenate([[0], np.cumsum(_GROUP_SIZES)])
+_FIRST_STATE = np.concatenate([[0], np.cumsum(2**_GROUP_SIZES)])
+_NUM_SIGN_STATES = int(_FIRST_STATE[-1])
+"""Choices of signs of all groups of bones together, one group after the other."""
+
+_MIN_WEIGHT = 1e-12
 
 
-@dataclass(frozen=True)
-class DepthSettings:
-    """How candidates vote on depth.
+class DepthSettings(Settings):
+    """How candidates vote on depth."""
 
-    Args:
-        misfit_m: Candidates whose image is this much worse than the best count 1/e.
-        kernel_m: Width of the kernel over depths; chosen on clips of a database left out in turn.
-        speed_m_s: Standard deviation of the speed of a bone's end in depth.
-        floor: Share of the votes that is spread over all signs, so that none is impossible.
-    """
-
-    misfit_m: float = 0.02
-    kernel_m: float = 0.03
-    speed_m_s: float = 0.7
-    floor: float = 1e-4
-
-    def __post_init__(self) -> None:
-        """Refuse widths that are not positive."""
-        if not (min(self.misfit_m, self.kernel_m, self.speed_m_s) > 0 and 0 < self.floor < 1):
-            raise InputError(f"depth settings must be positive: {self}")
+    misfit_m: float = Field(0.02, gt=0, description="Candidates whose image is this much worse than the best count 1/e")
+    kernel_m: float = Field(
+        0.03, gt=0, description="Width of the kernel over depths; chosen on clips of a database left out in turn"
+    )
+    speed_m_s: float = Field(0.7, gt=0, description="Standard deviation of the speed of a bone's end in depth")
+    floor: float = Field(
+        1e-4, gt=0, lt=1, description="Share of the votes that is spread over all signs, so that none is impossible"
+    )
 
 
 @dataclass(frozen=True)
@@ -62,19 +76,34 @@ class BoneDepths:
     Args:
         depth_m: Depth of the bone that ends in each joint (frame, 14), towards the camera positive; 0 for the root.
         vector_m: Vector of each bone as the candidates of the same sign have it (frame, 14, 3).
-        deviation_m: Standard deviation of that (frame, 14).
     """
 
     depth_m: Array
     vector_m: Array
+
+
+@dataclass(frozen=True)
+class SignStep:
+    """A frame of the choice of signs over time.
+
+    Args:
+        size_m: Size of each bone's depth by the image (14,).
+        deviation_m: Its standard deviation (14,), infinite where an end is not seen.
+        cost: Least cost of coming to each choice of signs (state,), all groups one after the other.
+        back: The choice before that this is best come to from (state,).
+    """
+
+    size_m: Array
     deviation_m: Array
+    cost: Array
+    back: Integers
 
 
 def bone_vectors(positions: Array) -> Array:
     """Return the vector of the bone that ends in each joint (*batch, 14, d) of op14 positions; 0 for the root."""
     vectors = positions - positions[..., _PARENTS, :]
     vectors[..., OP14.root, :] = 0.0
-    return np.asarray(vectors)
+    return np.ascontiguousarray(vectors)
 
 
 def place_depths(observed_m: Array, depth_m: Array) -> Array:
@@ -83,6 +112,59 @@ def place_depths(observed_m: Array, depth_m: Array) -> Array:
     for joint in OP14.order[1:]:
         depth[..., joint] = depth[..., OP14.parents[joint]] + depth_m[..., joint]
     return np.concatenate([observed_m, depth[..., None]], axis=-1)
+
+
+def vote_on_signs(
+    before: SignStep | None,
+    image_m: Array,
+    lengths_m: Array,
+    vectors_m: Array,
+    log_weight: Array,
+    *,
+    noise_m: float,
+    passed_s: float,
+    settings: DepthSettings,
+) -> SignStep:
+    """Let the candidates of one frame vote.
+
+    Args:
+        before: The frame before; None for the first.
+        image_m: Joints (14, 2), metres, in the proportions of the candidates; NaN where not seen.
+        lengths_m: Bone lengths (14,), metres.
+        vectors_m: Bones of the candidates (k, 14, 3).
+        log_weight: Log of the weight of each (k,).
+        noise_m: Standard deviation of the joints.
+        passed_s: Time since the frame before.
+        settings: How candidates vote.
+    """
+    size, deviation, score = _vote_signs(
+        image_m, lengths_m, vectors_m, log_weight, noise_m, settings.kernel_m, settings.floor
+    )
+    if before is None:
+        return SignStep(size, deviation, -score, np.zeros(_NUM_SIGN_STATES, dtype=np.int64))
+    cost, back = _extend_signs(
+        before.cost,
+        before.size_m,
+        before.deviation_m,
+        size,
+        deviation,
+        score,
+        lengths_m,
+        settings.speed_m_s * passed_s,
+    )
+    return SignStep(size, deviation, cost, back)
+
+
+def trace_signs(steps: Sequence[SignStep]) -> Array:
+    """Return the sign of each bone's depth (frame, 14) by the best path to the last of these frames."""
+    return _trace_signs(steps[-1].cost, np.stack([step.back for step in steps]))
+
+
+def bones_by_votes(
+    step: SignStep, sign: Array, vectors_m: Array, log_weight: Array, lengths_m: Array, settings: DepthSettings
+) -> tuple[Array, Array]:
+    """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
+    return _prior_of_frame(step.size_m, step.deviation_m, sign, vectors_m, log_weight, settings.kernel_m, lengths_m)
 
 
 def decode_depths(
@@ -109,101 +191,166 @@ def decode_depths(
         settings: How candidates vote.
     """
     settings = settings or DepthSettings()
-    vectors = bone_vectors(np.where(is_seen[..., None], observed_m, 0.0))
-    both_seen = is_seen & is_seen[:, _PARENTS]
-    squared = lengths_m**2 - np.sum(vectors**2, axis=-1)
-    size = np.where(both_seen, np.sqrt(np.maximum(squared, 0.0)), 0.0)
-    # First order in the noise, held back where the bone lies in the image and the root has no slope.
-    squared_deviation = 2.0 * lengths_m * np.sqrt(2.0) * noise_m
-    deviation = np.minimum(squared_deviation / (2.0 * np.maximum(size, 1e-6)), 0.7 * np.sqrt(squared_deviation))
-    deviation = np.where(both_seen, deviation, lengths_m)
-    log_weight = -misfit_m / settings.misfit_m
-    depths = np.ascontiguousarray(bone_vectors(candidates_m)[..., 2])
-    sign = np.ones(size.shape)
-    for group in SIGN_GROUPS:
-        joints = np.array(group)
-        width = np.sqrt(settings.kernel_m**2 + deviation[:, joints] ** 2)
-        score = _sign_scores(size[:, joints], width, depths[:, :, joints], log_weight, settings.floor)
-        flip = _flip_costs(size[:, joints], deviation[:, joints], settings.speed_m_s / rate_hz)
-        states = _decode_signs(score, flip)
-        sign[:, joints] = np.where((states[:, None] >> np.arange(len(group))) & 1, 1.0, -1.0)
-    signed = sign * size
-    width = np.sqrt(settings.kernel_m**2 + deviation**2)
-    log_share = log_weight[..., None] - 0.5 * ((depths - signed[:, None]) / width[:, None]) ** 2
-    share = np.exp(log_share - log_share.max(axis=1, keepdims=True))
-    share /= share.sum(axis=1, keepdims=True)
-    all_vectors = bone_vectors(candidates_m)
-    mean = np.einsum("tkj,tkjd->tjd", share, all_vectors)
-    spread = np.sqrt(np.einsum("tkj,tkj->tj", share, (depths - mean[:, None, :, 2]) ** 2))
-    # The image says how deep where it is sharp, the candidates where the bone lies in the image.
-    by_image, by_votes = 1.0 / np.maximum(2.0 * deviation, 1e-4) ** 2, 1.0 / settings.kernel_m**2
-    depth = (signed * by_image + mean[..., 2] * by_votes) / (by_image + by_votes)
-    depth = np.where(both_seen, depth, mean[..., 2])
-    depth[:, OP14.root] = 0.0
-    return BoneDepths(depth, mean, spread)
-
-
-def _flip_costs(size: Array, deviation: Array, step_m: float) -> Array:
-    """Return what it costs each bone to change sign between a frame and one before (frame, bone); 0 for the first."""
-    cost = np.zeros(size.shape)
-    variance = 2.0 * (step_m**2 + deviation[1:] ** 2 + deviation[:-1] ** 2)
-    # |a + b|^2 - |a - b|^2 = 4 a b: how much further the end moves when the sign flips.
-    cost[1:] = 4.0 * size[1:] * size[:-1] / variance
-    return cost
+    image = np.where(is_seen[..., None], observed_m, np.nan)
+    vectors, log_weight = bone_vectors(candidates_m), -misfit_m / settings.misfit_m
+    steps: list[SignStep] = []
+    for at in range(len(image)):
+        before = steps[-1] if steps else None
+        steps.append(
+            vote_on_signs(
+                before,
+                image[at],
+                lengths_m,
+                vectors[at],
+                log_weight[at],
+                noise_m=noise_m,
+                passed_s=1.0 / rate_hz,
+                settings=settings,
+            )
+        )
+    signs = trace_signs(steps)
+    found = [
+        bones_by_votes(step, signs[at], vectors[at], log_weight[at], lengths_m, settings)
+        for at, step in enumerate(steps)
+    ]
+    return BoneDepths(np.stack([depth for _, depth in found]), np.stack([mean for mean, _ in found]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sign_scores(size: Array, width: Array, depths: Array, log_weight: Array, floor: float) -> Array:
-    """Return log likelihood (frame, 2^n) of every choice of signs of n bones; bit i set means bone i is positive."""
-    frames, count, bones = depths.shape
-    states = 1 << bones
-    score = np.empty((frames, states))
-    for frame in range(frames):
-        total = 0.0
-        density = np.zeros(states)
-        for candidate in range(count):
-            weight = np.exp(log_weight[frame, candidate])
-            if weight < 1e-12:
-                continue
-            total += weight
-            for state in range(states):
+def _vote_signs(
+    image: Array, lengths: Array, vectors: Array, log_weight: Array, noise: float, kernel: float, floor: float
+) -> tuple[Array, Array, Array]:
+    """Return how deep each bone is by the image, and the log likelihood of each choice of signs by the candidates.
+
+    Args:
+        image: Joints (14, 2), metres, in the proportions of the candidates; NaN where not seen.
+        lengths: Bone lengths (14,).
+        vectors: Bones of the candidates (k, 14, 3).
+        log_weight: Log of the weight of each candidate (k,).
+        noise: Standard deviation of the image.
+        kernel: Width of the kernel over depths.
+        floor: Share of the votes that all signs get.
+
+    Returns:
+        Size of each bone's depth (14,), its standard deviation, infinite where an end is not seen, and the log
+        likelihood of each choice of signs.
+    """
+    size, deviation = np.zeros(_JOINTS), np.empty(_JOINTS)
+    deviation[:] = np.inf
+    for joint in _ORDER:
+        dx = image[joint, 0] - image[_PARENTS[joint], 0]
+        dy = image[joint, 1] - image[_PARENTS[joint], 1]
+        if np.isfinite(dx) and np.isfinite(dy):
+            size[joint] = np.sqrt(max(lengths[joint] ** 2 - dx * dx - dy * dy, 0.0))
+            spread = 2.0 * lengths[joint] * np.sqrt(2.0) * noise
+            deviation[joint] = min(spread / (2.0 * max(size[joint], 1e-6)), 0.7 * np.sqrt(spread))
+    score = np.zeros(_NUM_SIGN_STATES)
+    total = 0.0
+    for candidate in range(vectors.shape[0]):
+        weight = np.exp(log_weight[candidate])
+        if weight < _MIN_WEIGHT:
+            continue
+        total += weight
+        for group in range(_GROUP_SIZES.shape[0]):
+            bones = _GROUP_SIZES[group]
+            for state in range(1 << bones):
                 exponent = 0.0
                 for bone in range(bones):
-                    signed = size[frame, bone] if (state >> bone) & 1 else -size[frame, bone]
-                    away = (depths[frame, candidate, bone] - signed) / width[frame, bone]
-                    exponent += away * away
-                density[state] += weight * np.exp(-0.5 * exponent)
-        for state in range(states):
-            score[frame, state] = np.log(density[state] + floor * total) if total > 0 else 0.0
-    return score
+                    joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
+                    signed = size[joint] if (state >> bone) & 1 else -size[joint]
+                    own = deviation[joint] if np.isfinite(deviation[joint]) else lengths[joint]
+                    away = vectors[candidate, joint, 2] - signed
+                    exponent += away * away / (kernel * kernel + own * own)
+                score[_FIRST_STATE[group] + state] += weight * np.exp(-0.5 * exponent)
+    for state in range(_NUM_SIGN_STATES):
+        score[state] = np.log(score[state] + floor * total) if total > 0 else 0.0
+    return size, deviation, score
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _decode_signs(score: Array, flip: Array) -> npt.NDArray[np.int64]:
-    """Return the likeliest path of sign choices (frame,) when changing a bone's sign costs `flip` (frame, bone)."""
-    frames, states = score.shape
-    bones = flip.shape[1]
-    cost = -score[0]
-    back = np.zeros((frames, states), dtype=np.int64)
-    change = np.empty(states)
-    new_cost = np.empty(states)
-    for frame in range(1, frames):
-        for state in range(states):
+def _extend_signs(
+    before_cost: Array,
+    before_size: Array,
+    before_deviation: Array,
+    size: Array,
+    deviation: Array,
+    score: Array,
+    lengths: Array,
+    moved: float,
+) -> tuple[Array, Integers]:
+    """Return the cost of each choice of signs of a new frame, and the choice before that it is best come to from.
+
+    What it costs a bone to change sign is how much further its end moves when it flips, |a + b|^2 - |a - b|^2 = 4 a b;
+    `moved` is what the end moves in depth between the frames.
+    """
+    cost, back = np.empty(_NUM_SIGN_STATES), np.zeros(_NUM_SIGN_STATES, dtype=np.int64)
+    change = np.empty(1 << _GROUP_SIZES.max())
+    for group in range(_GROUP_SIZES.shape[0]):
+        bones, first = _GROUP_SIZES[group], _FIRST_STATE[group]
+        for state in range(1 << bones):
             change[state] = 0.0
             for bone in range(bones):
                 if (state >> bone) & 1:
-                    change[state] += flip[frame, bone]
-        for state in range(states):
-            best, arg = np.inf, 0
-            for before in range(states):
-                total = cost[before] + change[state ^ before]
-                if total < best:
-                    best, arg = total, before
-            new_cost[state] = best - score[frame, state]
-            back[frame, state] = arg
-        cost[:] = new_cost
-    path = np.empty(frames, dtype=np.int64)
-    path[-1] = np.argmin(cost)
-    for frame in range(frames - 1, 0, -1):
-        path[frame - 1] = back[frame, path[frame]]
-    return path
+                    joint = _GROUP_JOINTS[_FIRST_JOINT[group] + bone]
+                    own = deviation[joint] if np.isfinite(deviation[joint]) else lengths[joint]
+                    old = before_deviation[joint] if np.isfinite(before_deviation[joint]) else lengths[joint]
+                    change[state] += 2.0 * size[joint] * before_size[joint] / (moved * moved + own * own + old * old)
+        for state in range(1 << bones):
+            least, best = np.inf, 0
+            for before in range(1 << bones):
+                total = before_cost[first + before] + change[state ^ before]
+                if total < least:
+                    least, best = total, before
+            cost[first + state] = least - score[first + state]
+            back[first + state] = best
+        # Only differences count; without this a long night would eat the digits.
+        cost[first : first + (1 << bones)] -= cost[first : first + (1 << bones)].min()
+    return cost, back
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _trace_signs(cost: Array, back: Integers) -> Array:
+    """Return sign of each bone's depth (n, 14) by the best path to the last frame, whose choices cost `cost`."""
+    count = back.shape[0]
+    sign = np.ones((count, _JOINTS))
+    for group in range(_GROUP_SIZES.shape[0]):
+        first, bones = _FIRST_STATE[group], _GROUP_SIZES[group]
+        state = np.argmin(cost[first : first + (1 << bones)])
+        for at in range(count - 1, -1, -1):
+            for bone in range(bones):
+                sign[at, _GROUP_JOINTS[_FIRST_JOINT[group] + bone]] = 1.0 if (state >> bone) & 1 else -1.0
+            state = back[at, first + state]
+    return sign
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _prior_of_frame(
+    size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, kernel: float, lengths: Array
+) -> tuple[Array, Array]:
+    """Return each bone as candidates of its sign have it (14, 3) and its depth as image and candidates say (14,)."""
+    mean, depth = np.zeros((_JOINTS, 3)), np.zeros(_JOINTS)
+    share = np.empty(vectors.shape[0])
+    for joint in _ORDER:
+        is_seen = np.isfinite(deviation[joint])
+        own = deviation[joint] if is_seen else lengths[joint]
+        signed = sign[joint] * size[joint]
+        width = kernel * kernel + own * own
+        most = -np.inf
+        for at in range(vectors.shape[0]):
+            share[at] = log_weight[at] - 0.5 * (vectors[at, joint, 2] - signed) ** 2 / width
+            most = max(most, share[at])
+        total = 0.0
+        for at in range(vectors.shape[0]):
+            weight = np.exp(share[at] - most)
+            total += weight
+            for axis in range(3):
+                mean[joint, axis] += weight * vectors[at, joint, axis]
+        for axis in range(3):
+            mean[joint, axis] /= total
+        if is_seen:
+            # The image says how deep where it is sharp, the candidates where the bone lies in the image.
+            by_image, by_votes = 1.0 / max(2.0 * own, 1e-4) ** 2, 1.0 / (kernel * kernel)
+            depth[joint] = (signed * by_image + mean[joint, 2] * by_votes) / (by_image + by_votes)
+        else:
+            depth[joint] = mean[joint, 2]
+    return mean, depth

@@ -17,10 +17,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.identity import body_size_px
 from pasdedeux.reconstruction.tracks import PersonTrack
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = [
@@ -56,35 +58,26 @@ _MEMORY_S = 0.2
 _USUAL_QUANTILE = 0.95
 
 
-@dataclass(frozen=True)
-class FaultOptions:
-    """What counts as a fault.  Lengths are shares of the size of the body in the image (about its height).
+class FaultOptions(Settings):
+    """What counts as a fault.  Lengths are shares of the size of the body in the image (about its height)."""
 
-    Args:
-        relabel_cost: Cost of a frame with changed labels, in second differences (mean over the joints concerned).
-        switch_cost: Cost of a change of the labelling between two frames.
-        speed_per_s: Speed up to which a joint's way between two frames costs nothing, ...
-        usual_speeds: ... but at most this many times what the joint's speed usually is at most.
-        mask_cost: Cost of masking a joint in one frame, against 1 for a jump as long as the body's size.
-        longest_wild_s: A joint that is elsewhere for longer than this is taken to be there.
-        bone_excess: A bone this many times as long as it usually is at most cannot be that bone.
-    """
-
-    relabel_cost: float = 0.004
-    switch_cost: float = 0.02
-    speed_per_s: float = 3.0
-    usual_speeds: float = 2.0
-    mask_cost: float = 0.012
-    longest_wild_s: float = 0.4
-    bone_excess: float = 1.4
-
-    def __post_init__(self) -> None:
-        """Refuse costs without meaning."""
-        if (
-            min(self.relabel_cost, self.switch_cost, self.mask_cost) <= 0
-            or min(self.speed_per_s, self.bone_excess) <= 0
-        ):
-            raise InputError(f"faults: costs and bounds must be positive: {self}")
+    relabel_cost: float = Field(
+        0.004, gt=0, description="Cost of a frame with changed labels, in second differences (mean over joints)"
+    )
+    switch_cost: float = Field(0.02, gt=0, description="Cost of a change of the labelling between two frames")
+    speed_per_s: float = Field(
+        3.0, gt=0, description="Speed up to which what a joint moves between two frames costs nothing"
+    )
+    usual_speeds: float = Field(2.0, gt=0, description="... but at most this many times the joint's usual top speed")
+    mask_cost: float = Field(
+        0.012, gt=0, description="Cost of masking a joint in one frame, against 1 for a jump of the body's size"
+    )
+    longest_wild_s: float = Field(
+        0.4, ge=0, description="A joint that is elsewhere for longer than this is taken to be there"
+    )
+    bone_excess: float = Field(
+        1.4, gt=0, description="A bone this many times as long as it usually is at most cannot be that bone"
+    )
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ def repair_faults(
     """Repair or mask the faults of people seen together.
 
     Args:
-        keypoints_px: (person, frame, 14, 2), people whose identities are settled; NaN where not seen.
+        keypoints_px: (person, frame, 14, 2), people whose identities are known; NaN where not seen.
         confidence: (person, frame, 14), 0 where not seen.
         rate_hz: Frames per second.
         options: What counts as a fault.

@@ -9,9 +9,11 @@ where the place does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.reconstruction.identity_kernels import (
@@ -21,6 +23,7 @@ from pasdedeux.reconstruction.identity_kernels import (
     size_in_image,
     update_joints,
 )
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = ["FollowedRows", "Follower", "IdentityOptions", "body_size_px", "follow_people", "identity_switches"]
@@ -36,36 +39,30 @@ _LIMB_FADE_S, _BODY_FADE_S = 0.2, 1.0
 """Who is not seen goes on: the speed of the whole body fades slowly, that of limbs against it fast."""
 
 
-@dataclass(frozen=True)
-class IdentityOptions:
-    """How people are followed.  Lengths are shares of the size of the body in the image (about its height).
+class IdentityOptions(Settings):
+    """How people are followed.  Lengths are shares of the size of the body in the image (about its height)."""
 
-    Args:
-        gate: Mean joint distance from the prediction beyond which a detection is somebody else.
-        gate_growth_per_s: Growth of the gate while a person is not seen.
-        most_gate: The gate never grows beyond this.
-        most_absent_s: After this time unseen a person who comes back is a new one.
-        size_cost: Cost of a size that is e times the one before.
-        duplicate: Two detections of a frame nearer than this are one person seen twice.
-        ghost_s: Tracks seen for less than this are dropped, when the sequence is four times as long.
-        least_joints: Detections with fewer joints are dropped.
-    """
+    gate: float = Field(
+        0.25, gt=0, description="Mean joint distance from the prediction beyond which a detection is somebody else"
+    )
+    gate_growth_per_s: float = Field(0.5, ge=0, description="Growth of the gate while a person is not seen")
+    max_gate: float = Field(0.6, gt=0, description="The gate never grows beyond this")
+    max_absent_s: float = Field(1.5, gt=0, description="After this time unseen a person who comes back is a new one")
+    size_cost: float = Field(0.2, ge=0, description="Cost of a size that is e times the one before")
+    duplicate: float = Field(
+        0.06, gt=0, description="Two detections of a frame nearer than this are one person seen twice"
+    )
+    ghost_s: float = Field(
+        0.25, ge=0, description="Tracks seen for less than this are dropped, when the sequence is four times as long"
+    )
+    min_joints: int = Field(3, ge=1, description="Detections with fewer joints are dropped")
 
-    gate: float = 0.25
-    gate_growth_per_s: float = 0.5
-    most_gate: float = 0.6
-    most_absent_s: float = 1.5
-    size_cost: float = 0.2
-    duplicate: float = 0.06
-    ghost_s: float = 0.25
-    least_joints: int = 3
-
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if not (0 < self.gate <= self.most_gate and min(self.most_absent_s, self.duplicate) > 0):
-            raise InputError(f"identities: gates, distances and times must be positive: {self}")
-        if min(self.gate_growth_per_s, self.size_cost, self.ghost_s) < 0 or self.least_joints < 1:
-            raise InputError(f"identities: a negative cost or time, or no least number of joints: {self}")
+    @model_validator(mode="after")
+    def _check_gate(self) -> Self:
+        """Refuse a gate beyond its largest."""
+        if self.gate > self.max_gate:
+            raise ValueError(f"gate is {self.gate:g}; it must not be above max_gate, {self.max_gate:g}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -140,17 +137,17 @@ class Follower:
         points, seen, is_seen, size = clean_detections(
             np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
         )
-        is_usable = (is_seen.sum(axis=1) >= self.options.least_joints) & np.isfinite(size)
+        is_usable = (is_seen.sum(axis=1) >= self.options.min_joints) & np.isfinite(size)
         track_id = np.full(len(points), -1, dtype=np.int64)
         usable = np.flatnonzero(is_usable)
-        self._people = [p for p in self._people if time_s - p.last_time_s <= self.options.most_absent_s]
+        self._people = [p for p in self._people if time_s - p.last_time_s <= self.options.max_absent_s]
         matched: dict[int, _Person] = {}
         if len(usable) and self._people:
             cost, limit = self._costs(time_s, points[usable], is_seen[usable], size[usable])
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
             # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
-            gated = np.where(cost <= limit, cost - 2.0 * self.options.most_gate, 0.0)
+            gated = np.where(cost <= limit, cost - 2.0 * self.options.max_gate, 0.0)
             for row, column in zip(*linear_sum_assignment(gated), strict=True):
                 if cost[row, column] <= limit[row, column]:
                     matched[int(usable[column])] = self._people[row]
@@ -195,7 +192,7 @@ class Follower:
                 self.options.size_cost,
             )
             passed = time_s - person.last_time_s
-            limit[row] = min(self.options.gate + self.options.gate_growth_per_s * passed, self.options.most_gate)
+            limit[row] = min(self.options.gate + self.options.gate_growth_per_s * passed, self.options.max_gate)
         return cost, limit
 
 

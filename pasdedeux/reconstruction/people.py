@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.reconstruction.cleanup import clean_reconstruction
+from pasdedeux.reconstruction.couples import PairSearcher, Placing, choose_couples, place_couple
 from pasdedeux.reconstruction.faults import repair_tracks
 from pasdedeux.reconstruction.identity import follow_people
 from pasdedeux.reconstruction.motion_out import upright_motion
@@ -24,7 +25,6 @@ from pasdedeux.reconstruction.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.reconstruction.together import PairSearcher, Placing, choose_couples, place_together
 from pasdedeux.reconstruction.tracks import PersonTrack, rate_from_times, tracks_from_rows
 
 __all__ = [
@@ -179,7 +179,7 @@ def reconstruct_people(
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
-    Two people who are near each other are placed by pairs that look like both, see `together`; `nearest`, the baseline,
+    Two people who are near each other are placed by pairs that look like both, see `couples`; `nearest`, the baseline,
     leaves everybody where their own size puts them.
 
     Args:
@@ -244,7 +244,7 @@ def _place(
     placings = {}
     for first, second in couples:
         one, other = ((found[place][0], matches[place], found[place][1]) for place in (first, second))
-        placing = place_together(pairs, (one, other))
+        placing = place_couple(pairs, (one, other))
         if placing is not None:
             placings[one[0].person_id, other[0].person_id] = placing
     return placings

@@ -136,7 +136,7 @@ def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height
 
 def _misfit(searcher: Searcher, track: Track, options: ReconstructionOptions, floor_weight: float) -> float:
     try:
-        matches = match_track(searcher, track, replace(options, num_candidates=1))
+        matches = match_track(searcher, track, options.model_copy(update={"num_candidates": 1}))
     except InputError:
         return 0.0  # a track too thin to be searched has no say
     found = reconstruct_track(searcher, track, Method.NEAREST, options, matches=matches)

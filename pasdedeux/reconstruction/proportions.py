@@ -6,20 +6,24 @@ direction that lies in the image, so an image is retargeted like a pose: bone by
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
 __all__ = ["estimate_proportions", "retarget_image"]
 
 Array = npt.NDArray[np.float64]
 
-_LEAST_IN_IMAGE = 0.6
+_ORDER, _PARENTS = np.array(OP14.order[1:]), np.array(OP14.parents)
+_NECK, _LEFT_HIP, _RIGHT_HIP = OP14.root, OP14.index("left_hip"), OP14.index("right_hip")
+
+_MIN_IN_IMAGE = 0.6
 """Bones are measured in frames where the match shows at least this part of their length."""
 
-_LEAST_FRAMES = 5
+_MIN_FRAMES = 5
 _PRIOR_FRAMES = 10.0
 """Weight of the reference proportions, in frames: short tracks stay near them."""
 
@@ -43,9 +47,9 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
         seen = (weights[:, parent] > 0) & (weights[:, child] > 0) & np.isfinite(matched_m[:, child, 0])
         own = np.linalg.norm(observed_m[seen, child] - observed_m[seen, parent], axis=-1)
         match = np.linalg.norm(matched_m[seen, child] - matched_m[seen, parent], axis=-1)
-        is_flat = (match > _LEAST_IN_IMAGE * REFERENCE_LENGTHS_M[child]) & (own > 0)
+        is_flat = (match > _MIN_IN_IMAGE * REFERENCE_LENGTHS_M[child]) & (own > 0)
         count[child] = is_flat.sum()
-        if count[child] >= _LEAST_FRAMES:
+        if count[child] >= _MIN_FRAMES:
             log_ratio[child] = np.median(np.log(own[is_flat] / match[is_flat]))
         else:
             count[child] = 0.0
@@ -63,26 +67,34 @@ def retarget_image(points: Array, ratio: Array) -> Array:
     A joint whose parent was not seen hangs on its nearest seen ancestor, divided by its own ratio.  Without both hips
     the image is kept where the neck, or failing that nothing, puts it.  NaN stays NaN.
     """
-    moved = np.array(points)
-    is_seen = np.asarray(np.isfinite(points).all(axis=-1))
-    neck = OP14.root
-    for joint in OP14.order[1:]:
-        chain = []
-        parent = OP14.parents[joint]
-        while parent >= 0:
-            chain.append(parent)
-            parent = OP14.parents[parent]
-        anchor_old, anchor_new = np.zeros(points[..., joint, :].shape), np.zeros(points[..., joint, :].shape)
-        is_open = np.ones(is_seen.shape[:-1], dtype=bool)
-        for ancestor in chain:
-            is_used = np.asarray(is_open & is_seen[..., ancestor])[..., None]
-            anchor_old = np.where(is_used, points[..., ancestor, :], anchor_old)
-            anchor_new = np.where(is_used, moved[..., ancestor, :], anchor_new)
-            is_open &= ~is_seen[..., ancestor]
-        moved[..., joint, :] = anchor_new + (points[..., joint, :] - anchor_old) / ratio[joint]
-    hips = mid_hip(moved)
-    shift = np.where(np.isfinite(hips), hips, 0.0)
-    torso = 1.0 / ratio[OP14.index("left_hip")]
-    neck_shift = moved[..., neck, :] * (1.0 - torso)
-    shift = np.where(np.isfinite(hips), shift, np.where(np.isfinite(neck_shift), neck_shift, 0.0))
-    return np.asarray(moved - shift[..., None, :])
+    flat = np.array(points, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 2)
+    return _retarget_images(flat, ratio).reshape(points.shape)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _retarget_images(images: Array, ratio: Array) -> Array:
+    """Do `retarget_image` for images (n, 14, 2)."""
+    moved = images.copy()
+    for at in range(images.shape[0]):
+        _retarget(images[at], ratio, moved[at])
+    return moved
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _retarget(points: Array, ratio: Array, moved: Array) -> None:
+    for joint in _ORDER:
+        ancestor = _PARENTS[joint]
+        while ancestor >= 0 and not (np.isfinite(points[ancestor, 0]) and np.isfinite(points[ancestor, 1])):
+            ancestor = _PARENTS[ancestor]
+        for axis in range(2):
+            old = points[ancestor, axis] if ancestor >= 0 else 0.0
+            new = moved[ancestor, axis] if ancestor >= 0 else 0.0
+            moved[joint, axis] = new + (points[joint, axis] - old) / ratio[joint]
+    for axis in range(2):
+        shift = 0.5 * (moved[_LEFT_HIP, axis] + moved[_RIGHT_HIP, axis])
+        if not np.isfinite(shift):
+            shift = moved[_NECK, axis] * (1.0 - 1.0 / ratio[_LEFT_HIP])
+            if not np.isfinite(shift):
+                shift = 0.0
+        for joint in range(points.shape[0]):
+            moved[joint, axis] -= shift

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, image_noise
+from pasdedeux.fitting.observed_pose import ObservedFitSettings, fit_observed, flatten_image, image_noise
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
@@ -25,13 +26,17 @@ from pasdedeux.reconstruction.yaw import refine_yaws
 from pasdedeux.skeletons import OP14
 
 __all__ = [
+    "MEAN_OF_RAYLEIGH",
     "Matches",
     "Method",
     "Reconstruction",
     "ReconstructionOptions",
     "Searcher",
+    "TrackSettings",
+    "bone_deviation_m",
     "match_track",
     "reconstruct_track",
+    "share_of_followed",
     "straighten_rays",
 ]
 
@@ -54,7 +59,8 @@ _BONE_DEVIATION_RANGE_M = (0.01, 0.2)
 _NOISE_OF_EQUAL_SHARES_M = 0.03
 """Noise of the image at which the followed motion and the frame's own candidates count the same."""
 
-_MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
+MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
+"""Mean distance of a joint from its place, over the standard deviation of each of its coordinates."""
 
 _BRIDGED_MISFIT_M = 0.05
 """Misfit that bridged frames are given: their bones are interpolated."""
@@ -69,44 +75,30 @@ class Method(StrEnum):
     FIT = "fit"
 
 
-@dataclass(frozen=True)
-class ReconstructionOptions:
-    """How a track is reconstructed.
+class TrackSettings(TemporalWeights):
+    """How a track is reconstructed."""
 
-    Args:
-        num_candidates: Projections kept per frame for the choice over time.
-        num_placements: Rounds of search that scale and place are refined in.
-        min_joints: Frames with fewer joints seen are bridged.
-        temporal: Costs of the choice over time.
-        smoothing_s: Length of the smoothing window; 0 for none.
-        scale_window_s: Length of the window that a track's scale is the median of.
-        has_own_proportions: Bone lengths are estimated per track; the reference body's otherwise.
-        metres_per_pixel: Scale of the image at the person where it is known (a measured camera); estimated otherwise.
-        depth: How candidates vote on depth (method `fit`).
-        fit: What the fit believes of image and time (method `fit`).
-        trust_per_misfit: A retrieved bone is trusted to this many times the misfit of the retrieval (method `fit`).
-    """
+    num_candidates: int = Field(50, ge=1, le=1000, description="Projections kept per frame for the choice over time")
+    min_joints: int = Field(4, ge=3, le=14, description="Frames with fewer joints seen are bridged")
+    smoothing_s: float = Field(0.375, ge=0, le=5, description="Window of the Savitzky-Golay smoothing")
+    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
 
-    num_candidates: int = 50
-    num_placements: int = 4
-    min_joints: int = 4
-    temporal: TemporalWeights = field(default_factory=TemporalWeights)
-    smoothing_s: float = 0.375
-    scale_window_s: float = 1.5
-    has_own_proportions: bool = True
-    metres_per_pixel: float | None = None
-    depth: DepthSettings = field(default_factory=DepthSettings)
-    fit: ObservedFitSettings = field(default_factory=lambda: ObservedFitSettings(least_noise_m=_MODEL_ERROR_M))
-    trust_per_misfit: float = 2.0
 
-    def __post_init__(self) -> None:
-        """Refuse counts below one, and a scale or a trust that is not positive."""
-        if min(self.num_candidates, self.num_placements, self.min_joints) < 1:
-            raise InputError(f"reconstruction: candidates, placements and least joints must be at least 1: {self}")
-        if self.metres_per_pixel is not None and not (np.isfinite(self.metres_per_pixel) and self.metres_per_pixel > 0):
-            raise InputError(f"reconstruction: metres per pixel must be positive, found {self.metres_per_pixel}")
-        if not (np.isfinite(self.trust_per_misfit) and self.trust_per_misfit > 0):
-            raise InputError(f"reconstruction: trust per misfit must be positive, found {self.trust_per_misfit}")
+class ReconstructionOptions(TrackSettings):
+    """The same with what no study chooses."""
+
+    num_placements: int = Field(4, ge=1, description="Rounds of search that scale and place are refined in")
+    scale_window_s: float = Field(1.5, gt=0, description="Length of the window that a track's scale is the median of")
+    metres_per_pixel: float | None = Field(
+        None, gt=0, description="Scale of the image at the person where it is known (a measured camera)"
+    )
+    depth: DepthSettings = Field(DepthSettings(), description="How candidates vote on depth (method `fit`)")
+    fit: ObservedFitSettings = Field(
+        ObservedFitSettings(min_noise_m=_MODEL_ERROR_M), description="What the fit believes of image and time"
+    )
+    trust_per_misfit: float = Field(
+        2.0, gt=0, description="A retrieved bone is trusted to this many times the misfit of the retrieval"
+    )
 
 
 @dataclass(frozen=True)
@@ -265,9 +257,7 @@ def reconstruct_track(
     elif method is Method.WINDOW:
         ranks = choose_window(database, neighbours, yaw_steps=found.yaw_steps)
     else:
-        ranks = choose_viterbi(
-            database, neighbours, rate_hz=track.rate_hz, weights=options.temporal, yaw_steps=found.yaw_steps
-        )
+        ranks = choose_viterbi(database, neighbours, rate_hz=track.rate_hz, weights=options, yaw_steps=found.yaw_steps)
     is_known = ranks >= 0
     frames = np.arange(len(ranks))
     rank = np.maximum(ranks, 0)
@@ -283,7 +273,7 @@ def reconstruct_track(
         relative = _fit(searcher, found, relative, is_known, track, options)
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
     if method is not Method.NEAREST:
-        root = _smooth_way(root, _odd_window(options.smoothing_s, track.rate_hz))
+        root = _smooth_path(root, _odd_window(options.smoothing_s, track.rate_hz))
     turn = swing_between(np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape), towards)
     positions = rotate(turn[:, None], relative) + root[:, None]
     return Reconstruction(
@@ -319,10 +309,8 @@ def _fit(
     distance = found.placement.metres_per_pixel * track.lens.focal_px
     is_seen = found.weights > 0
     noise = image_noise(found.query_m, is_seen)
-    # The misfit of the best match holds the image's noise, which says nothing against the match.
-    best = np.sqrt(np.maximum(neighbours.distance_m[:, 0] ** 2 - (_MEAN_OF_RAYLEIGH * noise) ** 2, 0.0))
-    best = np.where(is_known, best, _BRIDGED_MISFIT_M)[:, None]
-    trust = np.clip(options.trust_per_misfit * best, *_BONE_DEVIATION_RANGE_M) * np.ones(OP14.num_joints)
+    match = np.where(is_known, neighbours.distance_m[:, 0], np.hypot(_BRIDGED_MISFIT_M, MEAN_OF_RAYLEIGH * noise))
+    trust = bone_deviation_m(match, noise, options.trust_per_misfit)[:, None] * np.ones(OP14.num_joints)
     window = _odd_window(0.5 * options.smoothing_s, track.rate_hz)
     positions = retrieved
     candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaws)
@@ -330,10 +318,10 @@ def _fit(
     misfit = np.where(is_known[:, None], neighbours.distance_m, 0.0)
     misfit = misfit - misfit[:, :1]
     followed = bone_vectors(retrieved)
-    share = noise**2 / (noise**2 + _NOISE_OF_EQUAL_SHARES_M**2)
+    share = share_of_followed(noise)
     flat = np.full(found.query_m.shape, np.inf)
     for _ in range(_NUM_FIT_ROUNDS):
-        before, flat = flat, found.query_m * (1.0 - positions[..., 2:] / distance[:, None, None])
+        before, flat = flat, flatten_image(found.query_m, positions, distance)
         if np.abs(flat - before)[is_seen].max() < _SAME_IMAGE_M:
             break
         observed = retarget_image(_smooth_seen(flat, is_seen, window), found.proportions)
@@ -343,7 +331,7 @@ def _fit(
             candidates,
             misfit,
             REFERENCE_LENGTHS_M,
-            noise_m=max(_SMOOTHED_NOISE * noise, options.fit.least_noise_m),
+            noise_m=max(_SMOOTHED_NOISE * noise, options.fit.min_noise_m),
             rate_hz=track.rate_hz,
             settings=options.depth,
         )
@@ -365,20 +353,34 @@ def _fit(
     return positions
 
 
+def bone_deviation_m(match_m: npt.ArrayLike, noise_m: float, per_misfit: float) -> Array:
+    """Return the standard deviation (*batch,) of a bone of matches of this misfit (*batch,), metres.
+
+    The misfit holds the image's noise, which says nothing against the match.
+    """
+    misfit = np.sqrt(np.maximum(np.asarray(match_m) ** 2 - (MEAN_OF_RAYLEIGH * noise_m) ** 2, 0.0))
+    return np.clip(per_misfit * misfit, *_BONE_DEVIATION_RANGE_M)
+
+
+def share_of_followed(noise_m: float) -> float:
+    """Return how much the followed motion counts against the frame's own candidates in an image of this noise."""
+    return noise_m**2 / (noise_m**2 + _NOISE_OF_EQUAL_SHARES_M**2)
+
+
 def _before_camera(database: Database, row: npt.NDArray[np.int64], yaw_steps: Array) -> Array:
     """Return database poses (*batch, 14, 3) at these yaws in the axes of the database's camera."""
     turned = database.turned(row, yaw_steps)
     return np.asarray(np.einsum("ij,...nj->...ni", database.camera.camera_from_upright_rotmat, turned))
 
 
-def _smooth_way(way: Array, window: int) -> Array:
+def _smooth_path(path: Array, window: int) -> Array:
     """Smooth points over time (frame, d)."""
-    length = min(window, len(way) - (len(way) + 1) % 2)
+    length = min(window, len(path) - (len(path) + 1) % 2)
     if length <= _SMOOTHING_ORDER:
-        return way
+        return path
     from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
 
-    return np.asarray(savgol_filter(way, length, _SMOOTHING_ORDER, axis=0))
+    return np.asarray(savgol_filter(path, length, _SMOOTHING_ORDER, axis=0))
 
 
 def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> Array:
@@ -390,7 +392,7 @@ def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> 
         if not seen.any():
             continue
         way = np.stack([np.interp(frames, frames[seen], axis[seen]) for axis in points[:, joint].T], axis=-1)
-        smooth[seen, joint] = _smooth_way(way, window)[seen]
+        smooth[seen, joint] = _smooth_path(way, window)[seen]
     return smooth
 
 

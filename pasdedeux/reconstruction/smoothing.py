@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import numba
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotvec_from_unitquat, slerp
+from pasdedeux.kinematics.rotation_kernels import (
+    conjugate,
+    length,
+    multiply,
+    rotvec_from_unitquat,
+    row_of,
+    scale,
+    subtract,
+    unitquat_from_rotvec,
+)
+from pasdedeux.kinematics.rotations import normalise, slerp
+from pasdedeux.settings import Settings
 
-__all__ = ["OneEuro", "bridge_gaps", "continuous_signs", "one_euro_share", "smooth_one_euro", "smooth_savitzky_golay"]
+__all__ = ["OneEuro", "OneEuroFilter", "bridge_gaps", "smooth_savitzky_golay"]
 
 Array = npt.NDArray[np.float64]
 
 
-def continuous_signs(unitquat: Array) -> Array:
+def _continuous_signs(unitquat: Array) -> Array:
     """Return the same rotations (frame, *batch, 4) with signs chosen so that neighbours lie on the same half-sphere."""
     dots = np.sum(unitquat[1:] * unitquat[:-1], axis=-1)
     flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
@@ -34,60 +45,80 @@ def smooth_savitzky_golay(unitquat: Array, *, num_frames: int = 9, order: int = 
     """
     if num_frames % 2 == 0 or num_frames <= order:
         raise InputError(f"the smoothing window is {num_frames} frames; it must be odd and more than {order}")
-    length = min(num_frames, len(unitquat) - (len(unitquat) + 1) % 2)
-    if length < order + 2:
+    window = min(num_frames, len(unitquat) - (len(unitquat) + 1) % 2)
+    if window < order + 2:
         return np.array(unitquat)
     from scipy.signal import savgol_filter  # here: 0.3 s that planning does not need
 
-    return normalise(savgol_filter(continuous_signs(unitquat), length, order, axis=0, mode="interp"))
+    return normalise(savgol_filter(_continuous_signs(unitquat), window, order, axis=0, mode="interp"))
 
 
-@dataclass(frozen=True)
-class OneEuro:
-    """Parameters of the 1-euro filter (Casiez, Roussel and Vogel 2012).
+class OneEuro(Settings):
+    """Parameters of the 1-euro filter (Casiez, Roussel and Vogel 2012)."""
+
+    min_cutoff_hz: float = Field(1.5, gt=0, description="Cut-off at rest; lower is smoother")
+    beta: float = Field(0.5, ge=0, description="Growth of the cut-off with speed, Hz per rad/s; higher lags less")
+    derivative_cutoff_hz: float = Field(1.0, gt=0, description="Cut-off of the speed estimate")
+
+
+class OneEuroFilter:
+    """The filter of Casiez, Roussel and Vogel (2012, algorithm 1), a frame at a time; a gap slows its rate down.
+
+    On the sphere the difference to the last result is the rotation vector on the short arc, its low-passed value per
+    second is the velocity (0 at first), the length of that raises the cut-off, and the low-pass of the rotation is a
+    step along the arc.  About one fixed axis it is the filter of the angle.
 
     Args:
-        min_cutoff_hz: Cut-off at rest; lower is smoother.
-        beta: Growth of the cut-off with speed, Hz per rad/s; higher lags less.
-        derivative_cutoff_hz: Cut-off of the speed estimate.
+        parameters: Cut-offs.
+        rate_hz: Frames per second.
     """
 
-    min_cutoff_hz: float = 1.5
-    beta: float = 0.5
-    derivative_cutoff_hz: float = 1.0
+    def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
+        self._parameters = parameters
+        self._rate_hz = rate_hz
+        self._frame = 0
+        self._value: Array | None = None
+        self._velocity: Array = np.zeros(0)
 
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if not (self.min_cutoff_hz > 0 and self.derivative_cutoff_hz > 0 and self.beta >= 0):
-            raise InputError(f"1-euro filter: cut-offs must be positive and beta not negative, found {self}")
-
-
-def smooth_one_euro(unitquat: Array, *, rate_hz: float, parameters: OneEuro | None = None) -> Array:
-    """Smooth rotations (frame, *batch, 4) as they arrive: each result uses this frame and earlier ones only.
-
-    The filter of Casiez, Roussel and Vogel (2012, algorithm 1) on the sphere: the difference to the last result is the
-    rotation vector on the short arc, its low-passed value per second is the velocity (0 at first), the length of that
-    raises the cut-off, and the low-pass of the rotation is a step along the arc.  About one fixed axis it is the filter
-    of the angle.
-    """
-    parameters = parameters or OneEuro()
-    smoothed = np.array(unitquat, dtype=np.float64)
-    if len(smoothed) == 0:
-        return smoothed
-    velocity = np.zeros((*smoothed.shape[1:-1], 3))
-    derivative_share = one_euro_share(np.asarray(parameters.derivative_cutoff_hz), rate_hz)
-    for frame in range(1, len(smoothed)):
-        step = rotvec_from_unitquat(multiply(unitquat[frame], conjugate(smoothed[frame - 1])))
-        velocity = velocity + derivative_share * (step * rate_hz - velocity)
-        speed = np.linalg.norm(velocity, axis=-1)
-        share = one_euro_share(parameters.min_cutoff_hz + parameters.beta * speed, rate_hz)
-        smoothed[frame] = slerp(smoothed[frame - 1], unitquat[frame], share)
-    return smoothed
+    def step(self, frame: int, value: Array) -> Array:
+        """Return the smoothed rotations (n, 4) or points (n, 3) of this frame."""
+        if self._value is None:
+            self._value, self._velocity = np.array(value, dtype=np.float64), np.zeros((len(value), 3))
+        else:
+            one = self._parameters
+            rate = self._rate_hz / max(frame - self._frame, 1)
+            self._value, self._velocity = _filter(
+                self._value, self._velocity, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
+            )
+        self._frame = frame
+        return self._value
 
 
-def one_euro_share(cutoff_hz: Array | float, rate_hz: float) -> Array:
-    """Return the weight of a new sample in a first-order low-pass (Casiez, Roussel and Vogel 2012, algorithm 1)."""
-    return np.asarray(1.0 / (1.0 + rate_hz / (2.0 * np.pi * np.asarray(cutoff_hz))))
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _filter(
+    value: Array, velocity: Array, new: Array, rate: float, min_cutoff: float, beta: float, derivative_cutoff: float
+) -> tuple[Array, Array]:
+    """Return the next smoothed rotations (n, 4) or points (n, 3), and velocities (n, 3), rad/s or m/s."""
+    smooth, pace = np.empty(value.shape), np.empty(velocity.shape)
+    derivative_share = 1.0 / (1.0 + rate / (2.0 * np.pi * derivative_cutoff))
+    for at in range(value.shape[0]):
+        if value.shape[1] == 4:
+            old = (value[at, 0], value[at, 1], value[at, 2], value[at, 3])
+            aim = (new[at, 0], new[at, 1], new[at, 2], new[at, 3])
+            moved = rotvec_from_unitquat(multiply(aim, conjugate(old)))
+        else:
+            moved = subtract(row_of(new, at), row_of(value, at))
+        for part in range(3):
+            pace[at, part] = velocity[at, part] + derivative_share * (moved[part] * rate - velocity[at, part])
+        cutoff = min_cutoff + beta * length(row_of(pace, at))
+        moved = scale(1.0 / (1.0 + rate / (2.0 * np.pi * cutoff)), moved)
+        if value.shape[1] == 4:
+            turned = multiply(unitquat_from_rotvec(moved), old)
+            smooth[at, 0], smooth[at, 1], smooth[at, 2], smooth[at, 3] = turned
+        else:
+            for part in range(3):
+                smooth[at, part] = value[at, part] + moved[part]
+    return smooth, pace
 
 
 def bridge_gaps(unitquat: Array, is_known: npt.NDArray[np.bool_]) -> Array:

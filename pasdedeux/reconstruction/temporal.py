@@ -1,41 +1,126 @@
-"""Choosing one candidate a frame: nearest, the paper's window rule, Viterbi with yaw and root rotation in the cost."""
+"""Choosing one candidate a frame: nearest, the paper's window rule, Viterbi with yaw and root rotation in the cost.
+
+Viterbi decides each frame a fixed number of frames later, once; with the whole sequence as lag it is the usual one.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
 from pasdedeux.reconstruction.bones import bone_rotations
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["TemporalWeights", "choose_nearest", "choose_viterbi", "choose_window", "viterbi_path"]
+__all__ = ["Decision", "FixedLagViterbi", "TemporalWeights", "choose_nearest", "choose_viterbi", "choose_window"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Floats32 = npt.NDArray[np.float32]
+
+
+class TemporalWeights(Settings):
+    """How much a change between frames costs against a misfit in the image."""
+
+    pose_weight: float = Field(
+        0.6,
+        ge=0,
+        allow_inf_nan=False,
+        description="Cost per metre of mean joint distance between where a candidate's motion goes next and the next "
+        "candidate, both turned by their yaw; against 1 per metre of misfit in the image",
+    )
 
 
 @dataclass(frozen=True)
-class TemporalWeights:
-    """How much a change between frames costs against a misfit in the image.
+class Decision:
+    """What a frame was decided to be: candidate `rank` of frame `frame`."""
+
+    frame: int
+    rank: int
+
+
+class FixedLagViterbi:
+    """Viterbi through candidates as frames arrive: each frame is decided `lag` frames later, once.
+
+    Emission: the 2D distance.  Transition: `TemporalWeights.pose_weight` times the mean joint distance between the
+    turned pose of the next candidate and the *continued* pose of the one before, that is its own pose moved on along
+    its motion by the time between the frames, for at most one frame.  A pose without a successor (draws have no past
+    and no future) continues as itself.  The cost of a change falls with the length of the gap between two frames,
+    because more may have happened in it.
 
     Args:
-        pose: Cost per metre of mean joint distance between where a candidate's motion goes next and the next candidate,
-            both turned by their yaw, so yaw and root rotation are part of it; against 1 per metre of 2D misfit.
+        database: Database searched.
+        rate_hz: Frames per second of the sequence.
+        lag: Frames of the sequence between a frame and its decision.
+        weights: Costs.
     """
 
-    pose: float = 0.6
+    def __init__(self, database: Database, *, rate_hz: float, lag: int, weights: TemporalWeights | None = None) -> None:
+        self._database = database
+        self._successors = database.successors()
+        self._rate_hz = rate_hz
+        self._lag = lag
+        self._weights = weights or TemporalWeights()
+        self._frames: deque[int] = deque()
+        self._back: deque[Integers] = deque()
+        self._cost: Array = np.zeros(0)
+        self._motion = np.zeros((2, 0, OP14.num_joints, 3), dtype=np.float32)
+        self._num_decided = 0
+        self.path: Integers = np.zeros(0, dtype=np.int64)
+        """Candidates, by the best path to the newest frame, from the first frame that was just decided on."""
 
-    def __post_init__(self) -> None:
-        """Refuse negative weights."""
-        if not (np.isfinite(self.pose) and self.pose >= 0):
-            raise InputError(f"the weight of a pose change is {self.pose}; it must be finite and not negative")
+    def push(self, frames: Integers, row: Integers, yaw_steps: Array, distance_m: Array) -> list[Decision]:
+        """Add the candidates of frames (n, k), each with one of finite distance; return what is old enough to decide.
+
+        Args:
+            frames: Their numbers (n,), after those of the frames before.
+            row: Database rows (n, k).
+            yaw_steps: Their yaws in steps of the database, also between them.
+            distance_m: Their distances in the image; inf where there is no candidate.
+        """
+        last = self._frames[-1] if self._frames else int(frames[0]) - 1
+        gap = np.diff(frames, prepend=last).astype(np.float64)
+        pose = self._database.turned(row, yaw_steps).astype(np.float32)
+        following = self._database.turned(self._successors[row], yaw_steps).astype(np.float32)
+        self._cost, self._motion, back = _extend_paths(
+            pose,
+            following,
+            distance_m,
+            np.minimum(self._database.rate_hz / self._rate_hz * gap, 1.0),
+            self._weights.pose_weight / np.sqrt(gap),
+            self._cost,
+            self._motion,
+        )
+        self._frames.extend(frames.tolist())
+        self._back.extend(back)
+        return self.decide_until(self._frames[-1] - self._lag)
+
+    def decide_until(self, frame: int) -> list[Decision]:
+        """Decide every frame up to this one, by the best path to the newest frame."""
+        if len(self._frames) <= self._num_decided or self._frames[self._num_decided] > frame:
+            return []
+        rank = int(np.argmin(self._cost))
+        ranks = [rank]
+        for back in list(self._back)[:0:-1]:
+            rank = int(back[rank])
+            ranks.append(rank)
+        self.path = np.array(ranks[::-1][self._num_decided :], dtype=np.int64)
+        waiting = list(self._frames)[self._num_decided :]
+        decided = [Decision(one, int(rank)) for one, rank in zip(waiting, self.path, strict=True) if one <= frame]
+        # The newest decided frame stays: it is where the paths of later frames start from.
+        for _ in range(self._num_decided + len(decided) - 1):
+            self._frames.popleft()
+            self._back.popleft()
+        self._num_decided = 1
+        return decided
 
 
 def choose_nearest(neighbours: Neighbours) -> Integers:
@@ -53,11 +138,7 @@ def choose_viterbi(
 ) -> Integers:
     """Return the ranks (frame,) of the path of least cost through the candidates; -1 where nothing was seen.
 
-    Emission: the 2D distance.  Transition: `TemporalWeights.pose` times the mean joint distance between the turned pose
-    of the next candidate and the *continued* pose of the one before, that is its own pose moved on along its motion by
-    the time between the frames.  A pose without a successor (draws have no past and no future) continues as itself.
-    Frames without candidates are jumped over; the pose goes on for at most one frame, and the cost of a change falls
-    with the length of the gap, because more may have happened in it.
+    See `FixedLagViterbi` for the costs.  Frames without candidates are jumped over.
 
     Args:
         database: Database searched.
@@ -66,67 +147,16 @@ def choose_viterbi(
         weights: Weights of the costs.
         yaw_steps: Yaw of each candidate (frame, k) in steps, where it lies between the steps of the database.
     """
-    weights = weights or TemporalWeights()
     ranks = np.full(len(neighbours.projection), -1, dtype=np.int64)
     frames = np.flatnonzero(neighbours.projection[:, 0] >= 0)
     if len(frames) == 0:
         return ranks
-    row = np.maximum(neighbours.row[frames], 0)
-    yaw = (neighbours.yaw_index if yaw_steps is None else yaw_steps)[frames]
-    pose = database.turned(row, yaw)
-    following = database.turned(database.successors()[row], yaw)
-    gap = np.diff(frames, append=frames[-1] + 1)
-    steps = np.minimum(database.rate_hz / rate_hz * gap, 1.0)[:, None, None, None]
-    continued = pose + steps * (following - pose)
-    path = viterbi_path(
-        neighbours.distance_m[frames],
-        continued.astype(np.float32),
-        pose.astype(np.float32),
-        weights.pose / np.sqrt(gap.astype(np.float64)),
-    )
-    ranks[frames] = path
+    yaw = (neighbours.yaw_index if yaw_steps is None else yaw_steps)[frames].astype(np.float64)
+    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=len(ranks), weights=weights)
+    viterbi.push(frames, np.maximum(neighbours.row[frames], 0), yaw, neighbours.distance_m[frames])
+    for one in viterbi.decide_until(int(frames[-1])):
+        ranks[one.frame] = one.rank
     return ranks
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def viterbi_path(emission: Array, continued: npt.NDArray, pose: npt.NDArray, weight: Array) -> Integers:
-    """Return the cheapest path (frame,) through candidates (frame, k); ties go to the lower rank.
-
-    Args:
-        emission: Cost of each candidate (frame, k); inf where there is none.
-        continued: Where each candidate's pose goes by the next frame (frame, k, joint, 3).
-        pose: Each candidate's pose (frame, k, joint, 3).
-        weight: Weight of the mean joint distance between frame t and t + 1 (frame,).
-    """
-    frames, count, joints = pose.shape[0], pose.shape[1], pose.shape[2]
-    cost = emission[0].copy()
-    back = np.zeros((frames, count), dtype=np.int64)
-    new_cost = np.empty(count)
-    for frame in range(1, frames):
-        for this in range(count):
-            new_cost[this] = np.inf
-            if not np.isfinite(emission[frame, this]):
-                continue
-            for before in range(count):
-                if cost[before] >= new_cost[this]:
-                    continue
-                distance = np.float32(0.0)
-                for joint in range(joints):
-                    dx = pose[frame, this, joint, 0] - continued[frame - 1, before, joint, 0]
-                    dy = pose[frame, this, joint, 1] - continued[frame - 1, before, joint, 1]
-                    dz = pose[frame, this, joint, 2] - continued[frame - 1, before, joint, 2]
-                    distance += np.sqrt(dx * dx + dy * dy + dz * dz)
-                total = cost[before] + weight[frame - 1] * distance / joints
-                if total < new_cost[this]:
-                    new_cost[this] = total
-                    back[frame, this] = before
-            new_cost[this] += emission[frame, this]
-        cost[:] = new_cost
-    path = np.zeros(frames, dtype=np.int64)
-    path[-1] = np.argmin(cost)
-    for frame in range(frames - 1, 0, -1):
-        path[frame - 1] = back[frame, path[frame]]
-    return path
 
 
 def choose_window(
@@ -205,3 +235,50 @@ class _Rotations:
         turn = np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1)
         found[..., OP14.root, :] = multiply(turn, found[..., OP14.root, :])
         return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _extend_paths(
+    pose: Floats32, following: Floats32, emission: Array, share: Array, weight: Array, cost: Array, motion: Floats32
+) -> tuple[Array, Floats32, Integers]:
+    """Return the least cost (k,) of paths to the last of new frames, its motion, and where paths come from (n, k).
+
+    Ties go to the lower rank; only differences of costs count, so the least is taken off each frame's.
+
+    Args:
+        pose: Candidates of the new frames (n, k, 14, 3).
+        following: Where they go by the next frame of the database.
+        emission: Cost of each candidate; inf where there is none.
+        share: Part of a frame of the database that passes before each new frame (n,).
+        weight: Cost per metre of mean joint distance to the frame before (n,).
+        cost: Costs of the frame before the new ones (j,); empty for the first.
+        motion: Its candidates, and where they go (2, j, 14, 3).
+    """
+    frames, count, joints = pose.shape[0], pose.shape[1], pose.shape[2]
+    back = np.full((frames, count), -1, dtype=np.int64)
+    for frame in range(frames):
+        new_cost = emission[frame].copy()
+        if cost.shape[0] > 0:
+            part = np.float32(share[frame])
+            ahead = motion[0] + part * (motion[1] - motion[0])
+            for this in range(count):
+                if not np.isfinite(emission[frame, this]):
+                    continue
+                best = np.inf
+                for before in range(cost.shape[0]):
+                    if cost[before] >= best:
+                        continue
+                    distance = np.float32(0.0)
+                    for joint in range(joints):
+                        dx = pose[frame, this, joint, 0] - ahead[before, joint, 0]
+                        dy = pose[frame, this, joint, 1] - ahead[before, joint, 1]
+                        dz = pose[frame, this, joint, 2] - ahead[before, joint, 2]
+                        distance += np.sqrt(dx * dx + dy * dy + dz * dz)
+                    total = cost[before] + weight[frame] * distance / joints
+                    if total < best:
+                        best = total
+                        back[frame, this] = before
+                new_cost[this] += best
+        cost = new_cost - new_cost.min()
+        motion = np.stack((pose[frame], following[frame]))
+    return cost, motion, back

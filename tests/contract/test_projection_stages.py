@@ -11,9 +11,10 @@ import pytest
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
-from pasdedeux.projections.pairs import PairDatabase, build_pair_index
+from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, pitch_of_height
+from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import TABLES, ArtifactRef, Manifest, Store, open_table
@@ -169,8 +170,10 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     np.testing.assert_allclose(across[:, 1], truth[:, 1], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(across, axis=-1), np.linalg.norm(truth, axis=-1), atol=1e-5)
     np.testing.assert_allclose(across[:, 2], 0.0, atol=1e-5)
-    index = build_pair_index(PairDatabase(pairs))
-    assert index.search(PairDatabase(pairs).project()[73, 4], num_neighbours=1).neighbours.row.tolist() == [73]
+    database = pair_database(pairs, camera=OrthographicCamera())
+    image = database.project()[73, 4].reshape(2, 14, 2)
+    found = search_pairs(build_index(database), image, np.ones((2, 14)), num_neighbours=1)
+    assert found.neighbours.row.tolist() == [73]
     assert (PAIR17.num_joints, BODY22.num_joints, OP14.num_joints) == (17, 22, 14)
 
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.projections import search_brute_force
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
 from pasdedeux.projections.database import Database, concatenate
@@ -16,7 +17,6 @@ from pasdedeux.projections.search import (
     ProjectionIndex,
     build_index,
     measure_recall,
-    search_brute_force,
 )
 from tests.builders.walkers import random_poses, walk
 
@@ -70,7 +70,7 @@ def test_the_tree_equals_brute_force_with_masks_and_weights(
     num_neighbours=st.sampled_from([1, 50]),
     missing=st.floats(0, 0.8),
 )
-def test_cells_and_appended_parts_equal_brute_force_over_all_of_them(
+def test_cells_equal_brute_force_over_all_of_them(
     seed: int, camera: DatabaseCamera, cell_size: int, num_neighbours: int, missing: float
 ) -> None:
     parts = [make_database(seed + part, camera, 12, 20) for part in range(3)]
@@ -78,8 +78,7 @@ def test_cells_and_appended_parts_equal_brute_force_over_all_of_them(
     query = concatenate(parts).project()[:, 3][rng.integers(0, 135, 5)] + rng.normal(0, 0.05, (5, 14, 2))
     query[rng.uniform(size=(5, 14)) < missing] = np.nan
     weights = rng.uniform(0, 1, (5, 14))
-    index = build_index(parts[0], cell_size=cell_size).append(parts[1]).append(parts[2])
-    assert index.num_projections == 3 * 45 * 12
+    index = build_index(concatenate(parts), cell_size=cell_size)
     found = index.search(query, weights, num_neighbours=num_neighbours)
     expected = search_brute_force(concatenate(parts), query, weights, num_neighbours=num_neighbours)
     np.testing.assert_array_equal(found.projection, expected.projection)
@@ -115,11 +114,6 @@ def test_the_search_is_exact_up_to_a_size_and_its_recall_is_measured() -> None:
     assert found[2] < found[1]
     with pytest.raises(InputError, match="slack"):
         index.with_slack(-0.1)
-
-
-def test_parts_of_other_yaw_steps_are_refused(index: ProjectionIndex) -> None:
-    with pytest.raises(InputError, match="7 yaw steps, the index 30"):
-        index.append(make_database(0, OrthographicCamera(), 7, 3))
 
 
 def test_projections_by_number_are_the_same_bits_as_all_of_them() -> None:

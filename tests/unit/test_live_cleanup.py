@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import foot_slide_m, jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.reconstruction.cleanup import bend_leg
@@ -97,7 +97,7 @@ def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:
 
 
 def test_options_without_meaning_are_named() -> None:
-    with pytest.raises(InputError, match="positive"):
-        LiveCleanUpOptions(way_s=0.0)
-    with pytest.raises(InputError, match="negative"):
-        LiveCleanUpOptions(most_bend_m=-0.1)
+    with pytest.raises(ValidationError, match="shift_s"):
+        LiveCleanUpOptions(shift_s=0.0)
+    with pytest.raises(ValidationError, match="max_bend_m"):
+        LiveCleanUpOptions(max_bend_m=-0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
@@ -209,8 +210,8 @@ def test_the_fit_refuses_what_does_not_fit_together() -> None:
     good = {"confidence": np.ones((5, 14)), "bone_m": pose, "bone_deviation_m": np.ones((5, 14)), "rate_hz": 24.0}
     with pytest.raises(InputError, match="do not belong"):
         fit_observed(OP14, REFERENCE_LENGTHS_M, pose, pose[:4, :, :2], **good)
-    with pytest.raises(InputError, match="positive"):
-        ObservedFitSettings(least_noise_m=0.0)
+    with pytest.raises(ValidationError, match="min_noise_m"):
+        ObservedFitSettings(min_noise_m=0.0)
 
 
 def test_a_known_scale_is_kept_and_brings_the_fit_nearer(searcher: Searcher) -> None:
@@ -220,8 +221,8 @@ def test_a_known_scale_is_kept_and_brings_the_fit_nearer(searcher: Searcher) -> 
     np.testing.assert_allclose(matches.placement.metres_per_pixel, 1.0 / 300.0)
     fitted = reconstruct_track(searcher, track, Method.FIT, known, matches=matches)
     assert errors(fitted.positions_m, truth) < 0.03
-    with pytest.raises(InputError, match="metres per pixel"):
+    with pytest.raises(ValidationError, match="metres_per_pixel"):
         ReconstructionOptions(metres_per_pixel=0.0)
     for trust in (0.0, np.nan):
-        with pytest.raises(InputError, match="trust per misfit"):
+        with pytest.raises(ValidationError, match="trust_per_misfit"):
             ReconstructionOptions(trust_per_misfit=trust)

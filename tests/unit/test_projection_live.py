@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
@@ -15,9 +14,8 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, LivePose
-from pasdedeux.reconstruction.live.fixed_lag import FixedLagViterbi
 from pasdedeux.reconstruction.reconstruct import Searcher
-from pasdedeux.reconstruction.temporal import choose_viterbi
+from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk
 
@@ -61,7 +59,7 @@ def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near
         live = FixedLagViterbi(searcher.database, rate_hz=RATE_HZ, lag=lag)
         decided = []
         for frame in range(40):
-            new = live.push(frame, found.row[frame], found.yaw_index[frame], found.distance_m[frame])
+            new = live.push(np.array([frame]), found.row[[frame]], found.yaw_index[[frame]], found.distance_m[[frame]])
             assert [one.frame for one in new] == ([frame - lag] if frame >= lag else [])
             decided += new
         decided += live.decide_until(39)
@@ -171,7 +169,7 @@ def test_bad_input_is_named(searcher: Searcher) -> None:
         people.push(1, px[1], np.ones((2, 14)))
     with pytest.raises(InputError, match="rate"):
         LivePeople(searcher, rate_hz=0.0)
-    with pytest.raises(InputError, match="lag"):
-        replace(LiveOptions(), lag=-1)
-    with pytest.raises(InputError, match="windows"):
+    with pytest.raises(ValidationError, match="lag"):
+        LiveOptions(lag=-1)
+    with pytest.raises(ValidationError, match="window_s"):
         LiveOptions(window_s=0.0)

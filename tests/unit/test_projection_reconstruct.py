@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.cameras import PinholeCamera, look_at_camera
 from pasdedeux.errors import InputError
@@ -151,7 +152,7 @@ def test_tracks_refuse_what_they_cannot_mean() -> None:
         Track(np.zeros((3, 14, 2)), np.zeros((3, 14)), 0.0, lens)
     with pytest.raises(InputError, match="negative"):
         Track(np.zeros((3, 14, 2)), np.full((3, 14), -1.0), 24.0, lens)
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(ValidationError, match="num_candidates"):
         ReconstructionOptions(num_candidates=0)
 
 

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import angle_between, normalise, slerp, unitquat_from_rotvec
@@ -15,17 +16,16 @@ from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.smoothing import (
     OneEuro,
+    OneEuroFilter,
     bridge_gaps,
-    continuous_signs,
-    smooth_one_euro,
     smooth_savitzky_golay,
 )
 from pasdedeux.reconstruction.temporal import (
+    FixedLagViterbi,
     TemporalWeights,
     choose_nearest,
     choose_viterbi,
     choose_window,
-    viterbi_path,
 )
 from tests.builders.walkers import walk
 
@@ -37,21 +37,34 @@ def rotations(num_frames: int, seed: int = 0) -> np.ndarray:
 
 def test_viterbi_finds_the_cheapest_of_all_paths() -> None:
     rng = np.random.default_rng(0)
-    frames, count = 5, 4
-    emission = rng.uniform(0, 0.2, (frames, count))
+    frames, count, rate_hz = np.array([0, 1, 2, 4, 5]), 4, 40.0
+    starts = np.arange(60) % 12 == 0
+    database = Database(centre_and_face(walk(60)).poses_m.astype(np.float32), starts)
+    row, yaw = rng.integers(0, 60, (5, count)), rng.uniform(0, 30, (5, count))
+    emission = rng.uniform(0, 0.2, (5, count))
     emission[2, 1] = np.inf
-    continued, pose = rng.normal(0, 0.1, (2, frames, count, 14, 3)).astype(np.float32)
-    weight = rng.uniform(0.2, 2.0, frames)
+    pose, following = database.turned(row, yaw), database.turned(database.successors()[row], yaw)
 
     def cost(path: tuple[int, ...]) -> float:
-        total = sum(emission[frame, rank] for frame, rank in enumerate(path))
-        for frame in range(frames - 1):
-            step = pose[frame + 1, path[frame + 1]] - continued[frame, path[frame]]
-            total += weight[frame] * np.linalg.norm(step, axis=-1).mean()
+        total = sum(emission[at, rank] for at, rank in enumerate(path))
+        for at in range(4):
+            gap, before = frames[at + 1] - frames[at], (at, path[at])
+            share = min(gap * database.rate_hz / rate_hz, 1.0)
+            step = pose[at + 1, path[at + 1]] - pose[before] - share * (following[before] - pose[before])
+            total += 0.6 / np.sqrt(gap) * np.linalg.norm(step, axis=-1).mean()
         return float(total)
 
-    best = min(itertools.product(range(count), repeat=frames), key=cost)
-    assert viterbi_path(emission, continued, pose, weight).tolist() == list(best)
+    best = min(itertools.product(range(count), repeat=5), key=cost)
+    viterbi = FixedLagViterbi(database, rate_hz=rate_hz, lag=100, weights=TemporalWeights(pose_weight=0.6))
+    for at in range(5):  # one after the other, as live
+        assert viterbi.push(frames[[at]], row[[at]], yaw[[at]], emission[[at]]) == []
+    assert [one.rank for one in viterbi.decide_until(5)] == list(best)
+
+
+def smooth_live(unitquat: np.ndarray) -> np.ndarray:
+    """Every frame as the 1-euro filter gives it."""
+    live = OneEuroFilter(OneEuro(), 24.0)
+    return np.array([live.step(frame, one) for frame, one in enumerate(unitquat)]).reshape(unitquat.shape)
 
 
 def toy_search(num_frames: int = 40) -> tuple[Database, Neighbours]:
@@ -114,7 +127,7 @@ def test_viterbi_without_weight_is_nearest_and_frames_without_candidates_stay_em
     projection[[0, 7, 8]] = -1
     distance[[0, 7, 8]] = np.inf
     holes = Neighbours(projection, distance, neighbours.num_yaws)
-    free = choose_viterbi(database, holes, rate_hz=24.0, weights=TemporalWeights(pose=0.0))
+    free = choose_viterbi(database, holes, rate_hz=24.0, weights=TemporalWeights(pose_weight=0.0))
     np.testing.assert_array_equal(free, choose_nearest(holes))
     for ranks in (free, choose_window(database, holes), choose_viterbi(database, holes, rate_hz=60.0)):
         assert np.flatnonzero(ranks < 0).tolist() == [0, 7, 8]
@@ -127,18 +140,10 @@ def test_nothing_seen_anywhere_chooses_nothing() -> None:
     assert (choose_window(database, empty) == -1).all()
 
 
-def test_signs_are_made_continuous_without_changing_rotations() -> None:
-    unitquat = rotations(50)
-    flipped = unitquat * np.random.default_rng(1).choice([-1.0, 1.0], (50, 3, 1))
-    smooth = continuous_signs(flipped)
-    assert (np.sum(smooth[1:] * smooth[:-1], axis=-1) > 0).all()
-    np.testing.assert_allclose(np.abs(np.sum(smooth * unitquat, axis=-1)), 1.0)
-
-
 def test_smoothing_does_not_depend_on_quaternion_signs() -> None:
     unitquat = rotations(60)
     flipped = unitquat * np.random.default_rng(1).choice([-1.0, 1.0], (60, 3, 1))
-    for smooth in (smooth_savitzky_golay, lambda q: smooth_one_euro(q, rate_hz=24.0)):
+    for smooth in (smooth_savitzky_golay, smooth_live):
         assert angle_between(smooth(unitquat), smooth(flipped)).max() < 1e-6
 
 
@@ -148,23 +153,40 @@ def test_a_steady_turn_passes_savitzky_golay_unchanged_and_noise_shrinks() -> No
     noisy = slerp(
         turn, normalise(turn + np.random.default_rng(0).normal(0, 0.05, turn.shape)), np.ones(turn.shape[:-1])
     )
-    for smooth in (smooth_savitzky_golay(noisy), smooth_one_euro(noisy, rate_hz=24.0)):
+    for smooth in (smooth_savitzky_golay(noisy), smooth_live(noisy)):
         assert angle_between(smooth, turn)[5:].mean() < 0.75 * angle_between(noisy, turn)[5:].mean()
 
 
-def test_the_one_euro_filter_looks_at_no_later_frame() -> None:
-    unitquat = rotations(40)
-    whole = smooth_one_euro(unitquat, rate_hz=24.0)
-    np.testing.assert_allclose(smooth_one_euro(unitquat[:25], rate_hz=24.0), whole[:25])
-    with pytest.raises(InputError, match="cut-offs"):
+def test_the_one_euro_filter_about_one_axis_is_that_of_the_angle() -> None:
+    angle = np.cumsum(np.random.default_rng(3).normal(0, 0.1, 40))
+    options = OneEuro(min_cutoff_hz=0.8, beta=0.3)
+    live, smooth, speed = OneEuroFilter(options, 30.0), angle[0], 0.0
+
+    def share(cutoff_hz: float) -> float:
+        return 1.0 / (1.0 + 30.0 / (2.0 * np.pi * cutoff_hz))
+
+    for frame, new in enumerate(angle):
+        speed += share(options.derivative_cutoff_hz) * ((new - smooth) * 30.0 - speed)
+        smooth += share(options.min_cutoff_hz + options.beta * abs(speed)) * (new - smooth)
+        found = live.step(frame, unitquat_from_rotvec(np.array([[0.0, new, 0.0]])))
+        expected = unitquat_from_rotvec(np.array([[0.0, smooth, 0.0]]))
+        np.testing.assert_allclose(np.abs(np.sum(found * expected)), 1.0, atol=1e-12)
+    with pytest.raises(ValidationError, match="min_cutoff_hz"):
         OneEuro(min_cutoff_hz=0.0)
+
+
+def test_the_one_euro_filter_of_points_lags_more_at_a_lower_cutoff() -> None:
+    slow, fast = (OneEuroFilter(OneEuro(min_cutoff_hz=one), 24.0) for one in (0.5, 5.0))
+    for frame in range(6):
+        step = np.full((1, 3), 1.0 if frame else 0.0)
+        low, high = slow.step(frame, step), fast.step(frame, step)
+    assert 0.1 < low.min() < high.min() < 1.0
 
 
 @pytest.mark.parametrize("num_frames", [0, 1, 2, 3, 4, 5])
 def test_short_motions_are_smoothed_without_complaint(num_frames: int) -> None:
     unitquat = rotations(num_frames)
     assert smooth_savitzky_golay(unitquat).shape == unitquat.shape
-    assert smooth_one_euro(unitquat, rate_hz=24.0).shape == unitquat.shape
 
 
 def test_gaps_are_bridged_on_the_short_arc_and_ends_are_held() -> None:

@@ -18,15 +18,16 @@ from pasdedeux.projections.published import (
 )
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.scale import bounding_box_height
-from pasdedeux.projections.search import Neighbours, look_at_all, prepare_query
+from pasdedeux.projections.search import Neighbours
 from tests.builders.walkers import walk
 
 
 def look_at_scaled(database: Database, query: np.ndarray) -> Neighbours:
     """The plain form: every projection, by the metric of the published search."""
     projections = scale_to_box(database.project().reshape(-1, 14, 2))
-    points, weights = prepare_query(scale_to_box(query.astype(np.float32)))
-    return look_at_all(projections, points, weights, num_neighbours=50, num_yaws=database.num_yaws)
+    distance = np.linalg.norm(scale_to_box(query.astype(np.float32))[:, None] - projections, axis=-1).mean(axis=-1)
+    order = np.argsort(distance, axis=-1, kind="stable")[:, :50]
+    return Neighbours(order, np.take_along_axis(distance, order, axis=-1), database.num_yaws)
 
 
 SETTINGS = PublishedSettings(num_clusters=40, num_landmarks=100)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -49,7 +47,7 @@ class LivePeople:
         self._last_frame: int | None = None
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
-        """Take the detections of a frame (detection, 14, 2), any order; give the poses that are due, by person.
+        """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person.
 
         Raises:
             InputError: The frame does not come after the one before.
@@ -74,7 +72,7 @@ class LivePeople:
                 poses += self._people[person].push(frame, found.keypoints_px[at[person]], found.confidence[at[person]])
             else:
                 poses += self._people[person].advance(frame)
-        forgotten = frame - self._options.identities.most_absent_s * self._rate_hz - self._options.lag
+        forgotten = frame - self._options.identities.max_absent_s * self._rate_hz - self._options.lag
         for person in [one for one, last in self._last_seen.items() if last < forgotten]:
             del self._people[person], self._last_seen[person]
         return poses
@@ -86,7 +84,8 @@ class LivePeople:
 
 def warm_up(searcher: Searcher, options: LiveOptions | None = None) -> None:
     """Load what is compiled before the first image comes: a pose of the database goes through a chain of its own."""
-    options = replace(options or LiveOptions(), lag=min((options or LiveOptions()).lag, 6))
+    options = options or LiveOptions()
+    options = options.model_copy(update={"lag": min(options.lag, 6)})
     people = LivePeople(searcher, rate_hz=30.0, image_size_px=(1920, 1080), options=options)
     pose = searcher.database.turned(np.zeros(1, dtype=np.int64), np.zeros(1))
     px = searcher.database.camera.project(pose) * np.array([300.0, -300.0]) + np.array([960.0, 540.0])

@@ -8,37 +8,28 @@ rotations and root, and planted feet are stilled.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import multiply
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.projections.scale import place_track
+from pasdedeux.kinematics.rotations import multiply, rotate, swing_between
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.projections.scale import match_scale, place_track
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.identity import IdentityOptions
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
-from pasdedeux.reconstruction.live.fixed_lag import Decision, FixedLagViterbi
-from pasdedeux.reconstruction.live.frame_kernels import (
-    filter_rotations,
-    find_bone_rotations,
-    least_squares_scale,
-    place_bones,
-    rotate_vector,
-    straighten_frame,
-    turn_from_camera_axis,
-    turn_poses,
-    unify_image,
-)
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
-from pasdedeux.reconstruction.proportions import estimate_proportions
-from pasdedeux.reconstruction.reconstruct import Searcher
-from pasdedeux.reconstruction.smoothing import OneEuro, one_euro_share
-from pasdedeux.reconstruction.temporal import TemporalWeights
+from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
+from pasdedeux.reconstruction.reconstruct import Searcher, straighten_rays
+from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter
+from pasdedeux.reconstruction.temporal import Decision, FixedLagViterbi, TemporalWeights
 from pasdedeux.reconstruction.tracks import Lens
 from pasdedeux.reconstruction.yaw import refine_yaws
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = ["LiveOptions", "LivePerson", "LivePose"]
@@ -48,6 +39,8 @@ Integers = npt.NDArray[np.int64]
 
 _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
 
+_CAMERA_AXIS = np.array([0.0, 0.0, 1.0])
+
 _FIRST_ROUNDS = 3
 """Searches of a person's first frame, whose scale is only guessed from the bones."""
 
@@ -55,53 +48,35 @@ _SPREAD_FRAMES = 32
 """Frames that proportions are estimated from, at least when as many were seen, and less than twice as many."""
 
 
-@dataclass(frozen=True)
-class LiveOptions:
-    """How people are reconstructed live.
+class LiveOptions(Settings):
+    """How people are reconstructed live."""
 
-    Args:
-        lag: A pose leaves this many frames after its image.
-        num_candidates: Projections kept per frame.
-        min_joints: Frames with fewer joints of a person give no pose.
-        window_s: Scale is taken from the frames of this time; with longer ones it lags behind people who walk away.
-        proportions_every: Frames between two estimates of a person's proportions.
-        temporal: Costs of the choice over time.
-        smoothing: The 1-euro filter of rotations.
-        root_smoothing: That of the way, whose growth is in Hz per m/s.
-        identities: How people are followed.
-        search_slack: What the search does not look into holds nothing nearer than 1 / (1 + this) of the farthest
-            candidate; 0 is exact.
-        metres_per_pixel: Scale of the image at the person where it is known; estimated otherwise.
-        has_own_proportions: Bone lengths are estimated per person; the reference body's otherwise.
-        is_fitted: Poses are fitted to the images of their window.
-        fit: What the fit believes.
-        has_clean_up: Planted feet are stilled and the floor is kept.
-        clean_up: How.
-    """
-
-    lag: int = 6
-    num_candidates: int = 20
-    min_joints: int = 4
-    window_s: float = 0.3
-    proportions_every: int = 15
-    temporal: TemporalWeights = field(default_factory=TemporalWeights)
-    smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=6.0, beta=2.0))
-    root_smoothing: OneEuro = field(default_factory=lambda: OneEuro(min_cutoff_hz=0.8, beta=2.0))
-    identities: IdentityOptions = field(default_factory=IdentityOptions)
-    search_slack: float = 0.2
-    metres_per_pixel: float | None = None
-    has_own_proportions: bool = True
-    is_fitted: bool = True
-    fit: WindowFitOptions = field(default_factory=WindowFitOptions)
-    has_clean_up: bool = True
-    clean_up: LiveCleanUpOptions = field(default_factory=LiveCleanUpOptions)
-
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if self.lag < 0 or min(self.num_candidates, self.min_joints, self.proportions_every) < 1:
-            raise InputError(f"live reconstruction: counts must be at least 1 and the lag not negative: {self}")
-        if self.window_s <= 0 or not (self.metres_per_pixel is None or self.metres_per_pixel > 0):
-            raise InputError(f"live reconstruction: windows and scales must be positive: {self}")
+    lag: int = Field(6, ge=0, description="A pose leaves this many frames after its image")
+    num_candidates: int = Field(20, ge=1, description="Projections kept per frame")
+    min_joints: int = Field(4, ge=1, description="Frames with fewer joints of a person give no pose")
+    window_s: float = Field(
+        0.3, gt=0, description="Scale is that of the last so many seconds; longer ones lag behind people who walk away"
+    )
+    proportions_every: int = Field(15, ge=1, description="Frames between two estimates of a person's proportions")
+    temporal: TemporalWeights = Field(TemporalWeights(), description="Costs of the choice over time")
+    smoothing: OneEuro = Field(OneEuro(min_cutoff_hz=6.0, beta=2.0), description="The 1-euro filter of rotations")
+    root_smoothing: OneEuro = Field(
+        OneEuro(min_cutoff_hz=0.8, beta=2.0), description="That of the root's path, whose growth is in Hz per m/s"
+    )
+    identities: IdentityOptions = Field(IdentityOptions(), description="How people are followed")
+    search_slack: float = Field(
+        0.2,
+        ge=0,
+        description="The search may miss what is not nearer than 1 / (1 + this) of the farthest candidate; 0 is exact",
+    )
+    metres_per_pixel: float | None = Field(
+        None, gt=0, description="Scale of the image at the person where it is known; estimated otherwise"
+    )
+    has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
+    is_fitted: bool = Field(True, description="Poses are fitted to the images of their window")
+    fit: WindowFitOptions = Field(WindowFitOptions(), description="What the fit believes")
+    has_clean_up: bool = Field(True, description="Planted feet are stilled and the floor is kept")
+    clean_up: LiveCleanUpOptions = Field(LiveCleanUpOptions(), description="How")
 
 
 @dataclass(frozen=True)
@@ -185,13 +160,13 @@ class LivePerson:
         self._scales: deque[float] = deque(maxlen=window)
         self._waiting: deque[_Waiting] = deque()
         self._index = searcher.index.with_slack(max(searcher.index.slack, self._options.search_slack))
-        self._fit = WindowFit(rate_hz, self._options.lag + 1, self._options.num_candidates, self._options.fit)
+        self._fit = WindowFit(rate_hz, self._options.fit)
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
-        self._rotations = _RotationFilter(self._options.smoothing, rate_hz)
+        self._rotations = OneEuroFilter(self._options.smoothing, rate_hz)
         self._clean_up = LiveCleanUp(rate_hz, self._options.clean_up) if self._options.has_clean_up else None
-        self._root = _PointFilter(self._options.root_smoothing, rate_hz)
+        self._root = OneEuroFilter(self._options.root_smoothing, rate_hz)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
@@ -215,7 +190,11 @@ class LivePerson:
                         distance,
                         self._proportions,
                     )
-                return self._poses(self._viterbi.push(frame, waiting.row, waiting.yaw_steps, waiting.distance_m))
+                return self._poses(
+                    self._viterbi.push(
+                        np.array([frame]), waiting.row[None], waiting.yaw_steps[None], waiting.distance_m[None]
+                    )
+                )
         return self.advance(frame)
 
     def advance(self, frame: int) -> list[LivePose]:
@@ -238,20 +217,19 @@ class LivePerson:
         else:
             first = place_track(points[None], weights[None], self._searcher.reference, window=1)
             scale, rounds = float(first.metres_per_pixel[0]), _FIRST_ROUNDS
-        straight: Array
-        straight, towards = straighten_frame(points, self._mid_hip(points, weights, scale), focal)
+        rays, towards = straighten_rays(points[None], self._mid_hip(points, weights, scale)[None], focal)
+        straight = rays[0]
         weights = np.where(np.isfinite(straight[:, 0]), weights, 0.0)
         centre = self._mid_hip(straight, weights, scale)
         ratio = float("nan")
         for _ in range(rounds):
-            query = unify_image((straight - centre) * scale, self._proportions)
+            query = retarget_image((straight - centre) * scale, self._proportions)
             found = self._index.search(query, weights, num_neighbours=self._options.num_candidates)
             if found.projection[0] < 0:
                 return None
-            yaw_rad = np.array([found.yaw_index[0] * database.yaw_step_rad])
-            best = turn_poses(database.poses_m, found.row[:1], yaw_rad)
-            matched: Array = np.asarray(database.camera.project(best)[0])
-            fit = least_squares_scale(straight, weights, unify_image(matched, 1.0 / self._proportions))
+            best = database.turned(found.row[0], found.yaw_index[0])
+            matched = np.ascontiguousarray(database.camera.project(best))
+            fit = match_scale(straight, weights, retarget_image(matched, 1.0 / self._proportions))
             ratio = float(fit[0])
             if np.isfinite(ratio):
                 scale = known or median([*self._scales, ratio])
@@ -261,10 +239,10 @@ class LivePerson:
         own = (straight - centre) * scale
         if self._options.has_own_proportions:
             self._learn_proportions(_Seen(weights, own, matched))
-        refined = refine_yaws(database, found, unify_image(own, self._proportions), weights)
+        refined = refine_yaws(database, found, retarget_image(own, self._proportions), weights)
         order = np.argsort(refined.distance_m, kind="stable")[: np.count_nonzero(found.projection >= 0)]
         row, yaw_steps = found.row[order], refined.yaw_steps[order]
-        poses = turn_poses(database.poses_m, row, yaw_steps * database.yaw_step_rad) @ self._camera_rotmat.T
+        poses = database.turned(row, yaw_steps) @ self._camera_rotmat.T
         place = np.append(centre * scale, -scale * focal)
         return _Waiting(
             frame,
@@ -272,7 +250,7 @@ class LivePerson:
             yaw_steps,
             refined.distance_m[order],
             poses,
-            rotate_vector(turn_from_camera_axis(towards), place),
+            rotate(swing_between(_CAMERA_AXIS, towards[0]), place),
             own,
             weights,
         )
@@ -280,7 +258,7 @@ class LivePerson:
     def _mid_hip(self, points: Array, weights: Array, scale: float) -> Array:
         """Return the middle of the hips, or where joints are on average says that it is (2,), as `place_track` does."""
         if weights[_LEFT_HIP] > 0 and weights[_RIGHT_HIP] > 0:
-            return np.asarray(0.5 * (points[_LEFT_HIP] + points[_RIGHT_HIP]))
+            return mid_hip(points)
         reference = self._searcher.reference
         share = weights / reference.variance_m2
         off_mean = np.nan_to_num(points) - reference.mean_m / scale
@@ -311,16 +289,16 @@ class LivePerson:
         assert waiting.frame == decision.frame, "every frame pushed is decided once, in order"
         rank = decision.rank
         pose = self._fit.fit(path, self._proportions) if self._options.is_fitted else waiting.pose_m[rank]
-        unitquat = self._rotations.step(waiting.frame, find_bone_rotations(pose))
-        root = self._root.step(waiting.frame, waiting.root_m)
+        unitquat = self._rotations.step(waiting.frame, bone_rotations(pose))
+        root = self._root.step(waiting.frame, waiting.root_m[None])[0]
         # Bones turn against each other, so only the body's frame turns with the whole.
         turned = np.array(unitquat)
-        turned[OP14.root] = multiply(turn_from_camera_axis(-root), unitquat[OP14.root])
-        positions = place_bones(turned, REFERENCE_LENGTHS_M * self._proportions) + root
+        turned[OP14.root] = multiply(swing_between(_CAMERA_AXIS, -root), unitquat[OP14.root])
+        positions = place_bone_rotations(turned, REFERENCE_LENGTHS_M * self._proportions, root)
         if self._clean_up is not None:
             cleaned = self._clean_up.step(waiting.frame, positions @ self._camera_rotmat)
             positions = cleaned @ self._camera_rotmat.T
-            turned, root = find_bone_rotations(positions), 0.5 * (positions[_LEFT_HIP] + positions[_RIGHT_HIP])
+            turned, root = bone_rotations(positions), mid_hip(positions)
         return LivePose(
             person_id=self.person_id,
             frame=waiting.frame,
@@ -332,52 +310,3 @@ class LivePerson:
             row=int(waiting.row[rank]),
             num_joints_seen=int(np.count_nonzero(waiting.weights > 0)),
         )
-
-
-class _RotationFilter:
-    """The 1-euro filter of `smoothing.smooth_one_euro`, a frame at a time; after a gap its rate is that of the gap."""
-
-    def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
-        self._parameters = parameters
-        self._rate_hz = rate_hz
-        self._frame = 0
-        self._value: Array | None = None
-        self._velocity = np.zeros((OP14.num_joints, 3))
-
-    def step(self, frame: int, value: Array) -> Array:
-        """Return the smoothed rotations (14, 4) of this frame."""
-        if self._value is None:
-            self._value = value
-        else:
-            one = self._parameters
-            rate = self._rate_hz / max(frame - self._frame, 1)
-            self._value, self._velocity = filter_rotations(
-                self._value, self._velocity, value, rate, one.min_cutoff_hz, one.beta, one.derivative_cutoff_hz
-            )
-        self._frame = frame
-        return self._value
-
-
-class _PointFilter:
-    """The same for a point (3,): its speed is metres per second."""
-
-    def __init__(self, parameters: OneEuro, rate_hz: float) -> None:
-        self._parameters = parameters
-        self._rate_hz = rate_hz
-        self._frame = 0
-        self._value: Array | None = None
-        self._velocity = np.zeros(3)
-
-    def step(self, frame: int, value: Array) -> Array:
-        """Return the smoothed point of this frame."""
-        if self._value is None:
-            self._value = value
-        else:
-            one = self._parameters
-            rate = self._rate_hz / max(frame - self._frame, 1)
-            moved = (value - self._value) * rate
-            self._velocity = self._velocity + one_euro_share(one.derivative_cutoff_hz, rate) * (moved - self._velocity)
-            share = one_euro_share(one.min_cutoff_hz + one.beta * float(np.linalg.norm(self._velocity)), rate)
-            self._value = self._value + share * (value - self._value)
-        self._frame = frame
-        return self._value

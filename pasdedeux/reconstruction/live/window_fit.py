@@ -1,35 +1,38 @@
 """Fit of the last few frames to what was seen, as frames arrive: the live form of the fit of whole tracks.
 
 Each frame's candidates vote on the depth of every bone once, when it comes; the signs are chosen over time by Viterbi
-with a fixed lag.  When a frame's pose is due, its frame and those that came since are fitted together, after the two
-poses given out before, which stay: the image over its noise, less for joints that stay off; bones as the candidates
-have them, over the misfit of the match; second differences of the joints; bone lengths exact.  Only the oldest frame's
-pose leaves.  Frames of the window that were fitted before start from there.
+with a fixed lag.  When a frame's pose is due, its frame and those that came since are fitted together by the fit of
+whole tracks, behind the two poses given out before, which are held.  Only the oldest frame's pose leaves.  Frames of
+the window that were fitted before start from there, so a step or two are enough.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.errors import InputError
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.reconstruction.depth import DepthSettings
-from pasdedeux.reconstruction.live.frame_kernels import unify_image
-from pasdedeux.reconstruction.live.vote_kernels import (
-    NUM_SIGN_STATES,
-    bones_of,
-    extend_signs,
-    flatten_image,
-    noise_of,
-    residuals_of,
+from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.levenberg import FitSettings, fit_bones
+from pasdedeux.fitting.observed_pose import BoneVectorTerm, flatten_image, image_noise, image_term
+from pasdedeux.fitting.terms import DifferenceTerm
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.reconstruction.depth import (
+    DepthSettings,
+    SignStep,
+    bone_vectors,
+    bones_by_votes,
+    place_depths,
     trace_signs,
-    vote_signs,
+    vote_on_signs,
 )
-from pasdedeux.reconstruction.live.window_kernels import fit_window, prepare_window
+from pasdedeux.reconstruction.proportions import retarget_image
+from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, bone_deviation_m, share_of_followed
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = ["WindowFit", "WindowFitOptions"]
@@ -37,49 +40,44 @@ __all__ = ["WindowFit", "WindowFitOptions"]
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-_LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
+_NUM_HELD = 2
+_HOLD = 1e3
+"""Weight of poses that were given out, against that of time."""
 
-_NUM_FIXED = 2
 _NOISE_FRAMES = 24
-_MEAN_OF_RAYLEIGH = float(np.sqrt(np.pi / 2.0))
 _NOISE_GAIN = 0.05
 """How fast the noise of a joint follows its residuals."""
 
 
-@dataclass(frozen=True)
-class WindowFitOptions:
-    """What the live fit believes.
+class WindowFitOptions(Settings):
+    """What the live fit believes."""
 
-    Args:
-        most_ahead: Frames after the one that is due which are fitted with it, at most.
-        least_noise_m: The image is never believed better than this.
-        acceleration_m_s2: Standard deviation of a joint's acceleration.
-        trust_per_misfit: A bone of the candidates is trusted to this many times the misfit of the match, ...
-        trust_m: ... within these bounds.
-        equal_noise_m: Noise of the image at which the followed motion and the frame's candidates count the same.
-        depth: How candidates vote on depth.
-        most_solves: Newton steps of a frame, at most.
-        most_solves_missing: The same where a joint of the window is not seen: nothing but the other terms moves it.
-        tolerance: A fit ends when a step lowers its energy by less than this share.
-    """
+    max_ahead: int = Field(6, ge=0, description="Frames after the one that is due which are fitted with it, at most")
+    min_noise_m: float = Field(0.02, gt=0, description="The image is never believed better than this")
+    acceleration_m_s2: float = Field(8.0, gt=0, description="Standard deviation of a joint's acceleration")
+    trust_per_misfit: float = Field(2.0, gt=0, description="A bone is trusted to this many times the match's misfit")
+    depth: DepthSettings = Field(DepthSettings(), description="How candidates vote on depth")
+    max_steps: int = Field(1, ge=1, description="Steps of a fit, at most")
+    max_steps_missing: int = Field(
+        4, ge=1, description="The same where a joint of the window is not seen: only the other terms move it"
+    )
+    tolerance: float = Field(3e-3, ge=0, description="A fit ends when a step lowers its energy by less than this share")
 
-    most_ahead: int = 6
-    least_noise_m: float = 0.02
-    acceleration_m_s2: float = 8.0
-    trust_per_misfit: float = 2.0
-    trust_m: tuple[float, float] = (0.01, 0.2)
-    equal_noise_m: float = 0.03
-    depth: DepthSettings = field(default_factory=DepthSettings)
-    most_solves: int = 1
-    most_solves_missing: int = 4
-    tolerance: float = 3e-3
 
-    def __post_init__(self) -> None:
-        """Refuse values without meaning."""
-        if self.most_ahead < 0 or min(self.most_solves, self.most_solves_missing) < 1:
-            raise InputError(f"live fit: frames ahead must not be negative and steps at least 1: {self}")
-        if min(self.least_noise_m, self.acceleration_m_s2, self.trust_per_misfit, *self.trust_m) <= 0:
-            raise InputError(f"live fit: standard deviations must be positive: {self}")
+@dataclass
+class _Frame:
+    """A frame that waits for its pose to be due; signs and pose of its last fit, None before the first."""
+
+    frame: int
+    image_m: Array
+    weight: Array
+    vectors_m: Array
+    log_weight: Array
+    step: SignStep
+    trust_m: float
+    distance_m: float
+    sign: Array | None = None
+    fitted_m: Array | None = None
 
 
 class WindowFit:
@@ -87,35 +85,18 @@ class WindowFit:
 
     Args:
         rate_hz: Frames per second.
-        most_waiting: Frames that wait for their pose to be due, at most.
-        num_candidates: Candidates of a frame, at most.
         options: How.
     """
 
-    def __init__(
-        self, rate_hz: float, most_waiting: int, num_candidates: int, options: WindowFitOptions | None = None
-    ) -> None:
+    def __init__(self, rate_hz: float, options: WindowFitOptions | None = None) -> None:
         self._options = options or WindowFitOptions()
         self._rate_hz = rate_hz
-        joints, ring = OP14.num_joints, most_waiting + 1  # the last one done is needed too
-        self._frame = np.zeros(ring, dtype=np.int64)
-        self._image_m = np.full((ring, joints, 2), np.nan)
-        self._weight = np.zeros((ring, joints))
-        self._vector_m = np.zeros((ring, num_candidates, joints, 3))
-        self._log_weight = np.full((ring, num_candidates), -np.inf)
-        self._size_m, self._deviation_m = np.zeros((ring, joints)), np.zeros((ring, joints))
-        self._cost = np.zeros((ring, NUM_SIGN_STATES))
-        self._back = np.zeros((ring, NUM_SIGN_STATES), dtype=np.int64)
-        self._trust_m, self._distance_m = np.ones(ring), np.ones(ring)
-        self._sign, self._fitted_m = np.zeros((ring, joints)), np.zeros((ring, joints, 3))
-        self._first = self._num_waiting = 0
-        self._has_newest = False
-        self._fixed_m, self._fixed_frame = np.zeros((_NUM_FIXED, joints, 3)), np.full(_NUM_FIXED, -1, dtype=np.int64)
-        self._num_fixed = 0
-        self._recent_m = np.full((_NOISE_FRAMES, joints, 2), np.nan)
-        self._recent_frame = np.full(_NOISE_FRAMES, -1, dtype=np.int64)
+        self._waiting: deque[_Frame] = deque()
+        self._newest: _Frame | None = None
+        self._held: deque[tuple[int, Array]] = deque(maxlen=_NUM_HELD)
+        self._recent_m = np.full((_NOISE_FRAMES, OP14.num_joints, 2), np.nan)
         self._noise_m = 0.0
-        self._joint_noise_m = np.zeros(joints)
+        self._joint_noise_m = np.zeros(OP14.num_joints)
 
     def see(
         self,
@@ -138,46 +119,28 @@ class WindowFit:
             distance_m: Distance of the camera from the mid-hip.
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
-        options, depth = self._options, self._options.depth
-        last, slot = self._slot(self._num_waiting - 1), self._slot(self._num_waiting)
+        options, before = self._options, self._newest
+        passed = 1 if before is None else frame - before.frame
         image = np.where((weights > 0)[:, None], image_m, np.nan)
-        self._recent_m = np.concatenate([self._recent_m[1:], image[None]])
-        self._recent_frame = np.append(self._recent_frame[1:], frame)
-        self._noise_m = noise_of(self._recent_m, self._recent_frame)
-        count = len(candidates_m)
-        self._vector_m[slot, :count] = bones_of(candidates_m)
-        self._log_weight[slot, :count] = (match_m[0] - match_m) / depth.misfit_m
-        self._log_weight[slot, count:] = -np.inf
-        size, deviation, score = vote_signs(
-            unify_image(flatten_image(image, candidates_m[0], distance_m), proportions),
+        # Frames that did not come count as not seen.
+        unseen = np.full((min(passed, _NOISE_FRAMES) - 1, *image.shape), np.nan)
+        self._recent_m = np.concatenate([self._recent_m, unseen, image[None]])[-_NOISE_FRAMES:]
+        self._noise_m = image_noise(self._recent_m, np.isfinite(self._recent_m[..., 0]))
+        vectors, log_weight = bone_vectors(candidates_m), (match_m[0] - match_m) / options.depth.misfit_m
+        step = vote_on_signs(
+            None if before is None else before.step,
+            retarget_image(flatten_image(image, candidates_m[0], distance_m), proportions),
             REFERENCE_LENGTHS_M,
-            self._vector_m[slot],
-            self._log_weight[slot],
-            max(self._noise_m, options.least_noise_m),
-            depth.kernel_m,
-            depth.floor,
+            vectors,
+            log_weight,
+            noise_m=max(self._noise_m, options.min_noise_m),
+            passed_s=passed / self._rate_hz,
+            settings=options.depth,
         )
-        if self._has_newest:
-            way = depth.speed_m_s * (frame - self._frame[last]) / self._rate_hz
-            self._cost[slot], self._back[slot] = extend_signs(
-                self._cost[last],
-                self._size_m[last],
-                self._deviation_m[last],
-                size,
-                deviation,
-                score,
-                REFERENCE_LENGTHS_M,
-                way,
-            )
-        else:
-            self._cost[slot], self._back[slot] = -score, 0
-        misfit = np.sqrt(max(float(match_m[0]) ** 2 - (_MEAN_OF_RAYLEIGH * self._noise_m) ** 2, 0.0))
-        self._trust_m[slot] = min(max(options.trust_per_misfit * misfit, options.trust_m[0]), options.trust_m[1])
-        self._size_m[slot], self._deviation_m[slot] = size, deviation
-        self._frame[slot], self._image_m[slot], self._weight[slot] = frame, image, weights
-        self._distance_m[slot], self._sign[slot] = distance_m, 0.0
-        self._num_waiting += 1
-        self._has_newest = True
+        trust = float(bone_deviation_m(match_m[0], self._noise_m, options.trust_per_misfit))
+        weight = np.where(np.isfinite(image).all(axis=-1), weights, 0.0)
+        self._newest = _Frame(frame, image, weight, vectors, log_weight, step, trust, distance_m)
+        self._waiting.append(self._newest)
 
     def fit(self, ranks: Integers, proportions: Array) -> Array:
         """Return the pose (14, 3) of the oldest frame, about its mid-hip, camera axes; the frame is then done with.
@@ -187,69 +150,76 @@ class WindowFit:
             proportions: Length of each bone (14,) as a multiple of the reference body's.
         """
         options = self._options
-        waiting = self._slot(np.arange(self._num_waiting))
-        sign = trace_signs(self._cost, self._back, waiting)
-        slots = waiting[: options.most_ahead + 1]
-        noise = max(self._noise_m, options.least_noise_m)
-        joint_noise = np.maximum(self._joint_noise_m, noise)
-        share = self._noise_m**2 / (self._noise_m**2 + options.equal_noise_m**2)
-        lengths = REFERENCE_LENGTHS_M * proportions
-        start, image, weight, bones = prepare_window(
-            slots,
-            sign,
-            ranks,
-            self._image_m,
-            self._weight,
-            self._vector_m,
-            self._log_weight,
-            self._size_m,
-            self._deviation_m,
-            self._distance_m,
-            self._sign,
-            self._fitted_m,
-            REFERENCE_LENGTHS_M,
-            proportions,
-            options.depth.kernel_m,
-            share,
-            joint_noise,
-        )
-        count = self._num_fixed
-        fixed = slice(_NUM_FIXED - count, None)
-        frames = np.concatenate([self._fixed_frame[fixed], self._frame[slots]])
-        time_deviation = options.acceleration_m_s2 / self._rate_hz**2
-        time_weight = np.zeros(len(frames))
-        time_weight[2:] = (frames[2:] == frames[:-2] + 2) / time_deviation**2
-        is_whole = bool((self._weight[slots] > 0).all())
-        fitted = fit_window(
-            np.concatenate([self._fixed_m[fixed], start]),
-            count,
-            lengths,
-            _behind(image, count),
-            _behind(weight, count),
-            _behind(bones, count),
-            _behind(1.0 / self._trust_m[slots] ** 2, count),
-            time_weight,
-            _behind(self._distance_m[slots], count, 1.0),
-            options.tolerance,
-            options.most_solves if is_whole else options.most_solves_missing,
-        )
-        self._fitted_m[slots] = fitted[count:]
-        slot = int(slots[0])
-        pose = fitted[count]
-        noise_of_joint = residuals_of(self._image_m[slot], pose, self._distance_m[slot]) / _MEAN_OF_RAYLEIGH
-        known = np.isfinite(noise_of_joint)
-        self._joint_noise_m[known] += _NOISE_GAIN * (noise_of_joint[known] - self._joint_noise_m[known])
-        self._fixed_m = np.concatenate([self._fixed_m[1:], pose[None]])
-        self._fixed_frame = np.append(self._fixed_frame[1:], self._frame[slot])
-        self._num_fixed = min(count + 1, _NUM_FIXED)
-        self._first, self._num_waiting = self._first + 1, self._num_waiting - 1
-        return np.asarray(pose - 0.5 * (pose[_LEFT_HIP] + pose[_RIGHT_HIP]))
+        signs = trace_signs([one.step for one in self._waiting])
+        window = list(self._waiting)[: options.max_ahead + 1]
+        share = share_of_followed(self._noise_m)
+        noise = np.maximum(self._joint_noise_m, max(self._noise_m, options.min_noise_m))
+        bones, robust = np.empty((len(window), OP14.num_joints, 3)), np.ones((len(window), OP14.num_joints))
+        guesses: list[Array] = []
+        for at, one in enumerate(window):
+            followed = one.vectors_m[ranks[at]]
+            mean, depth = bones_by_votes(
+                one.step, signs[at], one.vectors_m, one.log_weight, REFERENCE_LENGTHS_M, options.depth
+            )
+            bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * mean)
+            if one.fitted_m is None or one.sign is None or not np.array_equal(one.sign, signs[at]):
+                guesses.append(_first_guess(one, proportions[:, None] * followed, proportions * depth))
+            else:
+                guesses.append(one.fitted_m)
+                off = np.nan_to_num(_residuals(one, one.fitted_m)) / (3.0 * noise)
+                robust[at] = 1.0 / (1.0 + off**2)
+            one.sign = signs[at]
+        fitted = self._fit(window, guesses, bones, robust / noise**2, REFERENCE_LENGTHS_M * proportions)
+        for one, pose in zip(window, fitted, strict=True):
+            one.fitted_m = pose
+        due = self._waiting.popleft()
+        of_joint = _residuals(due, fitted[0]) / MEAN_OF_RAYLEIGH
+        known = np.isfinite(of_joint)
+        self._joint_noise_m[known] += _NOISE_GAIN * (of_joint[known] - self._joint_noise_m[known])
+        self._held.append((due.frame, fitted[0]))
+        return np.asarray(fitted[0] - mid_hip(fitted[0]))
 
-    def _slot(self, place: Any) -> Any:
-        """Return where the frame of this place in the queue lies in the ring; -1 is the frame last done with."""
-        return (self._first + place) % len(self._frame)
+    def _fit(
+        self, window: Sequence[_Frame], guess_m: Sequence[Array], bones_m: Array, believed: Array, lengths_m: Array
+    ) -> Array:
+        """Return the poses (n, 14, 3) of a window behind the poses that are held."""
+        options, held = self._options, len(self._held)
+        start = np.stack([*(pose for _, pose in self._held), *guess_m])
+        frames = np.array([*(frame for frame, _ in self._held), *(one.frame for one in window)])
+        image, weight = np.zeros((*start.shape[:2], 2)), np.zeros(start.shape[:2])
+        image[held:] = [one.image_m for one in window]
+        weight[held:] = believed * [one.weight for one in window]
+        distance = np.array([np.inf] * held + [one.distance_m for one in window])
+        per_time = (self._rate_hz**2 / options.acceleration_m_s2) ** 2
+        points = image_term(image, weight, start, distance)
+        points.targets_m[:held], points.weights[:held] = start[:held], _HOLD * per_time
+        vectors, over = np.zeros(start.shape), np.zeros((*start.shape[:2], 1))
+        vectors[held:], over[held:, :, 0] = bones_m, np.array([[1.0 / one.trust_m**2] for one in window])
+        is_even = frames[2:] == frames[:-2] + 2
+        terms = [
+            points,
+            DifferenceTerm(np.zeros(start.shape), np.where(is_even, per_time, 0.0)[:, None, None], 2),
+            BoneVectorTerm(OP14, vectors, over),
+        ]
+        is_whole = all((one.weight > 0).all() for one in window)
+        steps = options.max_steps if is_whole else options.max_steps_missing
+        forest = BoneForest((OP14,), lengths_m)
+        stop = FitSettings(max_iterations=steps, tolerance=options.tolerance)
+        return fit_bones(forest, forest.state_of(start), terms, stop).positions_m[held:]
 
 
-def _behind(values: Array, count: int, filling: float = 0.0) -> Array:
-    """Return values (n, ...) behind `count` rows that do not matter."""
-    return np.concatenate([np.full((count, *values.shape[1:]), filling), values])
+def _residuals(one: _Frame, pose_m: Array) -> Array:
+    """Return how far each joint (14,) of a pose is from its image; NaN where not seen."""
+    return np.asarray(np.hypot(*(flatten_image(one.image_m, pose_m, one.distance_m) - pose_m[:, :2]).T))
+
+
+def _first_guess(one: _Frame, followed_m: Array, depth_m: Array) -> Array:
+    """Return a pose (14, 3) across as in the image, or as followed (14, 3) where not seen, of bones of these depths."""
+    pose = place_depths(np.zeros((OP14.num_joints, 2)), depth_m)
+    pose[:, 2] -= mid_hip(pose)[2]
+    pose[:, :2] = flatten_image(one.image_m, pose, one.distance_m)
+    for joint in OP14.order:
+        if not np.isfinite(pose[joint, 0]):
+            parent = OP14.parents[joint]
+            pose[joint, :2] = 0.0 if parent < 0 else pose[parent, :2] + followed_m[joint, :2]
+    return pose

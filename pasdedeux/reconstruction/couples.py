@@ -19,16 +19,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.camera import OrthographicCamera
-from pasdedeux.projections.pairs import PairDatabase, PairIndex, build_pair_index
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
+from pasdedeux.projections.search import ProjectionIndex, build_index
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import Matches, Reconstruction
 from pasdedeux.reconstruction.tracks import PersonTrack
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import OP14
 
-__all__ = ["PairSearcher", "Placing", "PlacingOptions", "choose_couples", "place_together"]
+__all__ = ["PairSearcher", "Placing", "PlacingOptions", "choose_couples", "place_couple"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -41,14 +46,14 @@ _NUM_ROUNDS = 10
 class PairSearcher:
     """Pairs made ready for search under one pitch, parallel rays."""
 
-    database: PairDatabase
-    index: PairIndex
+    database: Database
+    index: ProjectionIndex
 
     @classmethod
     def of(cls, pairs_m: npt.NDArray[np.floating], *, num_yaws: int, pitch_rad: float) -> PairSearcher:
         """Build the index of pairs (row, person, 14, 3) as `pairs.centre_pairs` gives them."""
-        database = PairDatabase(np.asarray(pairs_m, dtype=np.float32), num_yaws, OrthographicCamera(pitch_rad))
-        return cls(database, build_pair_index(database))
+        database = pair_database(pairs_m, num_yaws=num_yaws, camera=OrthographicCamera(pitch_rad))
+        return cls(database, build_index(database))
 
     def depths(self, query_m: Array, weights: Array, options: PlacingOptions) -> tuple[Array, Array]:
         """Return how much nearer person 1 is than person 0 by the pairs that look alike, and the deviation of that.
@@ -61,10 +66,13 @@ class PairSearcher:
         Returns:
             Depth and standard deviation (frame,), metres; the latter is inf where nothing was found.
         """
-        found = self.index.search(query_m, weights, num_neighbours=options.num_candidates)
+        found = search_pairs(self.index, query_m, weights, num_neighbours=options.num_candidates)
         row, distance = found.neighbours.row, found.neighbours.distance_m
         turned = self.database.turned(np.maximum(row, 0), found.neighbours.yaw_index)
-        hips = mid_hip(turned) @ self.database.camera.camera_from_upright_rotmat.T
+        hips = (
+            mid_hip(turned.reshape(*row.shape, 2, OP14.num_joints, 3))
+            @ self.database.camera.camera_from_upright_rotmat.T
+        )
         depth = np.where(found.is_exchanged, -1.0, 1.0) * (hips[..., 1, 2] - hips[..., 0, 2])
         is_found = np.isfinite(distance[:, 0])
         distance = np.where(is_found[:, None], distance, 0.0)
@@ -73,36 +81,32 @@ class PairSearcher:
         mean = np.sum(share * depth, axis=1)
         spread = np.sqrt(np.sum(share * (depth - mean[:, None]) ** 2, axis=1))
         deviation = np.hypot(spread, options.deviation_per_misfit * distance[:, 0])
-        return mean, np.where(is_found, np.maximum(deviation, options.least_deviation_m), np.inf)
+        return mean, np.where(is_found, np.maximum(deviation, options.min_deviation_m), np.inf)
 
 
-@dataclass(frozen=True)
-class PlacingOptions:
-    """What is believed of the depth between two people.
+class PlacingOptions(Settings):
+    """What is believed of the depth between two people."""
 
-    Args:
-        num_candidates: Pairs that are looked at per frame.
-        misfit_m: Pairs whose image is this much worse than the best count 1/e.
-        deviation_per_misfit: A pair's depth is trusted to this many times the misfit of its image.
-        least_deviation_m: A pair is never trusted better than this.
-        own_deviation_m: Deviation of the depth by the people's own sizes, once c and g are known.
-        size_deviation: Standard deviation of c.
-        lens_deviation: Standard deviation of g about 1.
-        apart_s: Frames nearer in time than this count as one: what is wrong in one is wrong in the next.
-        acceleration_m_s2: Standard deviation of the second derivative of the depth between two people.
-        most_apart_m: Frames in which the two are further apart in the image are left to their own sizes.
-    """
-
-    num_candidates: int = 20
-    misfit_m: float = 0.02
-    deviation_per_misfit: float = 2.0
-    least_deviation_m: float = 0.03
-    own_deviation_m: float = 0.15
-    size_deviation: float = 0.1
-    lens_deviation: float = 0.3
-    apart_s: float = 0.5
-    acceleration_m_s2: float = 3.0
-    most_apart_m: float = 1.5
+    num_candidates: int = Field(20, ge=1, description="Pairs that are looked at per frame")
+    misfit_m: float = Field(0.02, gt=0, description="Pairs whose image is this much worse than the best count 1/e")
+    deviation_per_misfit: float = Field(
+        2.0, gt=0, description="A pair's depth is trusted to this many times the misfit of its image"
+    )
+    min_deviation_m: float = Field(0.03, gt=0, description="A pair is never trusted better than this")
+    own_deviation_m: float = Field(
+        0.15, gt=0, description="Deviation of the depth by the people's own sizes, once c and g are known"
+    )
+    size_deviation: float = Field(0.1, gt=0, description="Standard deviation of c")
+    lens_deviation: float = Field(0.3, gt=0, description="Standard deviation of g about 1")
+    apart_s: float = Field(
+        0.5, gt=0, description="Frames nearer in time than this count as one: their errors are the same"
+    )
+    acceleration_m_s2: float = Field(
+        3.0, gt=0, description="Standard deviation of the second derivative of the depth between two people"
+    )
+    max_apart_m: float = Field(
+        1.5, gt=0, description="Frames in which the two are further apart in the image are left to their own sizes"
+    )
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def choose_couples(
         for second in range(first + 1, len(people)):
             _, at = _common(people[first][0], people[second][0])
             between = people[second][1].root_m[at[1]] - people[first][1].root_m[at[0]]
-            count = int((np.hypot(between[:, 0], between[:, 1]) < options.most_apart_m).sum())
+            count = int((np.hypot(between[:, 0], between[:, 1]) < options.max_apart_m).sum())
             if count:
                 near.append((-count, first, second))
     couples: list[tuple[int, int]] = []
@@ -152,7 +156,7 @@ def choose_couples(
     return couples
 
 
-def place_together(searcher: PairSearcher, couple: Couple, options: PlacingOptions | None = None) -> Placing | None:
+def place_couple(searcher: PairSearcher, couple: Couple, options: PlacingOptions | None = None) -> Placing | None:
     """Return the places of two people to each other; None where no frame shows both near each other.
 
     Args:
@@ -171,7 +175,7 @@ def place_together(searcher: PairSearcher, couple: Couple, options: PlacingOptio
     back = swing_between(-middle / distance[:, None], np.broadcast_to(np.array([0.0, 0.0, 1.0]), middle.shape))
     offset = rotate(np.broadcast_to(back[:, None], (*roots.shape[:2], 4)), roots - middle[:, None])
     own_depth = offset[:, 1, 2] - offset[:, 0, 2]
-    is_near = np.hypot(*np.diff(offset[..., :2], axis=1)[:, 0].T) < options.most_apart_m
+    is_near = np.hypot(*np.diff(offset[..., :2], axis=1)[:, 0].T) < options.max_apart_m
     is_near &= ~(first_found.is_bridged[at[0]] | second_found.is_bridged[at[1]])
     if not is_near.any():
         return None

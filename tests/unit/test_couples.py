@@ -13,9 +13,9 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
+from pasdedeux.reconstruction.couples import PlacingOptions, choose_couples
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher
-from pasdedeux.reconstruction.together import PlacingOptions, choose_couples
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from tests.builders.walkers import walk
 
@@ -136,4 +136,4 @@ def test_couples_are_those_who_are_near_longest_and_nobody_is_in_two() -> None:
     assert choose_couples(people) == [(1, 2)]
     far = [found[0], (tracks[1], beside(found[1][1], 9.0))]
     assert choose_couples(far) == []
-    assert choose_couples(far, PlacingOptions(most_apart_m=12.0)) == [(0, 1)]
+    assert choose_couples(far, PlacingOptions(max_apart_m=12.0)) == [(0, 1)]

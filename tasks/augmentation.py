@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.augmentation import (
+    AugmentationSettings,
     Augmenter,
     Source,
+    UserContact,
     Variant,
+    VariationSettings,
+    make_variations,
     variant_rotations,
 )
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Store
+from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
-from tasks.augmentation_parameters import AugmentationParameters, settings_of, variations_of
-from tasks.stage import Shard, Stage, StageInputs, artifact_fields
+from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, artifact_fields, commit, named_refs, stream
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
@@ -27,6 +33,32 @@ VERSION = 5
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
+
+
+class SolvedParameters(VariationSettings, AugmentationSettings, Parameters):
+    """What the section of a study and a batch of variants have in common: which variants there are, and how."""
+
+
+class AugmentationParameters(SolvedParameters):
+    """Which variants are made, and how."""
+
+    contacts: dict[str, tuple[UserContact, ...]] = Field(
+        {}, description="Contacts stated by the user, by take, in place of what is found"
+    )
+    variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
+
+
+class BatchParameters(SolvedParameters):
+    """A batch of variants of one take."""
+
+    contacts: tuple[UserContact, ...]
+    variants: tuple[str, ...]
+
+
+class NoPairParameters(Parameters):
+    """A take that is passed over, as it does not show two people."""
+
+    num_persons: int
 
 
 @dataclass(frozen=True)
@@ -40,65 +72,86 @@ class PairTake:
 
 
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
-    """Plan one shard per pair and batch of variants; takes of other than two people have none."""
-    asked = parameters.model_dump(mode="json")
-    size = asked.pop("variants_per_shard")
-    stated = asked.pop("contacts")
-    known = {take.facts["take_id"] for take in inputs.of("poses") if take.facts.get("kind") == "take"}
-    for take_id in stated:
-        if take_id not in known:
-            raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(known))}")
-    shards = []
-    for take in inputs.of("poses"):
-        if take.facts.get("kind") != "take" or take.facts["num_persons"] != 2:
+    """Plan one shard per pair and batch of variants; a take of other than two people has one that says so."""
+    takes = {take.facts["take_id"]: take for take in inputs.of("poses") if take.facts.get("kind") == "take"}
+    for take_id in parameters.contacts:
+        if take_id not in takes:
+            raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(takes))}")
+    common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
+    size, shards = parameters.variants_per_shard, []
+    for take_id, take in takes.items():
+        if take.facts["num_persons"] != 2:
+            shards.append(_shard(take, "no pair", NoPairParameters(num_persons=take.facts["num_persons"]), inputs.seed))
             continue
-        take_id = take.facts["take_id"]
-        names = [variation.variant_id for variation in variations_of(parameters, inputs.seed, take_id)]
+        names = [variation.variant_id for variation in make_variations(parameters, _generators(inputs.seed, take_id))]
         for start in range(0, len(names), size):
-            batch = names[start : start + size]
-            shards.append(
-                Shard(
-                    stage="augmentation",
-                    version=VERSION,
-                    partition=take_id,
-                    name=f"{batch[0]} to {batch[-1]}",
-                    parameters={**asked, "contacts": {take_id: stated.get(take_id, [])}, "variants": batch},
-                    inputs=(take.ref,),
-                    seed=inputs.seed,
-                )
-            )
+            batch = tuple(names[start : start + size])
+            chosen = BatchParameters(**common, contacts=parameters.contacts.get(take_id, ()), variants=batch)
+            shards.append(_shard(take, f"{batch[0]} to {batch[-1]}", chosen, inputs.seed))
     return shards
 
 
+def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shard:
+    return Shard(
+        stage="augmentation",
+        version=VERSION,
+        partition=take.facts["take_id"],
+        name=name,
+        parameters=parameters,
+        inputs=named_refs(take=[take]),
+        seed=seed,
+    )
+
+
+def _generators(seed: int, take_id: str) -> Callable[..., np.random.Generator]:
+    return lambda *labels: stream(seed, "augmentation", take_id, *labels)
+
+
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Solve a batch of variants of one take and stream them to the store."""
-    names = list(shard.parameters["variants"])
-    asked = {name: value for name, value in shard.parameters.items() if name != "variants"}
-    parameters = AugmentationParameters.model_validate(json.loads(json.dumps(asked)))
-    manifest = store.manifest(shard.inputs[0])
+    """Solve a batch of variants of one take, or say why the take has none."""
+    match shard.parameters:
+        case NoPairParameters(num_persons=count):
+            who = "one person" if count == 1 else f"{count} people"
+            verdict = Verdict(Level.WARN, f"{who}: only takes of two have variants")
+            return commit(
+                shard, store, tables={}, facts={"kind": "no_pair", "takes": [shard.partition]}, verdict=verdict
+            )
+        case BatchParameters() as batch:
+            return _solve_batch(shard, batch, store)
+        case other:
+            raise TypeError(f"a shard of stage augmentation has parameters {type(other).__name__}")
+
+
+def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> ArtifactRef:
+    """Solve a batch of variants and stream them to the store."""
+    manifest = store.manifest(shard.ref("take"))
     take_id = manifest.facts["take_id"]
-    known = {v.variant_id: v for v in variations_of(parameters, shard.seed, take_id)}
-    take = read_pair(store, shard.inputs[0])
+    known = {v.variant_id: v for v in make_variations(parameters, _generators(shard.seed, take_id))}
+    take = read_pair(store, manifest.ref)
     started = time.monotonic()
-    augmenter = Augmenter(take.source, settings_of(parameters, take_id))
+    augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
     facts = {
         "kind": "variants",
         "takes": [take_id],
         "take_id": take_id,
-        "variants": names,
+        "variants": list(parameters.variants),
         "num_frames": take.source.num_frames,
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
         "closest_m": take.source.closest_m,
     }
-    verdicts = {"pass": 0, "warn": 0, "fail": 0}
+    verdicts: list[Verdict] = []
     with store.writer(**artifact_fields(shard, store), facts=facts) as writer:
-        for start in range(0, len(names), _SOLVED_TOGETHER):
-            batch = [known[name] for name in names[start : start + _SOLVED_TOGETHER]]
+        for start in range(0, len(parameters.variants), _SOLVED_TOGETHER):
+            batch = [known[name] for name in parameters.variants[start : start + _SOLVED_TOGETHER]]
             for variant in augmenter.solve(batch):
-                verdicts[variant.verdict] += 1
+                verdicts.append(variant.verdict)
                 _write(writer, take_id, take, variant)
-        writer.facts["verdicts"] = verdicts
+        counted = Counter(verdict.level for verdict in verdicts)
+        writer.facts["verdicts"] = {level.value: counted[level] for level in Level}
+        summary = summarise_verdicts(verdicts)
+        assert summary is not None
+        writer.facts[VERDICT_FACT] = summary.to_json()
         writer.facts["num_joggled_frames"] = augmenter.num_joggled
         writer.timings["solve_s"] = time.monotonic() - started
     return writer.ref
@@ -148,7 +201,7 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
             "variant_id": [name] * frames,
             "frame": np.arange(frames, dtype=np.int32),
             **figures,
-            "verdict": [_VERDICTS[verdict] for verdict in variant.frame_verdicts],
+            "verdict": [_LEVELS[level] for level in variant.frame_verdicts],
         },
     )
     quality = variant.quality
@@ -164,13 +217,13 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
         "solver": variant.solver,
         "num_warn_frames": int((variant.frame_verdicts == 1).sum()),
         "num_fail_frames": int((variant.frame_verdicts == 2).sum()),
-        "verdict": variant.verdict,
-        "reason": variant.reason,
+        "verdict": variant.verdict.level.value,
+        "reason": variant.verdict.reason,
     }
     writer.append("variant_quality", {column: _one_row(value) for column, value in row.items()})
 
 
-_VERDICTS = ("pass", "warn", "fail")
+_LEVELS = tuple(level.value for level in Level)
 
 
 def _one_row(value: Any) -> Any:

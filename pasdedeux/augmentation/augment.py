@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import project_to_bones
-from pasdedeux.augmentation.contacts import check_contacts
-from pasdedeux.augmentation.quality import FrameQuality, Judge, Measured, Quality, Verdict
+from pasdedeux.augmentation.contacts import UserContact, check_contacts
+from pasdedeux.augmentation.quality import FrameQuality, Measured, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
@@ -23,7 +23,9 @@ from pasdedeux.augmentation.source import (
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, SolvedWindow, WindowSolver
 from pasdedeux.augmentation.windows import Window, blend_weights, plan_windows
+from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["Augmenter", "Variant"]
 
@@ -52,8 +54,7 @@ class Variant:
         energy_fk: Energy of plain forward kinematics, which is never lower.
         solver: `bulk`, `descent`, `bulk+descent`, or `plain_fk` when both failed.
         num_iterations: Iterations of the solver.
-        verdict: `pass`, `warn` or `fail`.
-        reason: What was not passed, in words; empty when passed.
+        verdict: Whether it is good, and why not.
     """
 
     variation: Variation
@@ -66,24 +67,37 @@ class Variant:
     energy_fk: float
     solver: str
     num_iterations: int
-    verdict: str
-    reason: str
+    verdict: Verdict
 
 
 class Augmenter:
     """A take that is ready for any number of variants: mesh, terms and factor are computed once.
 
     A long take is solved in windows; then only the last few windows are kept ready.
+
+    Args:
+        source: The take.
+        settings: How variants are solved and judged.
+        user_contacts: Contacts that replace what is found.
+
+    Raises:
+        InputError: A contact is of frames that the take does not have.
     """
 
-    def __init__(self, source: Source, settings: AugmentationSettings | None = None) -> None:
+    def __init__(
+        self,
+        source: Source,
+        settings: AugmentationSettings | None = None,
+        *,
+        user_contacts: Sequence[UserContact] = (),
+    ) -> None:
         self.source = source
         self.settings = settings or AugmentationSettings()
-        self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.windows)
-        check_contacts(source, self.settings.user_contacts)
-        self._judge = Judge(
-            source, self.settings.contacts, girth=self.settings.girth, joint_limits=self.settings.joint_limits
-        )
+        self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.window_s)
+        check_contacts(source, user_contacts)
+        self._user_contacts = user_contacts
+        joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
+        self._meter = QualityMeter(source, girth=self.settings.girth, joint_limits=joint_limits)
         self._ready: dict[Window, WindowSolver] = {}
         self._num_joggled: dict[Window, int] = {}
 
@@ -121,7 +135,7 @@ class Augmenter:
                     points[window.start : window.stop] += share[:, None, None] * part.positions[index]
                     laplacian[window.start : window.stop] += share * part.squared_residual[index]
                 points = project_to_bones(points[None], lengths[index : index + 1])[0]
-            measured = self._judge.measure(
+            measured = self._meter.measure(
                 points,
                 reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
                 lengths_m=lengths[index],
@@ -145,7 +159,7 @@ class Augmenter:
         if window not in self._ready:
             while len(self._ready) >= _KEPT_WINDOWS:
                 self._ready.pop(next(iter(self._ready)))
-            within = (contact.within(window.start, window.stop) for contact in self.settings.user_contacts)
+            within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
             user = [contact for contact in within if contact is not None]
             source = self.source if len(self._windows) == 1 else self.source.slice(window.start, window.stop)
             self._ready[window] = WindowSolver(source, self.settings, user)
@@ -165,20 +179,18 @@ class Augmenter:
         num_iterations: int,
     ) -> Variant:
         quality, frames = measured.quality, measured.frames
-        verdict, reason = quality.judge(self.settings.limits)
+        verdict = quality.judge(self.settings.limits)
         frame_verdicts = frames.judge(self.settings.frame_limits)
+        level, reasons = verdict.level, [verdict.reason] if verdict.reason else []
         if solver == "plain_fk":
-            verdict = Verdict.FAIL
-            reason = "; ".join(
-                filter(None, ["neither solver gave a finite motion: this is plain forward kinematics", reason])
-            )
+            level = Level.FAIL
+            reasons.insert(0, "neither solver gave a finite motion: this is plain forward kinematics")
         failed = np.flatnonzero(frame_verdicts == _FAILED)
-        if verdict != Verdict.PASS and len(failed):
-            reason = f"{reason}; {len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}"
+        if level is not Level.PASS and len(failed):
+            reasons.append(f"{len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}")
         if self.source.closest_m > FAR_APART_M:
-            note = f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep"
-            verdict = Verdict.WARN if verdict == Verdict.PASS else verdict
-            reason = "; ".join(filter(None, [note, reason]))
+            level = Level.WARN if level is Level.PASS else level
+            reasons.insert(0, f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep")
         return Variant(
             variation=variation,
             bone_scale=bone_scale,
@@ -190,6 +202,5 @@ class Augmenter:
             energy_fk=energy_fk,
             solver=solver,
             num_iterations=num_iterations,
-            verdict=verdict,
-            reason=reason,
+            verdict=replace(verdict, level=level, reason="; ".join(reasons)),
         )

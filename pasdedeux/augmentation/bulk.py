@@ -2,8 +2,8 @@
 
 The splitting z_e = p_child - p_parent puts the exact bone length (and the girdle's rigidity) on z, where it is a
 projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.  A forward-kinematics
-projection ends it, so that bones are exact whatever the iteration left.  The energy need not fall on the way: callers
-look at the residual and hand bad variants to `descent`.
+projection ends it, so that bones are exact whatever the iteration left.  The energy need not fall meanwhile: callers
+look at the residual and hand bad variants to guaranteed descent.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ from pasdedeux.augmentation.bulk_kernels import (
 )
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
-from pasdedeux.augmentation.source import NUM_POINTS
+from pasdedeux.augmentation.source import NUM_POINTS, points_of
 from pasdedeux.augmentation.spans import aim_spans, assemble_spans, span_vectors
 from pasdedeux.augmentation.terms import right_hand_side
-from pasdedeux.errors import InputError
-from pasdedeux.kinematics import place_bones
+from pasdedeux.kinematics import bone_directions, place_bones
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["BulkResult", "BulkSettings", "BulkSolver", "project_to_bones"]
+__all__ = ["BulkResult", "BulkSolver", "project_to_bones"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
@@ -42,38 +41,15 @@ _NUM_BONES = len(_BONES)
 _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 
 
-@dataclass(frozen=True)
-class BulkSettings:
-    """Settings of the iteration.
-
-    Args:
-        num_iterations: Iterations, the same for all: stopping each variant at a tolerance makes results jump where the
-            count does, and a model that learns how motion changes with scale learns the jumps.
-        penalty: ADMM penalty on bone vectors, in units of the Laplacian weight.
-        contact_penalty: What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all
-            edges the iteration swings wherever contacts are dense.
-        clearance_penalty: Penalty of near bones per unit of their weight.
-        relaxation: Over-relaxation, 1 (none) to 1.8.
-        is_single_precision: Iterate in 32-bit floats; targets and the final projection stay in 64.
-
-    Raises:
-        InputError: A value that is not allowed.
-    """
-
-    num_iterations: int = 24
-    penalty: float = 8.0
-    contact_penalty: float = 0.15
-    clearance_penalty: float = 0.12
-    relaxation: float = 1.4
-    is_single_precision: bool = False
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if self.num_iterations < 1 or not self.penalty > 0 or not 1 <= self.relaxation < 2:
-            raise InputError(
-                f"bulk solver: {self.num_iterations} iterations, penalty {self.penalty:g}, relaxation "
-                f"{self.relaxation:g}; allowed are >= 1, > 0, and 1 to below 2"
-            )
+_PENALTY = 8.0
+"""ADMM penalty on bone vectors, in units of the Laplacian weight."""
+_CONTACT_PENALTY = 0.15
+"""What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the iteration
+swings wherever contacts are dense."""
+_CLEARANCE_PENALTY = 0.12
+"""Penalty of near bones per unit of their weight."""
+_RELAXATION = 1.4
+"""Over-relaxation, 1 (none) to 1.8."""
 
 
 @dataclass(frozen=True)
@@ -83,26 +59,30 @@ class BulkResult:
     Args:
         positions: Positions with exact bones (variant, T, 44, 3), metres.
         residual_m: Root mean square bone error before the final projection (variant,), metres.
-        num_iterations: Iterations done.
     """
 
     positions: Array
     residual_m: Array
-    num_iterations: int
 
 
 class BulkSolver:
-    """The factor of a take, ready for any number of batches of variants."""
+    """The factor of a take, ready for any number of batches of variants.
 
-    def __init__(self, problem: Problem, settings: BulkSettings | None = None) -> None:
+    The number of iterations is that of the problem's settings, the same for all: stopping each variant at a tolerance
+    makes results jump where the count does, and a model that learns how motion changes with scale learns the jumps.
+
+    Args:
+        problem: What the variants share.
+        dtype: Precision of the iteration; targets and the final projection stay in 64 bits.
+    """
+
+    def __init__(self, problem: Problem, *, dtype: type[np.floating] = np.float32) -> None:
         self.problem = problem
-        self.settings = settings or BulkSettings()
-        dtype = np.float32 if self.settings.is_single_precision else np.float64
-        penalties = _penalties(problem, self.settings)
+        penalties = _penalties(problem)
         matrix = problem.matrix + _penalty_matrix(penalties)
         near = problem.clearance
         stencils = np.zeros(matrix.shape[1:])
-        near_penalties = self.settings.clearance_penalty * near.weights
+        near_penalties = _CLEARANCE_PENALTY * near.weights
         add_stencils(near.points, near.shares, near_penalties, stencils)
         matrix += stencils
         self._factors: list[Factor] = [
@@ -112,7 +92,7 @@ class BulkSolver:
         self._shares: AnyFloat = near.shares.astype(dtype)
         self._normals: AnyFloat = near.normals.astype(dtype)
         self._near_penalties: AnyFloat = near_penalties.astype(dtype)
-        self._constants: AnyFloat = np.array([self.settings.relaxation, self.settings.clearance_penalty]).astype(dtype)
+        self._constants: AnyFloat = np.array([_RELAXATION, _CLEARANCE_PENALTY]).astype(dtype)
         self._span_lengths: AnyFloat = problem.spans.lengths_m.astype(dtype)
         self._span_weights: AnyFloat = problem.spans.weights.astype(dtype)
         self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
@@ -120,7 +100,7 @@ class BulkSolver:
 
     def solve(self, targets: Targets) -> BulkResult:
         """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
-        problem, settings, dtype = self.problem, self.settings, self._dtype
+        problem, dtype = self.problem, self._dtype
         frames, count = problem.num_frames, targets.num_variants
         blocks, near = self._factors[0].num_blocks, problem.clearance
         shape = (3, 2 * blocks, NUM_POINTS, count)
@@ -150,7 +130,7 @@ class BulkSolver:
         )
         squared: AnyFloat = np.zeros((frames, count), dtype)
         self._project(state, squared, is_first=True)
-        for iteration in range(settings.num_iterations):
+        for iteration in range(problem.settings.num_iterations):
             if iteration > 0:
                 aim_spans(state.offsets, between, spans.points, self._span_lengths, self._span_weights, span_aim)
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
@@ -162,7 +142,7 @@ class BulkSolver:
         residual = np.sqrt(np.array([column.mean() for column in squared.T.astype(np.float64)]) / _NUM_BONES)
         points = targets.reference + np.transpose(state.offsets[:, :frames], (3, 1, 2, 0))
         positions = project_to_bones(points, targets.lengths_m)
-        return BulkResult(positions=positions, residual_m=residual, num_iterations=settings.num_iterations)
+        return BulkResult(positions=positions, residual_m=residual)
 
     def _project(self, state: _Iteration, squared: AnyFloat, *, is_first: bool) -> None:
         project_edges(
@@ -213,26 +193,16 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
 
     The pelvis stays; a bone without direction takes none, which only a bone of length zero has.
     """
-    half = BODY22.num_joints
-    positions = np.empty(points.shape)
-    for offset in (0, half):
-        person = points[:, :, offset : offset + half]
-        directions = np.zeros(person.shape)
-        for parent, child in BODY22.bones:
-            vector = person[:, :, child] - person[:, :, parent]
-            norm = np.linalg.norm(vector, axis=-1, keepdims=True)
-            directions[:, :, child] = vector / np.where(norm > 0, norm, 1.0)
-        positions[:, :, offset : offset + half] = place_bones(
-            BODY22, person[:, :, BODY22.root], directions, lengths_m[:, None, offset : offset + half]
-        )
-    return positions
+    pairs = points.reshape(*points.shape[:2], 2, BODY22.num_joints, 3)
+    lengths = lengths_m.reshape(-1, 1, 2, BODY22.num_joints)
+    return points_of(place_bones(BODY22, pairs[..., BODY22.root, :], bone_directions(BODY22, pairs), lengths))
 
 
-def _penalties(problem: Problem, settings: BulkSettings) -> Array:
+def _penalties(problem: Problem) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
-    return np.asarray(settings.penalty * problem.weights.laplacian + settings.contact_penalty * stiffness)
+    return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)
 
 
 def _penalty_matrix(penalties: Array) -> Array:

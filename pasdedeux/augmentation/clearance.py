@@ -22,7 +22,7 @@ from pasdedeux.kinematics.rotation_kernels import closest_on_segments
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["Clearance", "ClearanceSettings", "clearance_limits", "find_clearance", "separations"]
+__all__ = ["Clearance", "clearance_limits", "find_clearance", "separations"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -31,12 +31,10 @@ _SMALLEST_WEIGHT = 1e-2
 """Pairs that weigh less than this share of the full weight are left out."""
 
 
-@dataclass(frozen=True)
-class ClearanceSettings:
-    """Which bones are near, metres between their surfaces: full weight up to the first, none from the second on."""
-
-    near_m: tuple[float, float] = (0.02, 0.06)
-    smoothing_s: float = 0.1
+_NEAR_M = (0.02, 0.06)
+"""Distance of the surfaces of two bones: full weight up to the first, none from the second on."""
+_SMOOTHING_S = 0.1
+"""Standard deviation of the averaging of nearest points and directions over time."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Clearance:
         points: Both ends of the first bone and of the second (T, M, 4), as points 0 to 43.
         shares: What the ends contribute to the vector w between the nearest points (T, M, 4).
         normals: Unit direction of w in the source (T, M, 3).
-        limits_m: Least distance n . w allowed (T, M), metres.
+        limits_m: Smallest distance n . w allowed (T, M), metres.
         weights: (T, M).
         is_within: Both bones are of one person (T, M).
     """
@@ -69,7 +67,6 @@ def find_clearance(
     source: Source,
     weight_between: float,
     weight_within: float,
-    settings: ClearanceSettings,
     girth: tuple[float, float] = (1.0, 1.0),
 ) -> Clearance:
     """Find the pairs of bones that are near each other in the source, or would be with the new girth of A and B."""
@@ -87,11 +84,11 @@ def find_clearance(
     # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
     added = np.where((pairs[:, 0] < half) & (pairs[:, 1] >= half), grown[pairs].sum(axis=1), 0.0)
     nearest = gaps - np.maximum(added, 0.0)
-    is_near = nearest.min(axis=0, initial=np.inf) < settings.near_m[1]
+    is_near = nearest.min(axis=0, initial=np.inf) < _NEAR_M[1]
     pairs, weight, added, along = pairs[is_near], weight[is_near], added[is_near], along[:, is_near]
-    gaps, nearness = gaps[:, is_near], fade(nearest[:, is_near], *settings.near_m)
-    if settings.smoothing_s > 0 and len(points) > 1:
-        sigma = settings.smoothing_s * source.rate_hz
+    gaps, nearness = gaps[:, is_near], fade(nearest[:, is_near], *_NEAR_M)
+    sigma = _SMOOTHING_S * source.rate_hz
+    if len(points) > 1:
         nearness, along = (
             gaussian_filter1d(values, sigma, axis=0, mode="nearest", truncate=3.0) for values in (nearness, along)
         )
@@ -100,7 +97,7 @@ def find_clearance(
     shares = np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)
     vectors = np.einsum("tmk,tmka->tma", shares, points[:, ends])
     normals = vectors
-    if settings.smoothing_s > 0 and len(points) > 1:
+    if len(points) > 1:
         normals = gaussian_filter1d(vectors, sigma, axis=0, mode="nearest", truncate=3.0)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
     limits = (normals * vectors).sum(axis=-1) - np.maximum(gaps, 0.0) + added
@@ -137,7 +134,7 @@ def separations(clearance: Clearance, points_m: Array) -> Array:
 
 
 def clearance_limits(clearance: Clearance, reference_m: Array) -> Array:
-    """Return the least n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, 44, 3).
+    """Return the smallest n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, 44, 3).
 
     Bones of one person are allowed what the new proportions do by themselves: limbs that shrink keep their girth.
     """

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, field_validator, model_validator
 from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import joint_pair_distances
 from pasdedeux.plausibility import body_height_m, capsule_model
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
     "FEET",
     "BodyPart",
-    "ContactSettings",
     "UserContact",
     "body_parts",
     "check_contacts",
     "contact_class",
-    "contact_distances",
     "contact_weights",
     "fade",
     "floor_weights",
@@ -49,46 +49,41 @@ _EXTREMITIES = BODY22.indices(["left_wrist", "right_wrist", *(BODY22.joint_names
 _LIMBS = BODY22.indices(["left_elbow", "right_elbow", "left_knee", "right_knee"])
 
 
-@dataclass(frozen=True)
-class ContactSettings:
-    """What counts as contact, stance and floor; distances in metres, speeds in metres a second, times in seconds.
-
-    Each pair of numbers is a fade: full weight up to the first, none from the second on, smooth between.
-    """
-
-    contact_m: tuple[float, float] = (0.2, 0.3)
-    stance_speed_m_s: tuple[float, float] = (0.15, 0.45)
-    stance_height_m: tuple[float, float] = (0.05, 0.12)
-    floor_height_m: tuple[float, float] = (0.04, 0.15)
-    smoothing_s: float = 0.3
-
-    def __post_init__(self) -> None:
-        """Check that every fade rises."""
-        for name in ("contact_m", "stance_speed_m_s", "stance_height_m", "floor_height_m"):
-            full, none = getattr(self, name)
-            if not 0 <= full < none:
-                raise InputError(f"{name} is ({full:g}, {none:g}): the fade must end beyond its start, both from 0")
-        if not self.smoothing_s >= 0:
-            raise InputError(f"smoothing_s is {self.smoothing_s:g}, allowed is 0 or more")
+_STANCE_SPEED_M_S = (0.15, 0.45)
+_STANCE_HEIGHT_M = (0.05, 0.12)
+_FLOOR_HEIGHT_M = (0.04, 0.15)
+"""Fades: a foot slower and lower than the first stands, one beyond the second does not; likewise for the floor."""
+_SMOOTHING_S = 0.3
+"""Standard deviation of the averaging of all weights over time."""
 
 
-@dataclass(frozen=True)
-class UserContact:
-    """A contact stated by the user, which replaces what is found: joints of A and of B over frames, with a weight.
+class UserContact(Settings):
+    """A contact stated by the user, which replaces what is found."""
 
-    `weight` 0 says that the two do not touch, whatever their distance.
-    """
+    joint_a: str = Field(description="Joint of person A, by its name in body22")
+    joint_b: str = Field(description="Joint of person B")
+    start_frame: int = Field(0, ge=0, description="First frame")
+    stop_frame: int = Field(description="Frame after the last")
+    weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
 
-    joint_a: str
-    joint_b: str
-    start_frame: int
-    stop_frame: int
-    weight: float
+    @field_validator("joint_a", "joint_b")
+    @classmethod
+    def _is_a_joint(cls, joint: str) -> str:
+        if joint not in BODY22.joint_names:
+            raise ValueError(f"joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}")
+        return joint
+
+    @model_validator(mode="after")
+    def _has_frames(self) -> UserContact:
+        if self.stop_frame <= self.start_frame:
+            raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
+        return self
 
     def within(self, start: int, stop: int) -> UserContact | None:
         """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
         first, last = max(self.start_frame, start), min(self.stop_frame, stop)
-        return replace(self, start_frame=first - start, stop_frame=last - start) if first < last else None
+        changed = {"start_frame": first - start, "stop_frame": last - start}
+        return self.model_copy(update=changed) if first < last else None
 
 
 def fade(value: Array, full: float, none: float) -> Array:
@@ -111,40 +106,33 @@ def contact_class() -> npt.NDArray[np.int64]:
     return np.asarray(is_extremity[:, None].astype(np.int64) + is_extremity[None, :])
 
 
-def contact_distances(positions_m: Array) -> Array:
-    """Return the distance of every joint of A from every joint of B (*batch, 22, 22) of pairs (*batch, 2, 22, 3)."""
-    difference = positions_m[..., 0, :, None, :] - positions_m[..., 1, None, :, :]
-    return np.asarray(np.sqrt((difference**2).sum(axis=-1)))
-
-
 def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
-    """Refuse contacts stated by the user that are not of this take.
+    """Refuse contacts stated by the user for frames that the take does not have.
 
     Raises:
-        InputError: A user's contact names an unknown joint, an empty frame range or a negative weight.
+        InputError: A contact lasts longer than the take.
     """
     for contact in user:
-        BODY22.index(contact.joint_a), BODY22.index(contact.joint_b)
-        if not (0 <= contact.start_frame < contact.stop_frame <= source.num_frames) or not contact.weight >= 0:
+        if contact.stop_frame > source.num_frames:
             raise InputError(
                 f"{source.name}: contact {contact.joint_a}-{contact.joint_b} over frames {contact.start_frame} to "
-                f"{contact.stop_frame} with weight {contact.weight:g}; allowed are frames within 0 to "
-                f"{source.num_frames} and weights from 0"
+                f"{contact.stop_frame}; allowed are frames within 0 to {source.num_frames}"
             )
 
 
-def contact_weights(source: Source, settings: ContactSettings, user: Sequence[UserContact] = ()) -> Array:
+def contact_weights(source: Source, contact_m: tuple[float, float], user: Sequence[UserContact] = ()) -> Array:
     """Return how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
 
-    Raises:
-        InputError: See `check_contacts`.
+    Args:
+        source: The template.
+        contact_m: Distance of joints: full weight up to the first, none from the second on, metres.
+        user: Contacts that replace what is found.
     """
-    check_contacts(source, user)
-    weights = fade(contact_distances(source.positions_m), *settings.contact_m)
+    weights = fade(joint_pair_distances(source.positions_m), *contact_m)
     for contact in user:
         at = (BODY22.index(contact.joint_a), BODY22.index(contact.joint_b))
         weights[contact.start_frame : contact.stop_frame, *at] = contact.weight
-    return _smooth(weights, source, settings)
+    return _smooth(weights, source)
 
 
 def joint_radii_m(source: Source) -> Array:
@@ -157,18 +145,18 @@ def joint_radii_m(source: Source) -> Array:
     return radii
 
 
-def stance_weights(source: Source, settings: ContactSettings) -> Array:
+def stance_weights(source: Source) -> Array:
     """Return how much each joint of the feet stands (frame, 2, 4), 1 standing: slow and low in the source."""
     feet = source.positions_m[:, :, FEET]
     velocity = np.gradient(feet, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(feet.shape)
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
-    standing = fade(speed, *settings.stance_speed_m_s) * fade(_height(source)[:, :, FEET], *settings.stance_height_m)
-    return _smooth(standing, source, settings)
+    standing = fade(speed, *_STANCE_SPEED_M_S) * fade(_height(source)[:, :, FEET], *_STANCE_HEIGHT_M)
+    return _smooth(standing, source)
 
 
-def floor_weights(source: Source, settings: ContactSettings) -> Array:
+def floor_weights(source: Source) -> Array:
     """Return how near the floor each joint is in the source (frame, 2, 22), 1 on it."""
-    return _smooth(fade(_height(source), *settings.floor_height_m), source, settings)
+    return _smooth(fade(_height(source), *_FLOOR_HEIGHT_M), source)
 
 
 def _height(source: Source) -> Array:
@@ -179,9 +167,8 @@ def _height(source: Source) -> Array:
     return np.asarray(height)
 
 
-def _smooth(weights: Array, source: Source, settings: ContactSettings) -> Array:
-    if settings.smoothing_s <= 0 or source.num_frames < 2:
+def _smooth(weights: Array, source: Source) -> Array:
+    if source.num_frames < 2:
         return weights
-    return np.asarray(
-        gaussian_filter1d(weights, settings.smoothing_s * source.rate_hz, axis=0, mode="nearest", truncate=3.0)
-    )
+    sigma = _SMOOTHING_S * source.rate_hz
+    return np.asarray(gaussian_filter1d(weights, sigma, axis=0, mode="nearest", truncate=3.0))

@@ -1,17 +1,31 @@
-"""The energy of variants, evaluated term by term as it is written."""
+"""The energy of one variant as terms of a fit, and the guaranteed solver, whose energy never rises; bones are exact.
+
+The terms rest on what `terms` adds up for a take, from which the bulk solver works too: each formula stands once.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.clearance import separations
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
-from pasdedeux.augmentation.spans import span_vectors
-from pasdedeux.augmentation.terms import bending_rows
+from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
+from pasdedeux.augmentation.spans import SpanTerm
+from pasdedeux.augmentation.terms import right_hand_side
+from pasdedeux.fitting import (
+    BoneForest,
+    DistanceTerm,
+    FitResult,
+    FitSettings,
+    HalfSpaceTerm,
+    QuadraticTerm,
+    Term,
+    fit_bones,
+)
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["energy_terms", "laplacian_residual", "total_energy"]
+__all__ = ["descend", "fit_terms", "laplacian_residual", "total_energy"]
 
 Array = npt.NDArray[np.float64]
 
@@ -22,36 +36,60 @@ def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Ar
     return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
 
 
-def energy_terms(problem: Problem, targets: Targets, offsets: Array) -> dict[str, Array]:
-    """Return each term's energy (variant,) for offsets x = p - r (variant, T, 44, 3); see `terms` for the formulas."""
-    weights, half = problem.weights, BODY22.num_joints
-    apart = offsets - targets.difference
-    terms = {
-        "laplacian": weights.laplacian * (laplacian_residual(problem, targets, offsets) ** 2).sum(axis=(1, 2, 3)),
-        "smoothness": problem.smoothness * (np.diff(offsets, n=2, axis=1) ** 2).sum(axis=(1, 2, 3)),
-        "reference": weights.reference * (offsets**2).sum(axis=(1, 2, 3)),
-        "floor": (problem.floor * (offsets[..., 1] - targets.height) ** 2).sum(axis=(1, 2)),
-        "stance": (problem.stance[..., None] * np.diff(apart, axis=1)[..., [0, 2]] ** 2).sum(axis=(1, 2, 3)),
-        "fixed": ((problem.anchor - weights.reference)[:, None] * apart**2).sum(axis=(1, 2, 3)),
-    }
-    bends = np.einsum("mi,vtia->vtma", bending_rows(problem.source), offsets)
-    terms["bending"] = weights.bending * (bends**2).sum(axis=(1, 2, 3))
+def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
+    """State the energy of one variant as terms of a fit."""
+    one = targets.select([variant])
+    groups = list(AXIS_GROUP)
+    quadratic = QuadraticTerm(
+        origin_m=one.reference[0],
+        matrix=problem.axis_matrix,
+        lag1=problem.lag1[groups],
+        lag2=problem.lag2[groups],
+        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1),
+        constant=_constant(problem, one),
+    )
+    girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
+    near = problem.clearance
+    clearance = HalfSpaceTerm(
+        origin_m=one.reference[0],
+        points=near.points,
+        shares=near.shares,
+        normals=near.normals,
+        limits_m=one.clearance_m[0],
+        weights=near.weights,
+    )
+    return [quadratic, girdle, clearance, SpanTerm(problem.spans)]
+
+
+def _constant(problem: Problem, one: Targets) -> float:
+    """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
+    difference = one.difference[0]
     frame, first, second = problem.touching
-    gaps = apart[:, frame, first] - apart[:, frame, second + half]
+    gaps = difference[frame, first] - difference[frame, second + BODY22.num_joints]
     if problem.contact_shift is not None:
-        gaps = gaps - problem.contact_shift
-    terms["contact"] = (problem.directed[frame, first, second] * (gaps**2).sum(axis=-1)).sum(axis=1)
-    positions = targets.reference + offsets
-    lengths = np.linalg.norm(span_vectors(problem.spans, positions), axis=-1)
-    terms["spans"] = (problem.spans.weights * (lengths - problem.spans.lengths_m) ** 2).sum(axis=(1, 2))
-    points = positions[:, :, GIRDLE_PAIRS]
-    distance = np.linalg.norm(points[..., 0, :] - points[..., 1, :], axis=-1)
-    terms["girdle"] = weights.girdle * ((distance - targets.girdle_m) ** 2).sum(axis=(1, 2))
-    short = np.maximum(targets.clearance_m - separations(problem.clearance, offsets), 0.0)
-    terms["clearance"] = (problem.clearance.weights * short**2).sum(axis=(1, 2))
-    return terms
+        gaps = gaps + problem.contact_shift
+    parts = (
+        problem.weights.laplacian * laplacian_residual(problem, one, np.zeros((1, *difference.shape))) ** 2,
+        problem.floor * one.height[0] ** 2,
+        problem.stance[..., None] * np.diff(difference, axis=0)[..., [0, 2]] ** 2,
+        (problem.anchor - problem.weights.reference)[:, None] * difference**2,
+        problem.directed[frame, first, second, None] * gaps**2,
+    )
+    return float(sum(part.sum() for part in parts))
 
 
-def total_energy(problem: Problem, targets: Targets, offsets: Array) -> Array:
-    """Return the energy (variant,) of offsets x = p - r (variant, T, 44, 3)."""
-    return np.asarray(sum(energy_terms(problem, targets, offsets).values()))
+def total_energy(terms: Sequence[Term], positions: Array) -> float:
+    """Return the energy of one variant, stated by `fit_terms`, at positions (T, 44, 3), metres."""
+    return sum(term.energy(positions) for term in terms)
+
+
+def descend(
+    targets: Targets,
+    variant: int,
+    terms: Sequence[Term],
+    start: Array | None = None,
+    settings: FitSettings | None = None,
+) -> FitResult:
+    """Minimise the terms of one variant, from `start` (T, 44, 3) or from plain forward kinematics."""
+    forest = BoneForest((BODY22, BODY22), targets.lengths_m[variant])
+    return fit_bones(forest, forest.state_of(targets.reference[variant] if start is None else start), terms, settings)

@@ -12,12 +12,13 @@ import numpy.typing as npt
 from pasdedeux.augmentation.clearance import Clearance
 from pasdedeux.augmentation.contacts import joint_radii_m
 from pasdedeux.augmentation.mesh import InteractionMesh
+from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.augmentation.spans import Spans
 from pasdedeux.augmentation.weights import Weights
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "added_by_girth"]
+__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "added_by_girth", "contact_matrix"]
 
 Array = npt.NDArray[np.float64]
 
@@ -46,7 +47,7 @@ class Problem:
 
     Args:
         source: The template, T frames.
-        weights: Weights used.
+        settings: Settings used.
         mesh: Interaction mesh of the source.
         matrix: Quadratic form within a frame (group=2, T, 44, 44), temporal terms included.
         lag1: Coupling of each point at frames t and t+1 (group=2, T-1, 44).
@@ -59,13 +60,11 @@ class Problem:
         smoothness: Weight of the second difference at this rate.
         anchor: Weight of each point's pull towards r or, held fixed, the source (44,).
         clearance: Bones that may not come deeper into each other.
-        girth: New over old radius of each person's capsules.
         coupling: Matrix C (T, 44, 44) of the right-hand side's part C d within a frame.
-        fixed_person: Index of the person held at the source, or None.
     """
 
     source: Source
-    weights: Weights
+    settings: AugmentationSettings
     mesh: InteractionMesh
     matrix: Array
     lag1: Array
@@ -79,13 +78,21 @@ class Problem:
     anchor: Array
     clearance: Clearance
     coupling: Array
-    fixed_person: int | None
-    girth: tuple[float, float]
+
+    @property
+    def weights(self) -> Weights:
+        """Weights of the terms."""
+        return self.settings.weights
 
     @property
     def num_frames(self) -> int:
         """Number of frames."""
         return self.source.num_frames
+
+    @cached_property
+    def axis_matrix(self) -> Array:
+        """The quadratic form within a frame for each axis (3, T, 44, 44), without contacts that keep their distance."""
+        return np.asarray(self.matrix[list(AXIS_GROUP)] - contact_matrix(self.contact - self.directed))
 
     @cached_property
     def touching(self) -> tuple[npt.NDArray[np.intp], ...]:
@@ -98,10 +105,10 @@ class Problem:
 
         So surfaces, not joints, stay as far apart as they were.
         """
-        if self.girth == (1.0, 1.0):
+        if self.settings.girth == (1.0, 1.0):
             return None
         frame, first, second = self.touching
-        added = added_by_girth(self.source, self.girth)
+        added = added_by_girth(self.source, self.settings.girth)
         vectors = self.source.positions_m[frame, 0, first] - self.source.positions_m[frame, 1, second]
         units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
         return np.asarray(units * added[first, second][:, None])
@@ -155,3 +162,14 @@ def added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
     """Return what the new girth adds to the distance of each joint pair (22, 22), metres."""
     radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
     return np.asarray(radii[0, :, None] + radii[1, None, :])
+
+
+def contact_matrix(contact: Array) -> Array:
+    """Quadratic form (T, 44, 44) of sum w_ij |x_i - x_j|^2 over pairs of A and B."""
+    half = BODY22.num_joints
+    matrix = np.zeros((len(contact), NUM_POINTS, NUM_POINTS))
+    matrix[:, :half, half:] = -contact
+    matrix[:, half:, :half] = -np.swapaxes(contact, -1, -2)
+    matrix[:, range(half), range(half)] = contact.sum(axis=2)
+    matrix[:, range(half, NUM_POINTS), range(half, NUM_POINTS)] = contact.sum(axis=1)
+    return matrix

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.contacts import FEET, ContactSettings, contact_class, joint_radii_m, stance_weights
+from pasdedeux.augmentation.contacts import FEET, contact_class, joint_radii_m, stance_weights
 from pasdedeux.augmentation.source import NUM_POINTS, Source
-from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import joint_pair_distances
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, PAIR17, JointMap
+from pasdedeux.verdict import Level, Verdict
 
 __all__ = [
-    "CONTACT_M",
     "FrameLimits",
     "FrameQuality",
-    "Judge",
-    "Limit",
     "Measured",
     "Quality",
     "QualityLimits",
-    "Verdict",
-    "root_mean_square_jerk",
+    "QualityMeter",
 ]
 
 Array = npt.NDArray[np.float64]
 
-CONTACT_M = 0.2
+_CONTACT_M = 0.2
 """Joints of two people closer than this in the source are in contact (DESIGN.md section 6)."""
 
 _STANDS = 0.5
@@ -48,40 +48,41 @@ _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
 _SPINES = np.array([_SPINE, [joint + BODY22.num_joints for joint in _SPINE]])
 
 
-@dataclass(frozen=True)
-class Limit:
-    """From where on a figure is a warning, and from where on a failure."""
-
-    warn: float
-    fail: float
-
-    def __post_init__(self) -> None:
-        """Check the order."""
-        if not 0 <= self.warn <= self.fail:
-            raise InputError(f"limit warn {self.warn:g}, fail {self.fail:g}: allowed is 0 <= warn <= fail")
+def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
+    if not 0 <= limit[0] <= limit[1]:
+        raise ValueError(f"warn {limit[0]:g}, fail {limit[1]:g}: allowed is 0 <= warn <= fail")
+    return limit
 
 
-@dataclass(frozen=True)
-class QualityLimits:
-    """Limits of the figures; the ratio of jerks has no unit."""
-
-    bone_error_m: Limit = Limit(1e-6, 1e-4)
-    contact_drift_extremity_m: Limit = Limit(0.005, 0.02)
-    contact_drift_body_m: Limit = Limit(0.02, 0.06)
-    foot_slide_m: Limit = Limit(0.001, 0.005)
-    floor_penetration_m: Limit = Limit(0.02, 0.06)
-    penetration_m: Limit = Limit(0.01, 0.1)
-    spine_bend_rad: Limit = Limit(0.6, 1.2)
-    jerk_ratio: Limit = Limit(1.2, 2.0)
-    invalid_angles: Limit = Limit(0.2, 2.0)
+Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
+"""A figure above the first is a warning, above the second a failure."""
 
 
-class Verdict:
-    """The three verdicts."""
+class QualityLimits(Settings):
+    """Limits of the figures of a variant."""
 
-    PASS = "pass"
-    WARN = "warn"
-    FAIL = "fail"
+    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
+    contact_drift_extremity_m: Limit = Field((0.005, 0.02), description="Drift of hands and feet, metres")
+    contact_drift_body_m: Limit = Field((0.02, 0.06), description="Drift of body on body, metres")
+    foot_slide_m: Limit = Field((0.001, 0.005), description="Sliding in stance per frame, metres")
+    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
+    penetration_m: Limit = Field((0.01, 0.1), description="Depth in the partner, metres")
+    spine_bend_rad: Limit = Field((0.6, 1.2), description="Change of the spine's bends, radians")
+    jerk_ratio: Limit = Field((1.2, 2.0), description="Jerk over the source's")
+    invalid_angles: Limit = Field((0.2, 2.0), description="Joint angles out of range in a frame, mean")
+
+
+class FrameLimits(Settings):
+    """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
+
+    bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
+    contact_drift_m: Limit = Field((0.03, 0.1), description="Mean over the frame's contacts, metres")
+    foot_slide_m: Limit = Field((0.01, 0.03), description="Sliding in stance, metres")
+    floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
+    penetration_m: Limit = Field((0.02, 0.12), description="Depth in the partner, metres")
+    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, metres")
+    spine_bend_rad: Limit = Field((0.8, 1.4), description="Change of the spine's bends, radians")
+    jerk_ratio: Limit = Field((2.0, 5.0), description="Jerk over the greater of the source's, there or over the take")
 
 
 @dataclass(frozen=True)
@@ -110,32 +111,25 @@ class Quality:
     jerk_ratio: float
     invalid_angles: float | None = None
 
-    def judge(self, limits: QualityLimits) -> tuple[str, str]:
-        """Return the verdict and what was not passed, in words."""
-        verdict, reasons = Verdict.PASS, []
-        for field in fields(limits):
-            value, limit = getattr(self, field.name), getattr(limits, field.name)
-            if value is None or value <= limit.warn:
+    def judge(self, limits: QualityLimits) -> Verdict:
+        """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'."""
+        level, reasons = Level.PASS, []
+        for name, (warn, fail) in limits:
+            value = getattr(self, name)
+            if value is None or value <= warn:
                 continue
-            is_failed = value > limit.fail
-            bound = limit.fail if is_failed else limit.warn
-            verdict = Verdict.FAIL if is_failed or verdict == Verdict.FAIL else Verdict.WARN
-            reasons.append(f"{field.name} {value:.3g} is above {bound:g}")
-        return verdict, "; ".join(reasons)
-
-
-@dataclass(frozen=True)
-class FrameLimits:
-    """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
-
-    bone_error_m: Limit = Limit(1e-6, 1e-4)
-    contact_drift_m: Limit = Limit(0.03, 0.1)
-    foot_slide_m: Limit = Limit(0.01, 0.03)
-    floor_penetration_m: Limit = Limit(0.02, 0.06)
-    penetration_m: Limit = Limit(0.02, 0.12)
-    self_penetration_m: Limit = Limit(0.05, 0.2)
-    spine_bend_rad: Limit = Limit(0.8, 1.4)
-    jerk_ratio: Limit = Limit(2.0, 5.0)
+            is_failed = value > fail
+            level = Level.FAIL if is_failed or level is Level.FAIL else Level.WARN
+            reasons.append(f"{name} {value:.3g} is above {fail if is_failed else warn:g}")
+        return Verdict(
+            level,
+            "; ".join(reasons),
+            figure="contact drift",
+            value=self.contact_drift_m,
+            unit="m",
+            baseline=self.contact_drift_fk_m,
+            baseline_name="plain forward kinematics",
+        )
 
 
 @dataclass(frozen=True)
@@ -169,9 +163,9 @@ class FrameQuality:
     def judge(self, limits: FrameLimits) -> npt.NDArray[np.int64]:
         """Return the verdict of each frame (T,): 0 pass, 1 warn, 2 fail; a figure that is NaN passes."""
         verdicts = np.zeros(len(self.jerk_ratio), dtype=np.int64)
-        for field in fields(limits):
-            values, limit = getattr(self, field.name), getattr(limits, field.name)
-            verdicts = np.maximum(verdicts, (values > limit.warn).astype(np.int64) + (values > limit.fail))
+        for name, (warn, fail) in limits:
+            values = getattr(self, name)
+            verdicts = np.maximum(verdicts, (values > warn).astype(np.int64) + (values > fail))
         return verdicts
 
 
@@ -183,13 +177,12 @@ class Measured:
     frames: FrameQuality
 
 
-class Judge:
+class QualityMeter:
     """Measures variants of one take; what belongs to the source is measured once."""
 
     def __init__(
         self,
         source: Source,
-        contacts: ContactSettings,
         *,
         girth: tuple[float, float] = (1.0, 1.0),
         joint_limits: JointLimits | None = None,
@@ -197,18 +190,18 @@ class Judge:
         points = source.positions_m.reshape(-1, NUM_POINTS, 3)
         half = BODY22.num_joints
         self._num_frames = len(points)
-        squared = ((points[:, :half, None] - points[:, None, half:]) ** 2).sum(axis=-1)
-        self._frames, self._first, self._second = np.nonzero(squared < CONTACT_M**2)
+        distances = joint_pair_distances(source.positions_m)
+        self._frames, self._first, self._second = np.nonzero(distances < _CONTACT_M)
         self._class = contact_class()[self._first, self._second]
-        self._distance = np.sqrt(squared[self._frames, self._first, self._second])
+        self._distance = distances[self._frames, self._first, self._second]
         if girth != (1.0, 1.0):
             # Surfaces stay as far apart as they were.
             added = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
             self._distance += added[0, self._first] + added[1, self._second]
-        self._jerk = root_mean_square_jerk(points)
+        self._jerk = _root_mean_square_jerk(points)
         self._frame_jerk = _frame_jerk(points)
         self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
-        standing = stance_weights(source, contacts)
+        standing = stance_weights(source)
         self._stands = np.sqrt(standing[1:] * standing[:-1]).reshape(len(standing) - 1, len(self._feet)) > _STANDS
         self._slide = self._foot_steps(points)
         floor = np.repeat(source.floor_m, half)
@@ -244,7 +237,7 @@ class Judge:
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
-        jerk = root_mean_square_jerk(points)
+        jerk = _root_mean_square_jerk(points)
         pairs = np.bincount(self._frames, minlength=self._num_frames)
         summed = np.bincount(self._frames, weights=drift, minlength=self._num_frames)
         steps = np.zeros(self._num_frames)
@@ -300,7 +293,7 @@ class Judge:
         return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), self._radii)
 
 
-def root_mean_square_jerk(points: Array) -> float:
+def _root_mean_square_jerk(points: Array) -> float:
     """Return the root mean square third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
     if len(points) < 4:
         return 0.0

@@ -1,57 +1,50 @@
-"""Settings of augmentation."""
+"""Settings of augmentation: how variants are solved and judged."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
-from pasdedeux.augmentation.bulk import BulkSettings
-from pasdedeux.augmentation.contacts import ContactSettings, UserContact
+from pydantic import AfterValidator, Field
+
 from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
 from pasdedeux.augmentation.weights import Weights
-from pasdedeux.augmentation.windows import WindowSettings
-from pasdedeux.fitting import FitSettings
-from pasdedeux.plausibility import JointLimits
+from pasdedeux.augmentation.windows import OVERLAP_S
+from pasdedeux.settings import Settings
 
-__all__ = ["POLISH", "AugmentationSettings"]
+__all__ = ["AugmentationSettings"]
 
-POLISH = FitSettings(max_iterations=40, tolerance=1e-4)
-"""Descent after bulk that comes to within a thousandth of the least energy; the fallback's own stops earlier."""
+Girth = Annotated[float, Field(ge=0.2, le=5.0)]
 
 
-@dataclass(frozen=True)
-class AugmentationSettings:
-    """Everything that decides a variant.
+def _check_fade(fade: tuple[float, float]) -> tuple[float, float]:
+    if not 0 <= fade[0] < fade[1]:
+        raise ValueError(f"({fade[0]:g}, {fade[1]:g}): the fade must end beyond its start, both from 0")
+    return fade
 
-    Args:
-        weights: Weights of the terms.
-        contacts: What counts as contact, stance and floor.
-        limits: When a figure of a variant is a warning or a failure.
-        frame_limits: The same for the figures of one frame.
-        bulk: The bulk solver's settings.
-        descent: The guaranteed solver's settings.
-        fallback_residual_m: A variant whose bones the bulk solver leaves further than this from their lengths (root
-            mean square) goes to the guaranteed solver, started from where bulk ended.
-        is_bulk: Use the bulk solver; without it every variant is solved by guaranteed descent.
-        mesh_smoothing_s: Averaging of the mesh weights over time.
-        fixed_person: Person (0 or 1) who keeps the source's motion, or None.
-        girth: New over old radius of the bodies of A and B; 1 leaves them as thick as they were, whatever the bones do.
-        joint_limits: Ranges of the joints that variants are checked against, widened by what the source does; None
-            checks nothing.
-        user_contacts: Contacts that replace what is found.
-        windows: How long takes are cut.
-    """
 
-    weights: Weights = field(default_factory=Weights)
-    contacts: ContactSettings = field(default_factory=ContactSettings)
-    limits: QualityLimits = field(default_factory=QualityLimits)
-    frame_limits: FrameLimits = field(default_factory=FrameLimits)
-    bulk: BulkSettings = field(default_factory=lambda: BulkSettings(is_single_precision=True))
-    descent: FitSettings = field(default_factory=lambda: FitSettings(max_iterations=12, tolerance=5e-3))
-    fallback_residual_m: float = 5e-4
-    is_bulk: bool = True
-    mesh_smoothing_s: float = 0.25
-    fixed_person: int | None = None
-    girth: tuple[float, float] = (1.0, 1.0)
-    joint_limits: JointLimits | None = None
-    user_contacts: tuple[UserContact, ...] = ()
-    windows: WindowSettings = field(default_factory=WindowSettings)
+class AugmentationSettings(Settings):
+    """Everything that decides how a variant is solved and judged."""
+
+    fixed_person: Literal["A", "B"] | None = Field(None, description="Person who keeps the source's motion")
+    weights: Weights = Field(Weights(), description="Weights of the terms")
+    limits: QualityLimits = Field(QualityLimits(), description="Limits of pass, warn and fail")
+    frame_limits: FrameLimits = Field(FrameLimits(), description="The same for single frames")
+    girth: tuple[Girth, Girth] = Field(
+        (1.0, 1.0),
+        description="Thickness of A's and B's body over the source's; 1 leaves it as it was, whatever the bones do",
+    )
+    is_joint_limited: bool = Field(
+        False, description="Check joint angles against the published ranges, widened by what the source does"
+    )
+    contact_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
+        (0.2, 0.3), description="Contact distance: full weight up to, none from; metres"
+    )
+    mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time, seconds; 0 as published")
+    solver: Literal["bulk", "polished", "descent"] = Field(
+        "bulk",
+        description="bulk (with descent as fallback), polished (every variant ends with descent) or descent alone",
+    )
+    num_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver, the same for all variants")
+    window_s: float = Field(
+        30.0, gt=2.0 * OVERLAP_S, description="Longer takes are solved in overlapping windows of this length, seconds"
+    )

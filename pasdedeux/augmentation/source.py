@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import joint_pair_distances
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -87,8 +88,7 @@ class Source:
     @cached_property
     def closest_m(self) -> float:
         """Smallest distance between joints of the two people over the take, metres."""
-        difference = self.positions_m[:, 0, :, None] - self.positions_m[:, 1, None]
-        return float(np.sqrt((difference**2).sum(axis=-1).min()))
+        return float(joint_pair_distances(self.positions_m).min())
 
     @cached_property
     def flat_ankle_m(self) -> Array:

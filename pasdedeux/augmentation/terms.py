@@ -26,17 +26,17 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.clearance import ClearanceSettings, clearance_limits, find_clearance
+from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.contacts import (
     FEET,
-    ContactSettings,
     UserContact,
     contact_weights,
     floor_weights,
     stance_weights,
 )
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, added_by_girth
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, added_by_girth, contact_matrix
+from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
     Source,
@@ -46,15 +46,12 @@ from pasdedeux.augmentation.source import (
     scaled_lengths,
 )
 from pasdedeux.augmentation.spans import find_spans
-from pasdedeux.augmentation.weights import Weights
-from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
     "bending_rows",
     "build_problem",
     "build_targets",
-    "contact_matrix",
     "right_hand_side",
 ]
 
@@ -68,51 +65,36 @@ _SHORTEST_SPINE_BONE_M = 0.03
 
 def build_problem(
     source: Source,
-    weights: Weights | None = None,
-    contacts: ContactSettings | None = None,
+    settings: AugmentationSettings | None = None,
     *,
     mesh: InteractionMesh | None = None,
     user_contacts: Sequence[UserContact] = (),
-    fixed_person: int | None = None,
-    mesh_smoothing_s: float = 0.25,
-    girth: tuple[float, float] = (1.0, 1.0),
 ) -> Problem:
     """Find the terms of a take and add them up to its quadratic form.
 
     Args:
         source: The template.
-        weights: Weights; the default set where not given.
-        contacts: What counts as contact, stance and floor.
+        settings: Weights, girths, contacts and who is held fixed.
         mesh: Interaction mesh, built here where not given.
         user_contacts: Contacts that replace what is found.
-        fixed_person: Person (0 or 1) who keeps the source's motion.
-        mesh_smoothing_s: Averaging of the mesh weights over time.
-        girth: New over old radius of each person's capsules; contacts then keep the distance of surfaces.
-
-    Raises:
-        InputError: `fixed_person` is neither 0 nor 1, a girth is not positive, or a contact is not allowed.
     """
-    if not (np.isfinite(girth).all() and min(girth) > 0):
-        raise InputError(f"girth is {girth[0]:g} for A and {girth[1]:g} for B; allowed is above 0, 1 is the source's")
-    if fixed_person not in (None, 0, 1):
-        raise InputError(f"fixed_person is {fixed_person}; allowed are 0 (A), 1 (B) and none")
-    weights = weights or Weights()
-    contacts = contacts or ContactSettings()
-    mesh = mesh or build_mesh(source, smoothing_s=mesh_smoothing_s)
+    settings = settings or AugmentationSettings()
+    weights = settings.weights
+    mesh = mesh or build_mesh(source, smoothing_s=settings.mesh_smoothing_s)
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
-    contact = contact_weights(source, contacts, user_contacts) * weights.contact_grades
+    contact = contact_weights(source, settings.contact_m, user_contacts) * weights.contact_grades
     directed = contact * weights.direction_shares
-    standing = stance_weights(source, contacts)
+    standing = stance_weights(source)
     stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
     stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
         weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
     )
-    floor = weights.floor * floor_weights(source, contacts).reshape(frames, NUM_POINTS)
+    floor = weights.floor * floor_weights(source).reshape(frames, NUM_POINTS)
     anchor = np.full(NUM_POINTS, weights.reference)
-    if fixed_person is not None:
-        anchor.reshape(2, -1)[fixed_person] += weights.fixed
+    if settings.fixed_person is not None:
+        anchor.reshape(2, -1)["AB".index(settings.fixed_person)] += weights.fixed
     smoothness = weights.smoothness * rate**4
 
     laplacian = mesh.laplacian
@@ -140,26 +122,23 @@ def build_problem(
             lag2[group] += smoothness
     matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
     coupling = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian + contact_matrix(directed)
-    if fixed_person is not None:
-        coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor - weights.reference
+    coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor - weights.reference
     return Problem(
         source=source,
-        weights=weights,
+        settings=settings,
         mesh=mesh,
         matrix=matrix,
         lag1=lag1,
         lag2=lag2,
         contact=contact,
         directed=directed,
-        spans=find_spans(source, contact - directed, added_by_girth(source, girth)),
+        spans=find_spans(source, contact - directed, added_by_girth(source, settings.girth)),
         stance=stance,
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
-        clearance=find_clearance(source, weights.clearance, weights.clearance_self, ClearanceSettings(), girth),
+        clearance=find_clearance(source, weights.clearance, weights.clearance_self, settings.girth),
         coupling=coupling,
-        fixed_person=fixed_person,
-        girth=girth,
     )
 
 
@@ -227,14 +206,3 @@ def bending_rows(source: Source) -> Array:
                 row[start + BODY22.parents[joint]] -= sign / length
             rows.append(row)
     return np.array(rows)
-
-
-def contact_matrix(contact: Array) -> Array:
-    """Quadratic form (T, 44, 44) of sum w_ij |x_i - x_j|^2 over pairs of A and B."""
-    half = BODY22.num_joints
-    matrix = np.zeros((len(contact), NUM_POINTS, NUM_POINTS))
-    matrix[:, :half, half:] = -contact
-    matrix[:, half:, :half] = -np.swapaxes(contact, -1, -2)
-    matrix[:, range(half), range(half)] = contact.sum(axis=2)
-    matrix[:, range(half, NUM_POINTS), range(half, NUM_POINTS)] = contact.sum(axis=1)
-    return matrix

@@ -2,35 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
     "LIMB_GROUPS",
     "PAPER_SCALES",
+    "DrawnBodies",
+    "DrawnScales",
+    "ScaleGrid",
     "Variation",
+    "VariationSet",
+    "VariationSettings",
     "bone_variations",
     "check_bone_scales",
     "drawn_variations",
     "group_variations",
     "leg_ratio",
+    "make_variations",
     "population_variations",
-    "scale_grid",
     "uniform_variations",
 ]
 
 Array = npt.NDArray[np.float64]
 
-PERSON_NAMES = ("A", "B")
-"""Persons 0 and 1."""
+PERSONS: Mapping[str, tuple[int, ...]] = {"A": (0,), "B": (1,), "AB": (0, 1)}
+"""Who is scaled, and which persons these are."""
 
-LIMB_GROUPS: Mapping[str, tuple[str, ...]] = {
+Group = Literal["torso", "shoulders", "arms", "hips", "legs"]
+
+LIMB_GROUPS: Mapping[Group, tuple[str, ...]] = {
     "torso": ("spine1", "spine2", "spine3", "neck", "head"),
     "shoulders": ("left_collar", "right_collar", "left_shoulder", "right_shoulder"),
     "arms": ("left_elbow", "right_elbow", "left_wrist", "right_wrist"),
@@ -38,9 +48,6 @@ LIMB_GROUPS: Mapping[str, tuple[str, ...]] = {
     "legs": ("left_knee", "right_knee", "left_ankle", "right_ankle", "left_toe", "right_toe"),
 }
 """Bones (named by their child joint) that scale together; left and right always do, so a body stays symmetric."""
-
-PAPER_SCALES: tuple[float, ...] = (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
-"""0.75 to 1.25 by 0.05 without the template's own 1 (Li et al. 2024, section 4)."""
 
 DEVIATIONS: Mapping[str, float] = {
     **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), 35.69 / 918.29),
@@ -58,9 +65,82 @@ DEVIATIONS: Mapping[str, float] = {
 buttock-knee length (thigh), mid-patella height (shank), foot length."""
 
 _LEG_BONES = ("left_knee", "left_ankle", "right_knee", "right_ankle")
-_LARGEST_SPREAD = 3.0
-_SMALLEST_SCALE = 0.05
-_LARGEST_SCALE = 20.0
+_SMALLEST_SCALE, _LARGEST_SCALE = 0.05, 20.0
+
+Scale = Annotated[float, Field(ge=_SMALLEST_SCALE, le=_LARGEST_SCALE)]
+
+
+class ScaleGrid(Settings):
+    """Scales from start to stop by step, without 1, which is the template itself.
+
+    >>> ScaleGrid(start=0.9, stop=1.1).scales
+    (0.9, 0.95, 1.05, 1.1)
+    """
+
+    start: Scale = Field(0.75, description="Smallest scale")
+    stop: Scale = Field(1.25, description="Greatest scale")
+    step: float = Field(0.05, gt=0, allow_inf_nan=False, description="Distance of neighbouring scales")
+
+    @model_validator(mode="after")
+    def _rises(self) -> ScaleGrid:
+        if self.stop < self.start:
+            raise ValueError(f"a grid of scales from {self.start:g} to {self.stop:g}: stop is below start")
+        return self
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """The scales."""
+        count = int(np.floor((self.stop - self.start) / self.step + 1e-9)) + 1
+        scales = (round(self.start + self.step * index, 6) for index in range(count))
+        return tuple(scale for scale in scales if abs(scale - 1.0) > 1e-9)
+
+
+PAPER_SCALES = ScaleGrid().scales
+"""0.75 to 1.25 by 0.05 without the template's own 1 (Li et al. 2024, section 4)."""
+
+
+class DrawnScales(Settings):
+    """Scales drawn per bone, left and right alike."""
+
+    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
+    low: Scale = Field(0.75, description="Smallest scale of a bone")
+    high: Scale = Field(1.25, description="Greatest scale of a bone")
+
+    @model_validator(mode="after")
+    def _rises(self) -> DrawnScales:
+        if self.high < self.low:
+            raise ValueError(f"scales drawn from {self.low:g} to {self.high:g}: high is below low")
+        return self
+
+
+class DrawnBodies(Settings):
+    """Bodies drawn as adults differ, overall size and proportions."""
+
+    count: int = Field(20, ge=0, le=100_000, description="Variants drawn per entry of persons")
+    correlation: float = Field(0.8, ge=0, le=1, description="Correlation of a bone's length with overall size")
+    spread: float = Field(1.0, ge=0, le=3, description="Deviations over those of the published survey")
+
+
+class VariationSet(Settings):
+    """One set of variations; the scales are those of the stage."""
+
+    kinds: tuple[Literal["uniform", "groups", "bones", "drawn", "population"], ...] = Field(
+        ("uniform",), min_length=1, description="uniform, groups, bones, drawn, population"
+    )
+    persons: tuple[Literal["A", "B", "AB"], ...] = Field(
+        ("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)"
+    )
+    groups: tuple[Group, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
+
+
+class VariationSettings(VariationSet):
+    """Which variations are made."""
+
+    scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
+    grid: ScaleGrid | None = Field(None, description="Scales as a grid, in place of the list")
+    sets: tuple[VariationSet, ...] = Field((), description="Several sets in place of the one of kinds, persons, groups")
+    drawn: DrawnScales = Field(DrawnScales(), description="Scales of kind drawn")
+    population: DrawnBodies = Field(DrawnBodies(), description="Bodies of kind population")
 
 
 @dataclass(frozen=True)
@@ -103,24 +183,30 @@ def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
     if is_bad.any():
         at = tuple(int(i) for i in np.argwhere(is_bad)[0])
         raise InputError(
-            f"{what}: the scale of person {PERSON_NAMES[at[-2]]}'s bone '{BODY22.joint_names[at[-1]]}' is "
+            f"{what}: the scale of person {'AB'[at[-2]]}'s bone '{BODY22.joint_names[at[-1]]}' is "
             f"{bone_scale[at]:g}; allowed are {_SMALLEST_SCALE:g} to {_LARGEST_SCALE:g}"
         )
 
 
-def scale_grid(start: float, stop: float, step: float) -> tuple[float, ...]:
-    """Return the scales from `start` to `stop` (inclusive) by `step`, without 1, which is the template itself.
-
-    >>> scale_grid(0.9, 1.1, 0.05)
-    (0.9, 0.95, 1.05, 1.1)
-    """
-    if not (np.isfinite([start, stop, step]).all() and 0 < start <= stop and step > 0):
-        raise InputError(
-            f"a grid of scales from {start:g} to {stop:g} by {step:g}: allowed is 0 < start <= stop, step > 0"
-        )
-    count = int(np.floor((stop - start) / step + 1e-9)) + 1
-    scales = (round(start + step * index, 6) for index in range(count))
-    return tuple(scale for scale in scales if abs(scale - 1.0) > 1e-9)
+def make_variations(settings: VariationSettings, generator_of: Callable[..., np.random.Generator]) -> list[Variation]:
+    """Return the variations asked for, each once; those drawn take the generator `generator_of(*labels)`."""
+    scales = settings.grid.scales if settings.grid else settings.scales
+    found: list[Variation] = []
+    for chosen in settings.sets or (settings,):
+        for kind in chosen.kinds:
+            for persons in chosen.persons:
+                match kind:
+                    case "uniform":
+                        found += uniform_variations(scales, [persons])
+                    case "groups":
+                        found += group_variations(scales, [persons], chosen.groups)
+                    case "bones":
+                        found += bone_variations(scales, [persons])
+                    case "drawn":
+                        found += drawn_variations(generator_of(persons), settings.drawn, persons)
+                    case "population":
+                        found += population_variations(generator_of(kind, persons), settings.population, persons)
+    return list({variation.variant_id: variation for variation in found}.values())
 
 
 def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
@@ -134,136 +220,86 @@ def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
 def uniform_variations(scales: Sequence[float], persons: Sequence[str] = ("A",)) -> list[Variation]:
     """Scale all bones of one person alike, or of both (`AB`), each by every scale.
 
-    Args:
-        scales: Scales, each positive.
-        persons: Any of `A`, `B` and `AB` (both alike).
-
     Raises:
-        InputError: Unknown person, or a scale that is not positive.
+        InputError: A scale that is not allowed.
     """
-    return [
-        _variation(persons=person, kind="uniform", bones=BODY22.joint_names, scale=scale)
-        for person in persons
-        for scale in scales
-    ]
+    return _scaled({"uniform": BODY22.joint_names}, scales, persons)
 
 
 def group_variations(
-    scales: Sequence[float], persons: Sequence[str] = ("A",), groups: Sequence[str] = tuple(LIMB_GROUPS)
+    scales: Sequence[float], persons: Sequence[str] = ("A",), groups: Sequence[Group] = tuple(LIMB_GROUPS)
 ) -> list[Variation]:
     """Scale one group of limbs (`LIMB_GROUPS`) at a time; the root height follows the legs.
 
     Raises:
-        InputError: Unknown group or person, or a scale that is not positive.
+        InputError: A scale that is not allowed.
     """
-    for group in groups:
-        if group not in LIMB_GROUPS:
-            raise InputError(f"limb group '{group}' is not known; known groups: {', '.join(LIMB_GROUPS)}")
-    return [
-        _variation(persons=person, kind=group, bones=LIMB_GROUPS[group], scale=scale)
-        for person in persons
-        for group in groups
-        for scale in scales
-    ]
+    return _scaled({group: LIMB_GROUPS[group] for group in groups}, scales, persons)
 
 
 def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",)) -> list[Variation]:
     """Scale one bone at a time, left and right together; the root height follows the legs."""
-    bones = []
+    bones: dict[str, tuple[str, ...]] = {}
     for index, name in enumerate(BODY22.joint_names):
-        if index == BODY22.root or name.startswith("right_"):
-            continue
-        bones.append(tuple(dict.fromkeys((name, BODY22.joint_names[BODY22.mirror[index]]))))
-    return [
-        _variation(persons=person, kind=pair[0].removeprefix("left_"), bones=pair, scale=scale)
-        for person in persons
-        for pair in bones
-        for scale in scales
-    ]
+        if index != BODY22.root and not name.startswith("right_"):
+            mirrored = BODY22.joint_names[BODY22.mirror[index]]
+            bones[name.removeprefix("left_")] = (name,) if name == mirrored else (name, mirrored)
+    return _scaled(bones, scales, persons)
 
 
-def drawn_variations(
-    generator: np.random.Generator,
-    count: int,
-    *,
-    low: float,
-    high: float,
-    persons: str = "AB",
-    is_symmetric: bool = True,
-) -> list[Variation]:
-    """Draw variations with every bone's scale uniform in [low, high], left and right alike unless told otherwise.
-
-    Raises:
-        InputError: A range that is not positive, or a negative count.
-    """
-    if not (0 < low <= high) or count < 0:
-        raise InputError(
-            f"{count} scales drawn from {low:g} to {high:g}: allowed is 0 < low <= high and a count from 0"
-        )
+def drawn_variations(generator: np.random.Generator, drawn: DrawnScales, persons: str = "AB") -> list[Variation]:
+    """Draw variations with every bone's scale uniform in [low, high], left and right alike."""
     variations = []
-    for index in range(count):
+    for index in range(drawn.count):
         bone_scale = np.ones((2, BODY22.num_joints))
-        for person in _person_indices(persons):
-            drawn = generator.uniform(low, high, BODY22.num_joints)
-            if is_symmetric:
-                drawn = drawn[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
-            bone_scale[person] = drawn
+        for person in PERSONS[persons]:
+            scales = generator.uniform(drawn.low, drawn.high, BODY22.num_joints)
+            bone_scale[person] = scales[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
         bone_scale[:, BODY22.root] = _root_scale(bone_scale)
         variations.append(Variation(f"{persons}-drawn-{index:04d}", bone_scale))
     return variations
 
 
-def population_variations(
-    generator: np.random.Generator, count: int, *, correlation: float = 0.8, spread: float = 1.0, persons: str = "AB"
-) -> list[Variation]:
+def population_variations(generator: np.random.Generator, bodies: DrawnBodies, persons: str = "AB") -> list[Variation]:
     """Draw bodies as they differ among adults: overall size and proportions, left and right alike.
 
     With z and z_b standard normal, cut at 3, the scale of bone b is 1 + spread c_b (r z + sqrt(1 - r^2) z_b): c_b from
     `DEVIATIONS`, r the correlation of a length with overall size.  So two lengths correlate by r^2.  The survey's own
     correlations are not used; 0.8 is a round middle of what long bones have with stature.
-
-    Raises:
-        InputError: A correlation outside 0 to 1, a spread outside 0 to 3, or a negative count.
     """
-    if not (0 <= correlation <= 1 and 0 <= spread <= _LARGEST_SPREAD) or count < 0:
-        raise InputError(
-            f"{count} bodies with correlation {correlation:g} and spread {spread:g}: allowed are a count from 0, "
-            f"0 to 1, and 0 to {_LARGEST_SPREAD:g}"
-        )
     names = list(DEVIATIONS)
     bones = BODY22.indices(names)
     mirrored = [BODY22.mirror[bone] for bone in bones]
     deviations = np.array([DEVIATIONS[name] for name in names])
+    r = bodies.correlation
     variations = []
-    for index in range(count):
+    for index in range(bodies.count):
         bone_scale = np.ones((2, BODY22.num_joints))
-        for person in _person_indices(persons):
+        for person in PERSONS[persons]:
             size, each = np.split(np.clip(generator.standard_normal(1 + len(names)), -3.0, 3.0), [1])
-            scale = 1.0 + spread * deviations * (correlation * size + np.sqrt(1.0 - correlation**2) * each)
+            scale = 1.0 + bodies.spread * deviations * (r * size + np.sqrt(1.0 - r**2) * each)
             bone_scale[person, bones] = bone_scale[person, mirrored] = scale
         bone_scale[:, BODY22.root] = _root_scale(bone_scale)
         variations.append(Variation(f"{persons}-population-{index:04d}", bone_scale))
     return variations
 
 
-def _variation(*, persons: str, kind: str, bones: Sequence[str], scale: float) -> Variation:
-    bone_scale = np.ones((2, BODY22.num_joints))
-    for person in _person_indices(persons):
-        bone_scale[person, BODY22.indices(bones)] = scale
-    if kind != "uniform":
-        bone_scale[:, BODY22.root] = _root_scale(bone_scale)
-    return Variation(
-        f"{persons}-{kind}-{scale:.2f}" if round(scale, 2) == scale else f"{persons}-{kind}-{scale:g}", bone_scale
-    )
+def _scaled(bones: Mapping[str, Sequence[str]], scales: Sequence[float], persons: Sequence[str]) -> list[Variation]:
+    """Scale each set of bones by every scale, for each of the persons."""
+    variations = []
+    for who in persons:
+        for kind, names in bones.items():
+            for scale in scales:
+                bone_scale = np.ones((2, BODY22.num_joints))
+                for person in PERSONS[who]:
+                    bone_scale[person, BODY22.indices(names)] = scale
+                if kind != "uniform":
+                    bone_scale[:, BODY22.root] = _root_scale(bone_scale)
+                shown = f"{scale:.2f}" if round(scale, 2) == scale else f"{scale:g}"
+                variations.append(Variation(f"{who}-{kind}-{shown}", bone_scale))
+    return variations
 
 
 def _root_scale(bone_scale: Array) -> Array:
     """Scale of the root height before the source's lengths are known: thigh and shin in equal parts."""
     return np.asarray(bone_scale[:, BODY22.indices(_LEG_BONES)].mean(axis=-1))
-
-
-def _person_indices(persons: str) -> list[int]:
-    known = {"A": [0], "B": [1], "AB": [0, 1]}
-    if persons not in known:
-        raise InputError(f"persons '{persons}' are not known; allowed are A, B and AB")
-    return known[persons]

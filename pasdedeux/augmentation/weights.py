@@ -2,72 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.augmentation.contacts import BodyPart, body_parts
-from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
 
 __all__ = ["Weights"]
 
 Array = npt.NDArray[np.float64]
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the terms, one set for every take; per square metre.
 
-    Args:
-        laplacian: Interaction mesh, w_L.
-        smoothness: Second difference of x at 30 Hz, w_S.
-        reference: Pull towards plain forward kinematics, w_R; settles what nothing else does, alike at every scale.
-        contact_extremity: Contact pairs of two hands or feet.
-        contact_mixed: Contact pairs of a hand or foot with another body part.
-        contact_limb: Contact pairs in which an elbow or knee is the finest part.
-        contact_torso: Contact pairs of two torso joints.
-        contact_direction: Share k of a contact's weight that keeps its direction too, from 0 to 1; contacts of two
-            hands or feet keep all of it.
-        stance: Horizontal velocity of stance feet at 30 Hz, w_F.
-        floor: Height of joints near the floor, w_H.
-        bending: Bending of the spine against r's, per square radian, w_B; without it short spine bones fold like a
-            carpenter's rule to make a torso shorter, which costs the other terms next to nothing.
-        girdle: Rigidity of girdle and hips, w_G.
-        clearance: Penetration of the partner beyond the source's, w_K.
-        clearance_self: Penetration of one's own body beyond the source's and plain forward kinematics'.
-        fixed: Pull of a person held fixed towards the source.
+class Weights(Settings):
+    """Weights of the terms, one set for every take; per square metre."""
 
-    Raises:
-        InputError: A negative or non-finite weight, or no reference weight.
-    """
-
-    laplacian: float = 1.0
-    smoothness: float = 40.0
-    reference: float = 0.03
-    contact_extremity: float = 60.0
-    contact_mixed: float = 12.0
-    contact_limb: float = 30.0
-    contact_torso: float = 30.0
-    contact_direction: float = 0.02
-    stance: float = 70.0
-    floor: float = 100.0
-    bending: float = 0.05
-    girdle: float = 10.0
-    clearance: float = 110.0
-    clearance_self: float = 20.0
-    fixed: float = 1e3
-
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (np.isfinite(value) and value >= 0) or (field.name == "reference" and value == 0):
-                raise InputError(
-                    f"weight '{field.name}' is {value:g}: allowed is 0 or more, and above 0 for 'reference'"
-                )
-        if self.contact_direction > 1:
-            raise InputError(f"weight 'contact_direction' is {self.contact_direction:g}: it is a share, up to 1")
+    laplacian: Weight = Field(1.0, description="Interaction mesh, w_L")
+    smoothness: Weight = Field(40.0, description="Second difference of the change against plain FK at 30 Hz, w_S")
+    reference: Weight = Field(
+        0.03, gt=0, description="Pull towards plain FK, w_R; decides what no other term does, alike at every scale"
+    )
+    contact_extremity: Weight = Field(60.0, description="Contacts of two hands or feet")
+    contact_mixed: Weight = Field(12.0, description="Contacts of a hand or foot with another body part")
+    contact_limb: Weight = Field(30.0, description="Contacts in which an elbow or knee is the finest part")
+    contact_torso: Weight = Field(30.0, description="Contacts of two torso joints")
+    contact_direction: Weight = Field(
+        0.02,
+        le=1,
+        description="Share k of a contact's weight that keeps its direction, not only its distance; contacts of two "
+        "hands or feet keep all of it",
+    )
+    stance: Weight = Field(70.0, description="Horizontal velocity of stance feet at 30 Hz, w_F")
+    floor: Weight = Field(100.0, description="Height of joints near the floor, w_H")
+    bending: Weight = Field(
+        0.05,
+        description="Bending of the spine against plain FK's, per square radian, w_B; without it short spine bones "
+        "fold like a carpenter's rule to make a torso shorter, which costs the other terms next to nothing",
+    )
+    girdle: Weight = Field(10.0, description="Rigidity of girdle and hips, w_G")
+    clearance: Weight = Field(110.0, description="Penetration of the partner beyond the source's, w_K")
+    clearance_self: Weight = Field(20.0, description="Penetration of one's own body beyond the source's and plain FK's")
+    fixed: Weight = Field(1e3, description="Pull of a person held fixed towards the source")
 
     @property
     def contact_grades(self) -> Array:

@@ -10,23 +10,28 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import BulkSolver
 from pasdedeux.augmentation.contacts import UserContact
-from pasdedeux.augmentation.descent import descend
-from pasdedeux.augmentation.energy import laplacian_residual, total_energy
+from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual, total_energy
 from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.fitting import PointTerm, Term
+from pasdedeux.fitting import FitSettings, PointTerm, Term
 
-__all__ = ["SOLVERS", "SolvedWindow", "WindowSolver"]
+__all__ = ["FALLBACK", "POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
 
 Array = npt.NDArray[np.float64]
 
 SOLVERS = ("bulk", "descent", "bulk+descent", "plain_fk")
 """Names of what may have given a variant; of several windows the last of these is told."""
 
+_FALLBACK_RESIDUAL_M = 5e-4
+"""A variant whose bones the bulk solver leaves further than this from their lengths (root mean square) goes to the
+guaranteed solver, started from where bulk ended."""
+FALLBACK = FitSettings(max_iterations=12, tolerance=5e-3)
+POLISH = FitSettings(max_iterations=40, tolerance=1e-4)
+"""Descent after bulk that comes to within a thousandth of the smallest energy; the fallback's own stops earlier."""
 _SEAM_M = 0.01
-"""Windows whose bulk solutions are further apart than this settled differently and are not blended."""
+"""Windows whose bulk solutions are further apart than this ended in different minima and are not blended."""
 _SEAM_WEIGHT = 30.0
 """Pull of a descent towards what the window before gave, per square metre, joint and frame."""
 
@@ -57,16 +62,8 @@ class WindowSolver:
 
     def __init__(self, source: Source, settings: AugmentationSettings, user_contacts: Sequence[UserContact]) -> None:
         self.settings = settings
-        self.problem = build_problem(
-            source,
-            settings.weights,
-            settings.contacts,
-            user_contacts=user_contacts,
-            fixed_person=settings.fixed_person,
-            mesh_smoothing_s=settings.mesh_smoothing_s,
-            girth=settings.girth,
-        )
-        self._bulk = BulkSolver(self.problem, settings.bulk) if settings.is_bulk else None
+        self.problem = build_problem(source, settings, user_contacts=user_contacts)
+        self._bulk = None if settings.solver == "descent" else BulkSolver(self.problem)
 
     def solve(self, bone_scale: Array, before: Array | None = None) -> SolvedWindow:
         """Solve variants (variant, 2, 22); what one gets does not depend on the others, to the last bit.
@@ -79,15 +76,16 @@ class WindowSolver:
         problem, settings = self.problem, self.settings
         targets = build_targets(problem, bone_scale)
         count = targets.num_variants
+        terms = [fit_terms(problem, targets, variant) for variant in range(count)]
         positions = np.array(targets.reference)
-        energy_fk, squared_residual = self._measure(targets, positions)
+        energy_fk, squared_residual = self._measure(terms, targets, positions)
         energy = np.array(energy_fk)
         solvers, iterations = ["descent"] * count, [0] * count
         is_done = np.zeros(count, dtype=bool)
         if self._bulk is not None:
             result = self._bulk.solve(targets)
             with np.errstate(invalid="ignore", over="ignore"):
-                found_energy, found_residual = self._measure(targets, result.positions)
+                found_energy, found_residual = self._measure(terms, targets, result.positions)
             is_better = np.isfinite(found_energy) & (found_energy <= energy_fk)
             for mine, found in (
                 (positions, result.positions),
@@ -95,21 +93,22 @@ class WindowSolver:
                 (squared_residual, found_residual),
             ):
                 mine[is_better] = found[is_better]
-            is_done = is_better & (result.residual_m <= settings.fallback_residual_m)
+            is_done = is_better & (result.residual_m <= _FALLBACK_RESIDUAL_M) & (settings.solver != "polished")
             if before is not None:
                 is_done &= _farthest(positions, before) <= _SEAM_M
             solvers = ["bulk" if good else "bulk+descent" for good in is_done]
-            iterations = [result.num_iterations] * count
+            iterations = [settings.num_iterations] * count
         for index in map(int, np.flatnonzero(~is_done)):
             start, held = positions[index], list[Term]()
             if before is not None:
                 start, held = _tied(positions[index], before[index])
-            descent = descend(problem, targets, index, start, settings.descent, more=held)
-            if np.isfinite(descent.positions).all():
-                positions[index] = descent.positions
+            fit = POLISH if settings.solver == "polished" else FALLBACK
+            descent = descend(targets, index, [*terms[index], *held], start, fit)
+            if np.isfinite(descent.positions_m).all():
+                positions[index] = descent.positions_m
                 one = targets.select([index])
                 energy[index : index + 1], squared_residual[index : index + 1] = self._measure(
-                    one, descent.positions[None]
+                    terms[index : index + 1], one, descent.positions_m[None]
                 )
                 iterations[index] += descent.num_iterations
             elif energy[index] == energy_fk[index]:
@@ -123,14 +122,14 @@ class WindowSolver:
             num_iterations=iterations,
         )
 
-    def _measure(self, targets: Targets, positions: Array) -> tuple[Array, Array]:
+    def _measure(self, terms: list[list[Term]], targets: Targets, positions: Array) -> tuple[Array, Array]:
         """Return energies (variant,) and squared residuals (variant, T), one by one so that sums round alike."""
         energies, residuals = [], []
         for variant, points in enumerate(positions):
             one = targets.select([variant])
-            offsets = points[None] - one.reference
-            energies.append(total_energy(self.problem, one, offsets)[0])
-            residuals.append((laplacian_residual(self.problem, one, offsets)[0] ** 2).sum(axis=-1).mean(axis=-1))
+            energies.append(total_energy(terms[variant], points))
+            missed = laplacian_residual(self.problem, one, points[None] - one.reference)[0]
+            residuals.append((missed**2).sum(axis=-1).mean(axis=-1))
         return np.array(energies), np.array(residuals)
 
 

@@ -8,37 +8,17 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import InputError
-
-__all__ = ["Window", "WindowSettings", "blend_weights", "plan_windows"]
+__all__ = ["OVERLAP_S", "Window", "blend_weights", "plan_windows"]
 
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class WindowSettings:
-    """How long takes are cut.
+OVERLAP_S = 3.0
+"""Overlap of neighbouring windows, seconds.
 
-    Args:
-        longest_s: Takes up to this long are solved whole; longer ones in windows of at most this length.
-        overlap_s: Overlap of neighbouring windows.  Its first and last third are thrown away, as every window feels its
-            own ends there (fading weights look 0.9 s around, what a stance foot does is felt for about a second); over
-            the middle third one window is blended into the next.
-
-    Raises:
-        InputError: The overlap is not shorter than half a window, or not above 0.
-    """
-
-    longest_s: float = 30.0
-    overlap_s: float = 3.0
-
-    def __post_init__(self) -> None:
-        """Check the lengths."""
-        if not 0 < self.overlap_s < 0.5 * self.longest_s:
-            raise InputError(
-                f"windows of {self.longest_s:g} s overlapping by {self.overlap_s:g} s: allowed is an overlap above 0 "
-                "and shorter than half a window"
-            )
+Its first and last third are thrown away, as every window feels its own ends there (fading weights look 0.9 s around,
+what a stance foot does is felt for about a second); over the middle third one window is blended into the next.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,14 +29,14 @@ class Window:
     stop: int
 
 
-def plan_windows(num_frames: int, rate_hz: float, settings: WindowSettings) -> list[Window]:
+def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s: float = OVERLAP_S) -> list[Window]:
     """Cut a take into as few windows of about equal length as there can be; one if it is short.
 
-    >>> [(w.start, w.stop) for w in plan_windows(100, 1.0, WindowSettings(longest_s=40.0, overlap_s=9.0))]
+    >>> [(w.start, w.stop) for w in plan_windows(100, 1.0, 40.0, overlap_s=9.0)]
     [(0, 40), (30, 70), (60, 100)]
     """
-    longest = max(int(settings.longest_s * rate_hz), 4)
-    overlap = max(int(settings.overlap_s * rate_hz), 1)
+    longest = max(int(longest_s * rate_hz), 4)
+    overlap = max(int(overlap_s * rate_hz), 1)
     if num_frames <= longest:
         return [Window(0, num_frames)]
     count = -(-(num_frames - overlap) // (longest - overlap))

@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from pasdedeux.augmentation.bulk import BulkSettings, BulkSolver
-from pasdedeux.augmentation.descent import descend
+from pasdedeux.augmentation.bulk import BulkSolver
+from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.mesh import build_mesh
-from pasdedeux.augmentation.problem import Problem
-from pasdedeux.augmentation.settings import AugmentationSettings
+from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
+from pasdedeux.augmentation.window_solver import FALLBACK
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.fitting import FitSettings
 from pasdedeux.kinematics import place_bones
@@ -54,15 +54,19 @@ def _scales(count: int) -> Array:
     return np.stack([variation.bone_scale for variation in uniform_variations(scales)])
 
 
+def _descend(problem: Problem, targets: Targets) -> None:
+    settings = FitSettings(max_iterations=12, tolerance=1e-3)
+    descend(targets, 0, fit_terms(problem, targets, 0), settings=settings)
+
+
 def bulk_solver() -> BenchmarkResult:
     """Frames and variants a second of a batch in the bulk solver, without mesh and factor, beside descent."""
     problem = build_problem(benchmark_source())
-    solver = BulkSolver(problem, BulkSettings(is_single_precision=True))
+    solver = BulkSolver(problem)
     scales, few = _scales(_VARIANTS), _scales(2)
     one = build_targets(problem, few)
     fast = measure_rate(lambda: solver.solve(build_targets(problem, scales)), count=_FRAMES * _VARIANTS)
-    settings = FitSettings(max_iterations=12, tolerance=1e-3)
-    plain = measure_rate(lambda: descend(problem, one, 0, settings=settings), count=_FRAMES, repeats=1)
+    plain = measure_rate(lambda: _descend(problem, one), count=_FRAMES, repeats=1)
     return BenchmarkResult(
         name="augmentation: batch of variants",
         unit="frames of a variant",
@@ -79,15 +83,14 @@ def single_clip() -> BenchmarkResult:
     source = benchmark_source()
     mesh = build_mesh(source)
     scales = _scales(1)
-    settings = FitSettings(max_iterations=12, tolerance=1e-3)
 
     def bulk() -> None:
         problem = build_problem(source, mesh=mesh)
-        BulkSolver(problem, BulkSettings(is_single_precision=True)).solve(build_targets(problem, scales))
+        BulkSolver(problem).solve(build_targets(problem, scales))
 
     def descent() -> None:
         problem = build_problem(source, mesh=mesh)
-        descend(problem, build_targets(problem, scales), 0, settings=settings)
+        _descend(problem, build_targets(problem, scales))
 
     return BenchmarkResult(
         name="augmentation: one variant of one clip",
@@ -103,18 +106,19 @@ def single_clip() -> BenchmarkResult:
 def guaranteed() -> BenchmarkResult:
     """Frames a second of one variant by descent from where bulk ends, bulk included, beside descent from plain FK."""
     problem = build_problem(benchmark_source())
-    solver, targets = BulkSolver(problem, BulkSettings(is_single_precision=True)), build_targets(problem, _scales(1))
-    settings = AugmentationSettings().descent
+    solver, targets = BulkSolver(problem), build_targets(problem, _scales(1))
+
+    def solve(start: Array | None) -> None:
+        descend(targets, 0, fit_terms(problem, targets, 0), start, FALLBACK)
+
     return BenchmarkResult(
         name="augmentation: guaranteed solve of one variant",
         unit="frames",
         fast_name="descent from bulk's end",
-        fast_per_s=measure_rate(
-            lambda: descend(problem, targets, 0, solver.solve(targets).positions[0], settings), count=_FRAMES
-        ),
+        fast_per_s=measure_rate(lambda: solve(solver.solve(targets).positions[0]), count=_FRAMES),
         plain_name="descent from plain FK",
-        plain_per_s=measure_rate(lambda: descend(problem, targets, 0, settings=settings), count=_FRAMES),
-        note=f"{_FRAMES} frames, energy falls at every step, until it falls by less than {settings.tolerance:g}",
+        plain_per_s=measure_rate(lambda: solve(None), count=_FRAMES),
+        note=f"{_FRAMES} frames, energy falls at every step, until it falls by less than {FALLBACK.tolerance:g}",
     )
 
 

@@ -180,8 +180,9 @@ def _skipped(manifest: Manifest) -> list[str]:
     """Say in sentences what an artifact left out."""
     facts = manifest.facts
     found = list(facts.get("skipped", []))
-    if "poses" in manifest.tables and facts["num_persons"] == 1:
-        found.append(f"Take {facts['take_id']}: one person; the stages that need pairs passed it over.")
+    if "poses" in manifest.tables and facts["num_persons"] != 2:
+        who = "one person" if facts["num_persons"] == 1 else f"{facts['num_persons']} people"
+        found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
     if facts.get("num_skipped_frames"):
         named = ", ".join(facts["skipped_files"])
         found.append(f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}).")

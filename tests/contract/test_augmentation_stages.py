@@ -15,12 +15,12 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.learning import VariantRequest, load_model
 from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation, training
-from tasks.augmentation import read_pair
-from tasks.augmentation_parameters import AugmentationParameters
+from tasks.augmentation import AugmentationParameters, read_pair
 from tasks.graph import load_graph
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tasks.training import TrainingParameters
 from tests.builders.moving_pairs import standing_person, swaying_pair
 
@@ -106,7 +106,11 @@ def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Mani
 
 def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
     takes = [put_take(store, "pair"), put_take(store, "alone", num_persons=1)]
-    made = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
+    *made, alone = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
+    verdict = verdict_of(alone)
+    assert verdict is not None
+    assert (verdict.level, verdict.reason) == (Level.WARN, "one person: only takes of two have variants")
+    assert not alone.tables
     assert [manifest.facts["takes"] for manifest in made] == [["pair"], ["pair"]]
     assert [len(manifest.facts["variants"]) for manifest in made] == [3, 1]
     variants = store.read(made[0].ref, "variants")
@@ -118,6 +122,10 @@ def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
     np.testing.assert_allclose(quality["scale_a"], [0.8, 0.95, 1.05])
     np.testing.assert_allclose(quality["scale_b"], 1.0)
     assert np.all(quality["contact_drift_m"] < quality["contact_drift_fk_m"])
+    verdict = verdict_of(made[0])
+    assert verdict is not None
+    assert (verdict.count, verdict.figure, verdict.unit) == (3, "contact drift", "m")
+    assert verdict.value == np.median(quality["contact_drift_m"]) < verdict.baseline
     source = read_pair(store, takes[0].ref).source
     lengths = bone_lengths(BODY22, variants["body22_m"][:FRAMES].astype(np.float64))
     wanted = source.lengths_m * quality["bone_scale"][0]
@@ -187,7 +195,7 @@ def test_the_papers_layout_has_thirty_uniform_and_sixty_other_variants_a_take(st
     study, _ = load_study("augmentation_paper", load_graph(), environment={})
     inputs = StageInputs({"poses": [put_take(store, "pair")]}, seed=1)
     shards = augmentation.plan(inputs, study.parameters["augmentation"])
-    names = [name for shard in shards for name in shard.parameters["variants"]]
+    names = [name for shard in shards for name in shard.parameters.variants]
     assert len(set(names)) == len(names) == 90
     assert sum("uniform" in name for name in names) == 30
     assert not any(name.endswith("-1.00") for name in names)

@@ -1,13 +1,16 @@
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from pasdedeux.augmentation import ContactSettings, Source, UserContact, build_mesh, reference_motion
+from pasdedeux.augmentation import Augmenter, Source, UserContact, build_mesh, reference_motion
 from pasdedeux.augmentation.contacts import contact_weights, fade, stance_weights
 from pasdedeux.augmentation.mesh import delaunay_edges
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
+
+CONTACT_M = (0.2, 0.3)
 
 
 def test_weights_are_rows_that_sum_to_one_and_cross_rows_to_zero() -> None:
@@ -61,38 +64,37 @@ def test_fading_is_continuous_and_ends_flat() -> None:
 
 def test_contact_weights_move_little_when_joints_move_little() -> None:
     positions = swaying_pair(20)
-    settings = ContactSettings()
-    before = contact_weights(Source(positions, 30.0), settings)
+    before = contact_weights(Source(positions, 30.0), CONTACT_M)
     after = contact_weights(
-        Source(positions + np.random.default_rng(0).normal(0, 1e-4, positions.shape), 30.0), settings
+        Source(positions + np.random.default_rng(0).normal(0, 1e-4, positions.shape), 30.0), CONTACT_M
     )
     assert np.abs(before - after).max() < 0.02
 
 
 def test_planted_feet_stand_and_raised_feet_do_not() -> None:
     positions = swaying_pair(60)
-    assert stance_weights(Source(positions, 30.0), ContactSettings()).min() > 0.9
+    assert stance_weights(Source(positions, 30.0)).min() > 0.9
     raised = positions.copy()
     foot = BODY22.indices(["left_ankle", "left_toe"])
     raised[30:, 0, foot, 1] += 0.4
-    weights = stance_weights(Source(raised, 30.0), ContactSettings())
+    weights = stance_weights(Source(raised, 30.0))
     assert weights[54:, 0, :2].max() < 0.01
     assert weights[54:, 0, 2:].min() > 0.9
     assert np.abs(np.diff(weights, axis=0)).max() < 0.15
 
 
 def test_a_users_contact_replaces_what_is_found() -> None:
-    source = Source(swaying_pair(10), 30.0)
-    settings = ContactSettings(smoothing_s=0.0)
-    contact = UserContact("head", "head", 2, 5, 0.7)
-    weights = contact_weights(source, settings, [contact])
+    # One frame a second: weights are averaged over neighbouring frames alone.
+    source = Source(swaying_pair(10), 1.0)
+    contact = UserContact(joint_a="head", joint_b="head", start_frame=2, stop_frame=5, weight=0.7)
+    weights = contact_weights(source, CONTACT_M, [contact])
     head = BODY22.index("head")
-    np.testing.assert_array_equal(weights[2:5, head, head], 0.7)
-    assert weights[5, head, head] == contact_weights(source, settings)[5, head, head]
+    assert weights[3, head, head] == pytest.approx(0.7)
+    assert weights[7, head, head] == contact_weights(source, CONTACT_M)[7, head, head]
     with pytest.raises(InputError, match="frames within 0 to 10"):
-        contact_weights(source, settings, [UserContact("head", "head", 5, 11, 1.0)])
-    with pytest.raises(InputError, match="joint 'nose'"):
-        contact_weights(source, settings, [UserContact("nose", "head", 0, 1, 1.0)])
+        Augmenter(source, user_contacts=[contact.model_copy(update={"stop_frame": 11})])
+    with pytest.raises(ValidationError, match="joint 'nose' is not in body22"):
+        UserContact(joint_a="nose", joint_b="head", stop_frame=1)
 
 
 def test_the_reference_motion_has_the_new_lengths_and_at_scale_one_is_the_source() -> None:

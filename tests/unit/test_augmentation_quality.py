@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import Augmenter, ContactSettings, FrameLimits, Source, uniform_variations
-from pasdedeux.augmentation.quality import Judge, Measured
+from pasdedeux.augmentation import Augmenter, FrameLimits, Source, uniform_variations
+from pasdedeux.augmentation.quality import Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
@@ -14,8 +14,7 @@ FRAMES = 20
 
 
 def _measure(source: Source, pair: np.ndarray, *, limits: JointLimits | None = None) -> Measured:
-    judge = Judge(source, ContactSettings(), joint_limits=limits)
-    return judge.measure(
+    return QualityMeter(source, joint_limits=limits).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
         lengths_m=source.lengths_m.reshape(-1),
@@ -61,7 +60,7 @@ def test_a_joint_that_leaps_in_one_frame_fails_there_and_not_where_nothing_happe
     pair[10, 0, BODY22.index(joint)] += moved_m
     frames = _measure(source, pair).frames
     values = getattr(frames, figure)
-    assert values[10] > getattr(FrameLimits(), figure).fail
+    assert values[10] > getattr(FrameLimits(), figure)[1]
     verdicts = frames.judge(FrameLimits())
     assert verdicts[10] == 2
     assert not verdicts[[*range(7), *range(14, FRAMES)]].any()

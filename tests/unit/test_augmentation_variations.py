@@ -1,15 +1,21 @@
+from typing import Any
+
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.augmentation import (
     LIMB_GROUPS,
     PAPER_SCALES,
+    DrawnBodies,
+    DrawnScales,
+    ScaleGrid,
     Variation,
+    VariationSettings,
     bone_variations,
     drawn_variations,
     group_variations,
     population_variations,
-    scale_grid,
     uniform_variations,
 )
 from pasdedeux.errors import InputError
@@ -17,8 +23,7 @@ from pasdedeux.skeletons import BODY22
 
 
 def test_the_grid_of_the_paper_leaves_out_the_template() -> None:
-    assert scale_grid(0.75, 1.25, 0.05) == PAPER_SCALES
-    assert len(PAPER_SCALES) == 10
+    assert ScaleGrid().scales == PAPER_SCALES == (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
 
 
 def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
@@ -43,7 +48,7 @@ def test_limb_groups_cover_every_bone_once_and_left_like_right() -> None:
 def test_variant_names_are_unique() -> None:
     variations = uniform_variations(PAPER_SCALES, ["A", "B", "AB"])
     variations += group_variations(PAPER_SCALES, ["A", "B"]) + bone_variations(PAPER_SCALES, ["A", "B"])
-    variations += drawn_variations(np.random.default_rng(1), 20, low=0.5, high=1.5)
+    variations += drawn_variations(np.random.default_rng(1), DrawnScales(low=0.5, high=1.5))
     names = [variation.variant_id for variation in variations]
     assert len(set(names)) == len(names)
 
@@ -56,7 +61,7 @@ def test_longer_legs_raise_the_root() -> None:
 
 
 def test_the_same_generator_draws_the_same_variations() -> None:
-    first, second = (drawn_variations(np.random.default_rng(3), 4, low=0.5, high=1.5) for _ in range(2))
+    first, second = (drawn_variations(np.random.default_rng(3), DrawnScales(count=4)) for _ in range(2))
     assert all(np.array_equal(a.bone_scale, b.bone_scale) for a, b in zip(first, second, strict=True))
 
 
@@ -73,19 +78,24 @@ def test_scales_of_the_wrong_length_are_refused() -> None:
         Variation("bad", np.ones((2, 21)))
 
 
-def test_unknown_people_groups_and_grids_are_refused() -> None:
-    with pytest.raises(InputError, match="persons 'C'"):
-        uniform_variations([0.9], ["C"])
-    with pytest.raises(InputError, match="limb group 'wings'"):
-        group_variations([0.9], ["A"], ["wings"])
-    with pytest.raises(InputError, match="grid of scales"):
-        scale_grid(1.2, 0.8, 0.1)
-    with pytest.raises(InputError, match="drawn from"):
-        drawn_variations(np.random.default_rng(0), 1, low=0.0, high=1.0)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"persons": ("C",)},
+        {"groups": ("wings",)},
+        {"kinds": ("spiral",)},
+        {"grid": {"start": 1.2, "stop": 0.8}},
+        {"drawn": {"low": 1.2, "high": 0.8}},
+        {"population": {"correlation": 1.5}},
+    ],
+)
+def test_variations_that_cannot_be_are_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        VariationSettings.model_validate(settings)
 
 
 def test_bodies_differ_as_the_survey_says_and_long_bones_belong_to_tall_people() -> None:
-    drawn = population_variations(np.random.default_rng(0), 4000, correlation=0.8, persons="A")
+    drawn = population_variations(np.random.default_rng(0), DrawnBodies(count=4000), "A")
     scales = np.stack([variation.bone_scale[0] for variation in drawn])
     thigh, arm = BODY22.index("left_knee"), BODY22.index("left_elbow")
     # Standard errors of a deviation and a correlation of 4,000 draws are about 1 %.
@@ -97,8 +107,6 @@ def test_bodies_differ_as_the_survey_says_and_long_bones_belong_to_tall_people()
 
 
 def test_a_population_without_spread_is_the_template() -> None:
-    (one,) = population_variations(np.random.default_rng(0), 1, spread=0.0)
+    (one,) = population_variations(np.random.default_rng(0), DrawnBodies(count=1, spread=0.0))
     np.testing.assert_array_equal(one.bone_scale, 1.0)
     assert one.variant_id == "AB-population-0000"
-    with pytest.raises(InputError, match=r"correlation 1\.5"):
-        population_variations(np.random.default_rng(0), 1, correlation=1.5)

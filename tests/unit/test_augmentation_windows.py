@@ -10,7 +10,6 @@ from pasdedeux.augmentation import (
     Augmenter,
     Source,
     UserContact,
-    WindowSettings,
     uniform_variations,
 )
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
@@ -29,7 +28,7 @@ from tests.builders.moving_pairs import swaying_pair
 def test_windows_cover_a_take_with_shares_that_add_up_to_one(
     num_frames: int, rate_hz: float, longest_s: float, overlap_s: float
 ) -> None:
-    windows = plan_windows(num_frames, rate_hz, WindowSettings(longest_s, overlap_s))
+    windows = plan_windows(num_frames, rate_hz, longest_s, overlap_s=overlap_s)
     total = np.zeros(num_frames)
     for window, share in zip(windows, blend_weights(windows), strict=True):
         assert window.stop - window.start <= max(longest_s * rate_hz, 4)
@@ -40,11 +39,10 @@ def test_windows_cover_a_take_with_shares_that_add_up_to_one(
 def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
     source = Source(swaying_pair(360), 30.0)
     variations = uniform_variations([0.75, 1.2], ["A", "AB"])
-    windows = WindowSettings(longest_s=6.5, overlap_s=3.0)
     whole = Augmenter(source).solve(variations)
-    parts = Augmenter(source, AugmentationSettings(windows=windows)).solve(variations)
+    parts = Augmenter(source, AugmentationSettings(window_s=6.5)).solve(variations)
     is_seam = np.zeros(360, dtype=bool)
-    cut = plan_windows(360, 30.0, windows)
+    cut = plan_windows(360, 30.0, 6.5)
     assert len(cut) == 3
     for before, after in pairwise(cut):
         is_seam[after.start : before.stop] = True
@@ -61,11 +59,10 @@ def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
 
 
 def test_windows_that_fall_back_to_descent_agree_where_they_meet_and_bones_stay_exact() -> None:
-    source = Source(swaying_pair(72, apart_m=0.5), 10.0)
-    windows = WindowSettings(longest_s=4.5, overlap_s=1.5)
-    settings = AugmentationSettings(windows=windows, fallback_residual_m=0.0)
+    source = Source(swaying_pair(90, apart_m=0.5), 10.0)
+    settings = AugmentationSettings(window_s=6.1, solver="polished")
     variations = uniform_variations([0.75, 1.25], ["A"])
-    whole = Augmenter(source, AugmentationSettings(fallback_residual_m=0.0)).solve(variations)
+    whole = Augmenter(source, AugmentationSettings(solver="polished")).solve(variations)
     for variant, same in zip(Augmenter(source, settings).solve(variations), whole, strict=True):
         assert variant.solver == "bulk+descent"
         wanted = source.lengths_m * variant.bone_scale
@@ -78,12 +75,12 @@ def test_windows_that_fall_back_to_descent_agree_where_they_meet_and_bones_stay_
 
 
 def test_a_users_contact_is_cut_to_each_window() -> None:
-    contact = UserContact("head", "head", 10, 30, 1.0)
-    assert contact.within(20, 50) == UserContact("head", "head", 0, 10, 1.0)
-    assert contact.within(5, 15) == UserContact("head", "head", 5, 10, 1.0)
+    contact = UserContact(joint_a="head", joint_b="head", start_frame=10, stop_frame=30)
+    assert contact.within(20, 50) == contact.model_copy(update={"start_frame": 0, "stop_frame": 10})
+    assert contact.within(5, 15) == contact.model_copy(update={"start_frame": 5, "stop_frame": 10})
     assert contact.within(30, 40) is None
     with pytest.raises(InputError, match="frames within 0 to 20"):
-        Augmenter(Source(swaying_pair(20), 30.0), AugmentationSettings(user_contacts=(contact,)))
+        Augmenter(Source(swaying_pair(20), 30.0), user_contacts=(contact,))
 
 
 def test_a_part_of_a_take_has_the_bones_and_the_floor_of_the_whole() -> None:
@@ -92,8 +89,3 @@ def test_a_part_of_a_take_has_the_bones_and_the_floor_of_the_whole() -> None:
     np.testing.assert_array_equal(part.lengths_m, source.lengths_m)
     np.testing.assert_array_equal(part.floor_m, source.floor_m)
     np.testing.assert_array_equal(part.positions_m, source.positions_m[10:20])
-
-
-def test_overlaps_that_leave_nothing_between_them_are_refused() -> None:
-    with pytest.raises(InputError, match="shorter than half a window"):
-        WindowSettings(longest_s=5.0, overlap_s=2.5)

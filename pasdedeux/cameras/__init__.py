@@ -8,10 +8,9 @@ from pasdedeux.cameras.frames import (
     local_frame,
     pair_frame,
     project_pair,
-    swap_people,
     true_direction,
 )
-from pasdedeux.cameras.orthographic import metres_from_pixels, pixels_from_metres, project_orthographic, view_rotmat
+from pasdedeux.cameras.orthographic import metres_from_pixels, project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera, Projection
 from pasdedeux.cameras.torso import (
     LEAST_TORSO_JOINTS,
@@ -76,12 +75,10 @@ __all__ = [
     "metres_from_pixels",
     "pair_frame",
     "pair_in_metres",
-    "pixels_from_metres",
     "project_orthographic",
     "project_pair",
     "proportions_torso_basis",
     "sample_views",
-    "swap_people",
     "true_direction",
     "view_accuracy",
     "view_rotmat",

@@ -25,7 +25,6 @@ __all__ = [
     "local_frame",
     "pair_frame",
     "project_pair",
-    "swap_people",
     "true_direction",
 ]
 
@@ -131,11 +130,6 @@ def true_direction(pair17_m: Array, camera: PinholeCamera) -> Array:
     """
     middle = pair17_m[..., _PELVIS, :].mean(axis=-2)
     return pair_frame(pair17_m).coordinates(normalise(camera.position_m - middle))
-
-
-def swap_people(direction: Array) -> Array:
-    """Return views (*batch, 3) of the same scene when person A is called B and B is called A: i and k turn round."""
-    return np.asarray(direction) * np.array([-1.0, 1.0, -1.0])
 
 
 def angles_of_direction(direction: Array) -> tuple[Array, Array]:

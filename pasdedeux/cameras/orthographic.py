@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = ["metres_from_pixels", "pixels_from_metres", "project_orthographic", "view_rotmat"]
+__all__ = ["metres_from_pixels", "project_orthographic", "view_rotmat"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,10 +47,3 @@ def metres_from_pixels(px: Array, metres_per_pixel: Array | float, origin_px: Ar
     scale = np.asarray(metres_per_pixel, dtype=np.float64)[..., None, None]
     origin = np.zeros(2) if origin_px is None else np.asarray(origin_px, dtype=np.float64)
     return np.asarray((px - origin[..., None, :]) * scale * _FLIP_Y)
-
-
-def pixels_from_metres(image_m: Array, metres_per_pixel: Array | float, origin_px: Array | None = None) -> Array:
-    """Return pixels (*batch, n, 2), x right and y down, of image points in metres: `metres_from_pixels` inverted."""
-    scale = np.asarray(metres_per_pixel, dtype=np.float64)[..., None, None]
-    origin = np.zeros(2) if origin_px is None else np.asarray(origin_px, dtype=np.float64)
-    return np.asarray(image_m * _FLIP_Y / scale + origin[..., None, :])

@@ -83,13 +83,6 @@ class PinholeCamera:
         y = self.principal_point_px[1] - scale * seen[..., 1]
         return Projection(px=np.stack([x, y], axis=-1), depth_m=depth)
 
-    def unproject(self, px: Array, depth_m: Array | float) -> Array:
-        """Return the world points (*batch, 3) that are seen at pixels (*batch, 2) at depths (*batch,) in metres."""
-        depth = np.asarray(depth_m, dtype=np.float64)
-        offset = (np.asarray(px, dtype=np.float64) - self.principal_point_px) * np.array([1.0, -1.0]) / self.focal_px
-        seen = np.concatenate([offset, -np.ones_like(offset[..., :1])], axis=-1) * depth[..., None]
-        return np.asarray(seen @ self.camera_from_world_rotmat + self.position_m)
-
     def is_inside(self, px: Array) -> npt.NDArray[np.bool_]:
         """Tell which pixels (*batch, 2) lie inside the image; NaN does not."""
         width, height = self.image_size_px

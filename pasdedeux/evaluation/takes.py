@@ -7,19 +7,14 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.drawing import PERSON_COLOURS, Panel, Pose, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["closest_joint_distance", "take_scores", "take_sheet"]
+__all__ = ["take_scores", "take_sheet"]
 
 Array = npt.NDArray[np.float64]
 _CLOSE_M = 0.15
 """Closest joints under this distance count as close contact."""
-
-
-def closest_joint_distance(pairs_m: Array) -> Array:
-    """Return the least distance (frame,) between a joint of A and a joint of B; pairs_m is (frame, 2, joint, 3)."""
-    difference = pairs_m[:, 0, :, None, :] - pairs_m[:, 1, None, :, :]
-    return np.asarray(np.linalg.norm(difference, axis=-1).min(axis=(1, 2)))
 
 
 def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:

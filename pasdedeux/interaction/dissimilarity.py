@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.interaction.graph import Edges, Graph, graph_edges
+from pasdedeux.interaction.graph import Edges, delaunay_edges
 from pasdedeux.kinematics import align_rigid
 
 __all__ = [
@@ -77,19 +77,17 @@ def align_plane(moving: Array, fixed: Array) -> Array:
     return np.asarray(turned + centre)
 
 
-def interaction_dissimilarity(
-    first: Array, second: Array, *, graph: Graph = Graph.DELAUNAY, beta_m: float = BETA_M
-) -> float:
+def interaction_dissimilarity(first: Array, second: Array, *, beta_m: float = BETA_M) -> float:
     """Return d_I of eq. 8 (Yin et al. 2018) between two point sets (n, d), metres: D_I when d is 3.
 
     `first` is brought onto `second` by the best proper rigid motion; then the edge vectors of both are compared over
-    the graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It is
-    symmetric and 0 for the same shape, but no metric: edges change with the points.
+    the Delaunay graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It
+    is symmetric and 0 for the same shape, but no metric: edges change with the points.
 
     Raises:
         InputError: A coordinate is not finite.
     """
-    first_edges, second_edges = graph_edges(first, graph), graph_edges(second, graph)
+    first_edges, second_edges = delaunay_edges(first), delaunay_edges(second)
     moved = align_plane(first, second) if first.shape[-1] == 2 else align_rigid(first, second).apply(first)
     difference = moved - second
     total = 0.0

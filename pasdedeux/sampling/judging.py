@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 
 from pasdedeux.cameras import pair_frame, view_rotmat
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import gap_m
+from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, capsule_model
@@ -114,7 +114,7 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
             root, *rest = _LIMBS[limb]
             false[row, person, rest, 2] = 2.0 * seen[row, person, root, 2] - seen[row, person, rest, 2]
     elif kind in _SLIDE_M:
-        rows = np.flatnonzero(gap_m(pairs_m) < CLOSE_GAP_M)
+        rows = np.flatnonzero(closest_joint_distance(pairs_m) < CLOSE_GAP_M)
         false[:, 1, :, 2] += (_SLIDE_M[kind] * sign)[:, None]
     elif kind in _INSIDE_M:
         moved = [_pushed(pair, _INSIDE_M[kind]) for pair in seen]

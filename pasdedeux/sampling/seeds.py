@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction import cartesian_dissimilarity, gap_m
+from pasdedeux.interaction import cartesian_dissimilarity, closest_joint_distance
 from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model
 from pasdedeux.skeletons import PAIR17
 
@@ -59,7 +59,7 @@ def seed_quality(pairs_m: Array, limits: JointLimits, *, alpha: float = 10.0) ->
     return SeedQuality(
         num_invalid=nearest.num_invalid.sum(axis=-1),
         violation_m2=nearest.squared_distance_m2.sum(axis=-1) + alpha * depth**2,
-        gap_m=gap_m(pairs),
+        gap_m=closest_joint_distance(pairs),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pasdedeux.choreography import Duet
 from pasdedeux.plausibility import JointLimits, capsule_model, segment_distance
 from pasdedeux.skeletons import BODY22
-from pasdedeux.skeletons.layouts import get_layout
+from pasdedeux.skeletons.layouts import LAYOUTS
 
 __all__ = ["Measured", "measure"]
 
@@ -38,7 +38,7 @@ def measure(duet: Duet) -> Measured:
     velocity = np.diff(positions, axis=0) * duet.rate_hz
     acceleration = np.diff(velocity, axis=0) * duet.rate_hz
     jerk = np.diff(acceleration, axis=0) * duet.rate_hz
-    pair17 = get_layout("body22").joint_map("pair17").positions(positions, BODY22.joint_names)
+    pair17 = LAYOUTS["body22"].joint_map("pair17").positions(positions, BODY22.joint_names)
     within, between = _penetration(duet, positions)
     return Measured(
         contact_error_m=contact,

@@ -13,7 +13,7 @@ from pasdedeux.formats import count_amc_frames, read_amc, read_asf, read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
-from pasdedeux.skeletons.layouts import get_layout
+from pasdedeux.skeletons.layouts import LAYOUTS
 from tests.builders.source_samples import AMC, ASF
 
 UNIT_M = 0.0254 / 0.45
@@ -132,8 +132,8 @@ def cmu(data_dir: Path, subject: str, take: str, rate_hz: float) -> Motion:
 def test_the_original_amc_agrees_with_its_conversion_to_bvh(data_dir: Path) -> None:
     amc = cmu(data_dir, "60", "01", 60.0)
     bvh = read_bvh((data_dir / "cmu_salsa_bvh" / "60_01.bvh").read_bytes()).to_motion(metres_per_unit=1.263, rate_hz=60)
-    ours = derive_working_poses(amc, get_layout("cmu_asf")).pair17_m
-    theirs = derive_working_poses(bvh, get_layout("cmu_daz")).pair17_m
+    ours = derive_working_poses(amc, LAYOUTS["cmu_asf"]).pair17_m
+    theirs = derive_working_poses(bvh, LAYOUTS["cmu_daz"]).pair17_m
     median = np.median(np.linalg.norm(ours - theirs, axis=-1), axis=0)
     # The conversion moved the figure to other bone lengths: legs stay within 4 cm, arms were widened by 12-14 cm.
     for joint in ("pelvis", "spine", "chest", "neck", "left_hip", "right_hip", "left_knee", "right_knee"):
@@ -146,7 +146,7 @@ def test_the_original_amc_agrees_with_its_conversion_to_bvh(data_dir: Path) -> N
 
 
 def test_a_walking_person_walks_forward_on_the_floor_with_the_left_side_on_the_left(data_dir: Path) -> None:
-    poses = derive_working_poses(cmu(data_dir, "02", "01", 120.0), get_layout("cmu_asf")).body22_m
+    poses = derive_working_poses(cmu(data_dir, "02", "01", 120.0), LAYOUTS["cmu_asf"]).body22_m
     feet = poses[:, BODY22.indices(["left_toe", "right_toe"]), 1].min(axis=1)
     assert 0.0 < np.percentile(feet, 5) < 0.06
     travel = poses[-1, 0] - poses[0, 0]

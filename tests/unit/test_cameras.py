@@ -52,13 +52,6 @@ def test_at_yaw_zero_the_camera_stands_on_plus_z_and_yaw_turns_it_towards_plus_x
     assert look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=1.0, pitch_rad=0.5, focal_px=1.0).position_m[1] > 0
 
 
-def test_back_projection_inverts_projection() -> None:
-    points = np.random.default_rng(1).normal(size=(4, 5, 3))
-    camera = _camera()
-    seen = camera.project(points)
-    np.testing.assert_allclose(camera.unproject(seen.px, seen.depth_m), points, atol=1e-10)
-
-
 def test_points_behind_the_camera_have_no_pixels() -> None:
     camera = look_at_camera(np.zeros(3), distance_m=2.0, yaw_rad=0.0, pitch_rad=0.0, focal_px=1000.0)
     seen = camera.project(np.array([0.0, 0.0, 3.0]))

@@ -11,7 +11,7 @@ from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.overlay import overlay_clip
 from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
-from pasdedeux.evaluation.takes import closest_joint_distance, take_scores, take_sheet
+from pasdedeux.evaluation.takes import take_scores, take_sheet
 from pasdedeux.skeletons import BODY22, OP14
 from storage_schema.tables import TABLES
 
@@ -144,5 +144,4 @@ def test_take_scores_know_how_close_people_are() -> None:
     people = np.zeros((10, 2, 22, 3))
     people[:, 1, :, 0] = 1.0
     people[5:, 1, :, 0] = 0.1
-    assert np.allclose(closest_joint_distance(people), [1.0] * 5 + [0.1] * 5)
     assert {s.metric: s.value for s in take_scores("t", people, 10.0)}["share_closer_than_15_cm"] == 0.5

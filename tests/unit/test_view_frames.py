@@ -15,9 +15,7 @@ from pasdedeux.cameras import (
     look_at_camera,
     metres_from_pixels,
     pair_frame,
-    pixels_from_metres,
     project_pair,
-    swap_people,
     true_direction,
     view_rotmat,
 )
@@ -115,7 +113,7 @@ def test_the_backbones_point_up_in_the_image_and_nothing_is_mirrored() -> None:
 def test_swapping_the_people_swaps_their_views_and_keeps_the_picture() -> None:
     pairs = random_pairs(4)
     abc = normalise(np.random.default_rng(4).normal(size=(20, 3)))
-    swapped = project_pair(pairs[:, ::-1], swap_people(abc))
+    swapped = project_pair(pairs[:, ::-1], abc * [-1.0, 1.0, -1.0])
     np.testing.assert_allclose(swapped[:, ::-1], project_pair(pairs, abc), atol=1e-12)
 
 
@@ -134,8 +132,7 @@ def test_view_axes_are_a_proper_rotation_also_when_up_is_along_the_view() -> Non
     np.testing.assert_allclose(np.linalg.det(rotmat), 1.0)
 
 
-def test_pixels_and_metres_invert_each_other_and_turn_the_vertical_round() -> None:
+def test_pixels_become_metres_with_the_vertical_turned_round() -> None:
     px = np.array([[[100.0, 50.0], [110.0, 80.0]]])
     image = metres_from_pixels(px, np.array([0.01]), np.array([[100.0, 50.0]]))
     np.testing.assert_allclose(image, [[[0, 0], [0.1, -0.3]]])
-    np.testing.assert_allclose(pixels_from_metres(image, np.array([0.01]), np.array([[100.0, 50.0]])), px)

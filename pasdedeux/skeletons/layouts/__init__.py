@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pasdedeux.errors import InputError
 from pasdedeux.skeletons.layouts.cmu import CMU_ASF, CMU_CGSPEED, CMU_DAZ
 from pasdedeux.skeletons.layouts.keypoints import KEYPOINT_LAYOUTS, KeypointLayout
 from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
@@ -17,7 +16,6 @@ __all__ = [
     "KeypointLayout",
     "Layout",
     "find_layout",
-    "get_layout",
     "joints_missing",
 ]
 
@@ -54,10 +52,3 @@ def joints_missing(joint_names: Sequence[str]) -> tuple[Layout, list[str]] | Non
     nearest = min(LAYOUTS.values(), key=lambda layout: len(lacking[layout.name]) / len(layout.signature))
     missing = lacking[nearest.name]
     return (nearest, missing) if 2 * len(missing) <= len(nearest.signature) else None
-
-
-def get_layout(name: str) -> Layout:
-    """Return the layout of this name, or an InputError that lists the known ones."""
-    if name not in LAYOUTS:
-        raise InputError(f"layout '{name}' is not known; known layouts: {', '.join(LAYOUTS)}")
-    return LAYOUTS[name]

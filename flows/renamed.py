@@ -15,6 +15,8 @@ __all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
 RENAMED_KEYS: dict[str, str] = {
     "views.least_weight": "views.least_weight is now views.min_weight",
     "views.least_root_distance_m": "views.least_root_distance_m is now views.min_root_distance_m",
+    "views.calibrate_sizes": "the ratio of body sizes is always learned: leave it out",
+    "seeds.num_hypotheses": "more than the likeliest view of an annotation brought nothing: leave it out",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
 """Old study key, or key=value, to one sentence with the new name or what became of it."""

@@ -11,6 +11,7 @@ from pydantic import Field
 from pasdedeux.cameras import TorsoBasis, learn_torso_basis
 from pasdedeux.plausibility import ANGLES, BONES, JointLimits, Occupancy
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
@@ -142,7 +143,7 @@ def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:
     """Return poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
     poses = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
     frames = np.unique(np.asarray(poses["frame"]))
-    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(most, len(frames))).round().astype(int))]
+    chosen = frames[evenly_spread(len(frames), most)]
     rows = np.flatnonzero(np.isin(np.asarray(poses["frame"]), chosen))
     return np.asarray(poses["pair17_m"], dtype=np.float64)[rows]
 

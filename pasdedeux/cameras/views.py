@@ -59,18 +59,15 @@ USUAL_DISTANCE_M = 4.0
 class ViewOptions(Settings):
     """What is assumed of cameras and people when views are estimated.
 
-    The ratio of the two bodies' sizes is learned (`calibrate_sizes`) from that of their apparent sizes over all
-    annotations, as far as neither person stays the nearer: many cameras say much, one camera says little unless the two
-    pass round each other in front of it.
+    The ratio of the two bodies' sizes is learned from that of their apparent sizes over all annotations, as far as
+    neither person stays the nearer: many cameras say much, one camera says little unless the two pass round each other
+    in front of it.
     """
 
     distance_m: float | None = Field(
         USUAL_DISTANCE_M,
         gt=0,
         description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth",
-    )
-    calibrate_sizes: bool = Field(
-        True, description="Learn the ratio of body sizes from apparent sizes over many cameras; one camera says little"
     )
     size_deviation: float = Field(
         0.035, gt=0, le=1, description="Relative error of the ratio of apparent sizes, beyond the fit's and the bodies'"
@@ -289,8 +286,6 @@ def _size_ratio(pairs: _Lifted, cameras: Indices, options: ViewOptions) -> _Size
     A camera in front of which person B stays on one side of A may have B always nearer, and says as much as a single
     frame; the more evenly the two change sides, the more their depths balance.
     """
-    if not options.calibrate_sizes:
-        return _Sizes(log_ratio=0.0, variance=BODY_DEVIATION**2)
     # A smaller body fitted with the same mean torso has more metres to a pixel than it should.
     apparent = np.log(pairs.metres_per_pixel[:, 1] / pairs.metres_per_pixel[:, 0]).mean(axis=-1)
     across = (pairs.root_px[:, 1, :, 0] - pairs.root_px[:, 0, :, 0]).mean(axis=-1)

@@ -51,7 +51,6 @@ def complete_pair(
     *,
     num_nearest: int = NUM_NEAREST,
     num_ranked: int = 2 * NUM_NEAREST,
-    blend_deviation_m: float = BLEND_DEVIATION_M,
 ) -> Completion:
     """Complete the joints of a pair that are NaN.
 
@@ -60,14 +59,13 @@ def complete_pair(
         draws_m: Draws (draw, 2, 17, 3), metres.
         num_nearest: Draws the median is taken over.
         num_ranked: Draws that D_I is measured for.
-        blend_deviation_m: Width of the blending, metres.
 
     Raises:
-        InputError: There is no draw, fewer than 5 joints are visible, or a width is not positive.
+        InputError: There is no draw, or fewer than 5 joints are visible.
     """
     found = nearest_by_interaction(draws_m, pair_m, count=num_nearest, num_ranked=num_ranked)
     median = np.median(found.pairs_m, axis=0)
-    blended = blend_onto(median, pair_m, deviation_m=blend_deviation_m)
+    blended = blend_onto(median, pair_m)
     is_visible = np.isfinite(pair_m).all(axis=-1)
     lengths = known_lengths(pair_m, found.pairs_m)
     deviation = np.where(is_visible, _VISIBLE_DEVIATION_M, _BLENDED_DEVIATION_M)[..., None]
@@ -75,22 +73,22 @@ def complete_pair(
     return Completion(pair_m=blended, fitted_m=fitted, median_m=median, neighbours=found)
 
 
-def blend_onto(median_m: Array, pair_m: Array, *, deviation_m: float = BLEND_DEVIATION_M) -> Array:
+def blend_onto(median_m: Array, pair_m: Array) -> Array:
     """Deform a pair (person=2, joint=17, 3) onto the visible joints of another, metres.
 
     A visible joint goes where it is seen.  A hidden one moves by the mean of the visible ones' moves, weighted by
-    exp(-d^2 / (2 deviation^2)) of their distances d in the median; far from all of them the nearest decides.
+    exp(-d^2 / (2 s^2)), s = 0.2 m, of their distances d in the median; far from all of them the nearest decides.
 
     Raises:
-        InputError: No joint is visible, or the width is not positive.
+        InputError: No joint is visible.
     """
     is_visible = np.isfinite(pair_m).all(axis=-1).ravel()
-    if not is_visible.any() or not deviation_m > 0.0:
-        raise InputError(f"blending needs a visible joint and a positive width; the width is {deviation_m} m")
+    if not is_visible.any():
+        raise InputError("blending needs at least one visible joint")
     points, target = median_m.reshape(-1, 3), np.asarray(pair_m, dtype=np.float64).reshape(-1, 3)
     moves = target[is_visible] - points[is_visible]
     squared = np.sum((points[:, None] - points[None, is_visible]) ** 2, axis=-1)
-    weight = np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True)) / deviation_m**2)
+    weight = np.exp(-0.5 * (squared - squared.min(axis=1, keepdims=True)) / BLEND_DEVIATION_M**2)
     moved = points + (weight / weight.sum(axis=1, keepdims=True)) @ moves
     return np.where(is_visible[:, None], target, moved).reshape(median_m.shape)
 

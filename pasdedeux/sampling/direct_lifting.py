@@ -25,6 +25,7 @@ from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
 
 __all__ = ["LiftedSeeds", "apparent_bone_lengths", "lift_pair", "lift_seeds"]
 
@@ -119,7 +120,6 @@ def lift_pair(
 
 def lift_seeds(
     annotated: AnnotatedPairs,
-    weights: Array,
     limits: JointLimits,
     basis: TorsoBasis,
     *,
@@ -129,8 +129,7 @@ def lift_seeds(
     """Lift annotations that cover all of them: the medoids of `num_seeds` groups under d_I.
 
     Args:
-        annotated: Annotated pairs.
-        weights: Weight of each entry, (entry,): an annotation is lifted by its heaviest hypothesis.
+        annotated: Annotated pairs, each under its likeliest view alone.
         limits: Joint limits.
         basis: Torso basis, of other takes.
         num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.
@@ -139,14 +138,11 @@ def lift_seeds(
     Raises:
         InputError: There are fewer annotations than seeds, or too few that give a possible pair.
     """
-    heaviest = np.lexsort((-weights, annotated.annotation_index))
-    _, first = np.unique(annotated.annotation_index[heaviest], return_index=True)
-    entries = heaviest[first]
-    lengths = apparent_bone_lengths(annotated.points_m[entries])
-    if len(entries) < num_seeds:
-        raise InputError(f"{num_seeds} seeds were to be lifted, but there are only {len(entries)} annotated pairs")
-    most = max(max_annotations, num_seeds)
-    shown = entries[np.unique(np.linspace(0, len(entries) - 1, min(most, len(entries))).round().astype(int))]
+    count = len(annotated.points_m)
+    lengths = apparent_bone_lengths(annotated.points_m)
+    if count < num_seeds:
+        raise InputError(f"{num_seeds} seeds were to be lifted, but there are only {count} annotated pairs")
+    shown = evenly_spread(count, max(max_annotations, num_seeds))
     matrix = dissimilarity_matrix(annotated.points_m[shown].reshape(len(shown), -1, 2))
     found: list[Array] = []
     used: list[int] = []

@@ -24,6 +24,7 @@ from pasdedeux.completion import (
     straight_between,
 )
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, first_two, read_people
@@ -65,7 +66,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     every, num_skipped = _read(shard, store, options.num_hypotheses)
     is_video = annotated.facts.get("purpose") == "video" and options.between_frames > 0
     spans = _spans(every, options.num_spans, options.between_frames) if is_video else []
-    wanted = sorted({*_spread(every, options.max_frames), *(end for span in spans for end in span)})
+    places = list(every)
+    chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
+    wanted = sorted({*chosen, *(end for span in spans for end in span)})
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
     for place in wanted:
@@ -144,22 +147,11 @@ def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, 
     return found, len(people) - len(found)
 
 
-def _spread(every: dict[Place, _Annotated], count: int) -> list[Place]:
-    places = list(every)
-    if not places:
-        return []
-    return [
-        places[at] for at in np.unique(np.linspace(0, len(places) - 1, min(count, len(places))).round().astype(int))
-    ]
-
-
 def _spans(every: dict[Place, _Annotated], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
     """Return pairs of places of one sequence that are `gap` frames apart, spread over all, not overlapping."""
     starts = [place for place in every if (place[0], place[1] + gap) in every]
-    if not starts or not num_spans:
-        return []
-    chosen = np.unique(np.linspace(0, len(starts) - 1, num_spans).round().astype(int))
-    return [(starts[at], (starts[at][0], starts[at][1] + gap)) for at in chosen]
+    chosen = [starts[at] for at in evenly_spread(len(starts), num_spans)]
+    return [((sequence, first), (sequence, first + gap)) for sequence, first in chosen]
 
 
 def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:

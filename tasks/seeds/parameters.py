@@ -38,7 +38,6 @@ class SeedsParameters(GrowthOptions, Parameters):
         0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
-    num_hypotheses: int = Field(1, ge=1, description="Likeliest view hypotheses of an annotation; more brought nothing")
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
@@ -72,7 +71,6 @@ class LiftedSeeds(Parameters):
     first_index: int
     num_lifted: int
     max_annotations: int
-    num_hypotheses: int
 
 
 class GrownSeeds(GrowthOptions, Parameters):
@@ -81,4 +79,3 @@ class GrownSeeds(GrowthOptions, Parameters):
     first_index: int
     num_grown: int
     num_starts: int
-    num_hypotheses: int

@@ -13,6 +13,7 @@ from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
+from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from tasks.annotated_pairs import PlacedPairs, gather
@@ -74,14 +75,10 @@ def _commit_one(
 ) -> ArtifactRef:
     """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
     quality = seed_quality(pair_m[None], read_limits(store, shard.refs("priors")))
-    num_invalid = int(quality.num_invalid[0])
-    is_possible = bool(quality.is_possible[0])
-    verdict = Verdict(
-        Level.PASS if is_possible else Level.FAIL,
-        "" if is_possible else f"over {MAX_INVALID_ANGLES} joint angles are out of range: no chain can start here",
-        figure="joint angles out of range",
-        value=num_invalid,
-    )
+    verdict = Verdict(Level.PASS)
+    if not quality.is_possible[0]:
+        reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {MAX_INVALID_ANGLES} may be"
+        verdict = Verdict(Level.FAIL, f"{reason}: no chain can start here")
     columns = _columns(origin, [index], gauge_fix(pair_m)[None], quality.log_prior, **known)
     facts = {"kind": "seed", "seed_index": index, **facts}
     return commit(shard, store, tables={"seeds": columns}, facts=facts, sources=sources, verdict=verdict)
@@ -116,9 +113,9 @@ def _columns(
     }
 
 
-def _annotated(shard: Shard, store: Store, num_hypotheses: int) -> PlacedPairs:
-    annotations, views = shard.refs("annotations"), shard.refs("views")
-    return gather(store, annotations=annotations, views=views, num_hypotheses=num_hypotheses)
+def _annotated(shard: Shard, store: Store) -> PlacedPairs:
+    """Return the annotated pairs under their likeliest views: more hypotheses of a view brought nothing."""
+    return gather(store, annotations=shard.refs("annotations"), views=shard.refs("views"), num_hypotheses=1)
 
 
 def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
@@ -132,10 +129,9 @@ def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
 
 def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
     """Lift annotations that stand for all of them from 2D alone."""
-    placed = _annotated(shard, store, options.num_hypotheses)
+    placed = _annotated(shard, store)
     seeds = lift_seeds(
         placed.gathered.pairs,
-        placed.gathered.weights,
         read_limits(store, shard.refs("priors")),
         read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
         num_seeds=options.num_lifted,
@@ -157,7 +153,7 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     """Grow pairs over the annotations from the seeds of the shards before this one."""
     before = [_done(key, store) for key in shard.after]
     roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
-    placed = _annotated(shard, store, options.num_hypotheses)
+    placed = _annotated(shard, store)
     limits = read_limits(store, shard.refs("priors"))
     growth = grow(roots, placed.gathered.pairs, limits, num_grown=options.num_grown, options=options)
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
@@ -213,9 +209,7 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(shard.refs("poses")):
         facts = store.manifest(ref).facts
-        num_frames = int(facts["num_frames"])
-        count = min(options.max_frames_per_take, num_frames)
-        frames = np.unique(np.linspace(0, num_frames - 1, count).round().astype(int))
+        frames = evenly_spread(int(facts["num_frames"]), options.max_frames_per_take)
         pairs.append(_read_pairs(store, ref, frames))
         take_of.append(np.full(len(frames), take))
         frame_of.append(frames)

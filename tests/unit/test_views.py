@@ -79,9 +79,7 @@ def test_a_smaller_partner_is_not_taken_for_a_farther_one() -> None:
     px, truth = filmed(pairs, 6)
     estimates = estimate_views(px, BASIS)
     assert estimates.size_ratio == pytest.approx(1 / 0.85, rel=0.04)
-    plain = estimate_views(px, BASIS, options=ViewOptions(calibrate_sizes=False))
-    calibrated = np.median(view_accuracy(estimates, truth).best_rad)
-    assert calibrated < 0.6 * np.median(view_accuracy(plain, truth).best_rad)
+    assert np.rad2deg(np.median(view_accuracy(estimates, truth).best_rad)) < 8
     scale = estimates.metres_per_pixel[estimates.best()]
     heights = np.linalg.norm(np.diff(px[:, :, [0, 3]], axis=2), axis=-1)[..., 0] * scale
     assert np.median(heights[:, 1] / heights[:, 0]) == pytest.approx(0.85, rel=0.05)

@@ -62,22 +62,22 @@ def test_bone_lengths_are_read_off_many_views() -> None:
 
 def test_lifted_seeds_are_close_to_the_pairs_that_were_seen() -> None:
     pairs, entries = annotated(120)
-    seeds = lift_seeds(entries, np.ones(120), LIMITS, BASIS, num_seeds=8)
+    seeds = lift_seeds(entries, LIMITS, BASIS, num_seeds=8)
     error = cartesian_dissimilarity(seeds.pairs_m.reshape(-1, 34, 3), pairs[seeds.entry].reshape(-1, 34, 3))
     assert len(np.unique(seeds.entry)) == 8
     assert np.median(error) < 0.1
     expected = np.broadcast_to(apparent_bone_lengths(entries.points_m), (8, 2, 17))
     np.testing.assert_allclose(bone_lengths(PAIR17, seeds.pairs_m), expected, atol=1e-9)
-    again = lift_seeds(entries, np.ones(120), LIMITS, BASIS, num_seeds=8)
+    again = lift_seeds(entries, LIMITS, BASIS, num_seeds=8)
     np.testing.assert_array_equal(again.pairs_m, seeds.pairs_m)
 
 
 def test_lifting_says_what_it_cannot_do() -> None:
     _, entries = annotated(5)
     with pytest.raises(InputError, match="only 5 annotated pairs"):
-        lift_seeds(entries, np.ones(5), LIMITS, BASIS, num_seeds=6)
+        lift_seeds(entries, LIMITS, BASIS, num_seeds=6)
     narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
     with pytest.raises(InputError, match="no pair keeps the joint limits"):
-        lift_seeds(entries, np.ones(5), narrow, BASIS, num_seeds=1)
+        lift_seeds(entries, narrow, BASIS, num_seeds=1)
     lengths = apparent_bone_lengths(entries.points_m)
     assert lift_pair(np.zeros((2, 17, 2)), entries.directions[0], lengths, LIMITS, BASIS) is None

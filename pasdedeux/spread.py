@@ -1,0 +1,21 @@
+"""Some of many, evenly spread: which frames, annotations or rows stand for all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["evenly_spread"]
+
+
+def evenly_spread(total: int, count: int) -> npt.NDArray[np.int64]:
+    """Return at most `count` indices below `total`, evenly spread and rising; two or more hold the first and the last.
+
+    All of them where there are no more than asked for; none of none.
+
+    >>> evenly_spread(10, 4).tolist()
+    [0, 3, 6, 9]
+    """
+    if total < 1 or count < 1:
+        return np.zeros(0, dtype=np.int64)
+    return np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(np.int64))

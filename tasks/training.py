@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from pasdedeux.learning import MODELS, LogEntry, TrainingItem, VariantKey, VariantRequest, make_split, model_class
+from pasdedeux.evaluation.model_metrics import model_errors
+from pasdedeux.learning import (
+    BASELINES,
+    MODELS,
+    LogEntry,
+    SplitName,
+    TrainingItem,
+    VariantKey,
+    VariantModel,
+    VariantRequest,
+    make_split,
+    model_class,
+)
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import PairTake, read_pair
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, named_refs, stream
 
 __all__ = ["STAGE", "VERSION", "TrainingParameters", "plan", "read_items", "run_shard"]
 
 VERSION = 1
 
-SplitName = Literal["random", "cross_scale", "cross_interaction", "cross_scale_interaction"]
+_JUDGED = 24
+"""Test variants that the verdict looks at, spread evenly; the evaluation looks at all."""
 
 
-class TrainingParameters(Parameters):
-    """Which models are trained on which splits."""
+class ModelsParameters(Parameters):
+    """What the section of a study and the shard of a split have in common."""
 
-    splits: tuple[SplitName, ...] = Field(
-        ("cross_scale",), description="Splits: random, cross_scale, cross_interaction, cross_scale_interaction"
-    )
     models: tuple[str, ...] = Field(tuple(MODELS), min_length=1, description=f"Models: {', '.join(MODELS)}")
     test_takes: tuple[str, ...] = Field((), description="Takes the splits across interactions test on, beside held-out")
 
@@ -36,6 +46,20 @@ class TrainingParameters(Parameters):
             if name not in MODELS:
                 raise ValueError(f"training.models: '{name}' is not known; known models: {', '.join(MODELS)}")
         return models
+
+
+class TrainingParameters(ModelsParameters):
+    """Which models are trained on which splits."""
+
+    splits: tuple[SplitName, ...] = Field(
+        ("cross_scale",), description="Splits: random, cross_scale, cross_interaction, cross_scale_interaction"
+    )
+
+
+class SplitParameters(ModelsParameters):
+    """One split, on which all models are trained."""
+
+    split: SplitName
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -51,12 +75,12 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
             version=VERSION,
             partition=split,
             name=split,
-            parameters={
-                "split": split,
-                "models": list(parameters.models),
-                "test_takes": sorted(parameters.test_takes),
-            },
-            inputs=tuple(manifest.ref for manifest in (*takes, *variants)),
+            parameters=SplitParameters(
+                split=split,
+                models=tuple(sorted(parameters.models)),
+                test_takes=tuple(sorted(parameters.test_takes)),
+            ),
+            inputs=named_refs(takes=takes, variants=variants),
             seed=inputs.seed,
         )
         for split in parameters.splits
@@ -69,16 +93,14 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     Raises:
         InputError: The split has no training or no test variant.
     """
-    split_name = str(shard.parameters["split"])
-    takes: dict[str, PairTake] = {}
+    parameters = shard.options(SplitParameters)
+    split_name = parameters.split
+    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in shard.refs("takes")}
     homes: dict[tuple[str, str], ArtifactRef] = {}
     keys: list[VariantKey] = []
     held_out: set[str] = set()
-    for ref in shard.inputs:
+    for ref in shard.refs("variants"):
         facts = store.manifest(ref).facts
-        if facts["kind"] == "take":
-            takes[facts["take_id"]] = read_pair(store, ref)
-            continue
         table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
         if facts["is_held_out"]:
             held_out.add(facts["take_id"])
@@ -86,7 +108,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             if table["verdict"][row] != "fail":
                 keys.append(VariantKey(facts["take_id"], str(variant_id), table["bone_scale"][row]))
             homes[facts["take_id"], str(variant_id)] = ref
-    test_takes = sorted(held_out | set(shard.parameters["test_takes"]))
+    test_takes = sorted(held_out | set(parameters.test_takes))
     split = make_split(split_name, keys, stream(shard.seed, "training", split_name), test_takes=test_takes)
 
     def items() -> Iterator[TrainingItem]:
@@ -94,8 +116,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 
     models: dict[str, list] = {"split": [], "model": [], "array_name": [], "array_shape": [], "values": []}
     log: dict[str, list] = {"split": [], "model": [], "step": [], "quantity": [], "value": []}
-    for name in sorted(shard.parameters["models"]):
+    trained: dict[str, VariantModel] = {}
+    for name in parameters.models:
         model, entries = model_class(name).train(items)
+        trained[name] = model
         for array_name, values in sorted(model.arrays().items()):
             _add(models, split_name, name, array_name, np.array(values.shape, np.int32), values.ravel())
         sizes = [LogEntry(0, "num_train", len(split.train)), LogEntry(0, "num_test", len(split.test))]
@@ -108,12 +132,37 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         facts={
             "kind": "models",
             "split": split_name,
-            "models": sorted(shard.parameters["models"]),
+            "models": list(parameters.models),
             "takes": split.train_takes,
             "shares_takes": split.shares_takes,
             "train": _by_take(split.train),
             "test": _by_take(split.test),
         },
+        verdict=_judge(trained, read_items(store, split.test[:: -(-len(split.test) // _JUDGED)], homes, takes)),
+    )
+
+
+def _judge(trained: Mapping[str, VariantModel], items: Iterator[TrainingItem]) -> Verdict:
+    """Return whether the best model is better than giving the source back, over test variants."""
+    errors: dict[str, list[float]] = {name: [] for name in trained}
+    copied: list[float] = []
+    none = np.zeros((0, 2), np.int64)
+    for item in items:
+        copied.append(model_errors(item.request.source.positions_m, item.motion_m, none).e_r_cm)
+        for name, model in trained.items():
+            errors[name].append(model_errors(model.predict(item.request), item.motion_m, none).e_r_cm)
+    means = {name: float(np.mean(found)) for name, found in errors.items()}
+    best = min([name for name in means if name not in BASELINES] or means, key=lambda name: means[name])
+    baseline = float(np.mean(copied))
+    is_good = best not in BASELINES and means[best] < baseline
+    return Verdict(
+        Level.PASS if is_good else Level.WARN,
+        "" if is_good else f"no trained model is better than copying the source on the test set (best: {best})",
+        figure=f"test error of {best}",
+        value=means[best],
+        unit="cm",
+        baseline=baseline,
+        baseline_name="copy of the source",
     )
 
 

@@ -11,7 +11,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
 from pasdedeux.learning.model import Items, LogEntry, TrainingItem, VariantModel, VariantRequest
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
-from pasdedeux.learning.splits import SPLIT_NAMES, Split, VariantKey, make_split
+from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
 
 __all__ = [
     "BASELINES",
@@ -23,6 +23,7 @@ __all__ = [
     "NaiveFkModel",
     "RidgeScaleModel",
     "Split",
+    "SplitName",
     "TrainingItem",
     "VariantKey",
     "VariantModel",
@@ -32,10 +33,17 @@ __all__ = [
     "model_class",
 ]
 
-MODELS: dict[str, type[VariantModel]] = {model.name: model for model in (CopyModel, NaiveFkModel, RidgeScaleModel)}
-"""Every model, by name."""
+MODELS: dict[str, type[VariantModel]] = {
+    model.name: model
+    for model in (
+        CopyModel,
+        NaiveFkModel,
+        RidgeScaleModel,
+    )
+}
+"""Every model, by name: a new one is a file with a `VariantModel` and a line here (and its import)."""
 
-BASELINES = ("copy", "naive_fk")
+BASELINES = tuple(name for name, model in MODELS.items() if not model.is_trained)
 """Models that learn nothing and stand beside every result."""
 
 

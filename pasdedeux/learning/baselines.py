@@ -19,6 +19,8 @@ Array = npt.NDArray[np.float64]
 class _Untrained(VariantModel):
     """A model without anything to learn; its one array says which form of it this is."""
 
+    is_trained = False
+
     @classmethod
     def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
         """Learn nothing; the items are not read."""
@@ -48,6 +50,7 @@ class NaiveFkModel(_Untrained):
     """Return the source's bone directions with the new lengths, each person alone."""
 
     name = "naive_fk"
+    has_exact_bones = True
 
     def predict(self, request: VariantRequest) -> Array:
         """Return plain forward kinematics."""

@@ -73,14 +73,27 @@ class LogEntry:
 
 
 class VariantModel(ABC):
-    """A model: trained on items, kept as named arrays, asked for motions."""
+    """The protocol of models: trained on items, kept as named arrays, asked for motions.
+
+    A model is a class with these members; `MODELS` lists it, and a contract test holds all that are listed to what is
+    said here.  Training twice on the same items gives the same arrays to the last bit: whatever is drawn comes from a
+    seed of the model's own.  Positions are metres, float64, axes (frame, person=2, body22 joint, 3).
+    """
 
     name: ClassVar[str]
+    """Name in studies and tables, unique."""
+    is_trained: ClassVar[bool] = True
+    """It learns from the items; models that do not are baselines, which stand beside every result."""
+    has_exact_bones: ClassVar[bool] = False
+    """Every motion has the source's bone lengths times the scales asked for, to rounding."""
 
     @classmethod
     @abstractmethod
     def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
-        """Train on items.
+        """Return the model trained on items, and figures of the training.
+
+        Args:
+            items: Gives the items anew each time it is called; a model reads them as often as it likes and holds few.
 
         Raises:
             InputError: There is nothing to train on, for a model that needs it.
@@ -93,7 +106,7 @@ class VariantModel(ABC):
     @classmethod
     @abstractmethod
     def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
-        """Make the model from its arrays.
+        """Return the model that these arrays were taken from: it predicts the same to the last bit.
 
         Raises:
             InputError: An array is missing or does not fit.
@@ -101,4 +114,10 @@ class VariantModel(ABC):
 
     @abstractmethod
     def predict(self, request: VariantRequest) -> Array:
-        """Return the motion of both people (T, 2, 22, 3), metres."""
+        """Return the motion of both people (T, 2, 22, 3), metres, of the request's T frames; always finite.
+
+        Takes that it was not trained on are answered too.
+
+        Raises:
+            InputError: A take that it was trained on has another number of frames.
+        """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +12,12 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["SPLIT_NAMES", "Split", "VariantKey", "make_split"]
+__all__ = ["SPLIT_NAMES", "Split", "SplitName", "VariantKey", "make_split"]
 
 Array = npt.NDArray[np.float64]
 
-SPLIT_NAMES = ("random", "cross_scale", "cross_interaction", "cross_scale_interaction")
+SplitName = Literal["random", "cross_scale", "cross_interaction", "cross_scale_interaction"]
+SPLIT_NAMES = get_args(SplitName)
 """random: a fifth of the variants; cross_scale: near scales train, far ones test, of the same takes;
 cross_interaction: some takes train, others test; cross_scale_interaction: both."""
 

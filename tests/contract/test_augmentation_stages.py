@@ -244,6 +244,10 @@ def test_a_stored_model_predicts(store: Store) -> None:
     inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
     (shard,) = training.plan(inputs, TrainingParameters())
     made = store.manifest(training.run_shard(shard, store))
+    verdict = verdict_of(made)
+    assert verdict is not None
+    assert (verdict.level, verdict.figure, verdict.unit) == (Level.PASS, "test error of ridge_scale", "cm")
+    assert verdict.value < verdict.baseline
     table = store.read(made.ref, "models")
     source = read_pair(store, takes[0].ref).source
     quality = store.read(variants[0].ref, "variant_quality")
@@ -261,6 +265,17 @@ def test_a_stored_model_predicts(store: Store) -> None:
     assert errors["ridge_scale"] < 0.8 * errors["copy"]
     log = store.read(made.ref, "training_log")
     assert "train_error_cm" in list(log["quantity"])
+
+
+def test_training_of_baselines_alone_says_that_nothing_was_learned(store: Store) -> None:
+    takes = [put_take(store, "one")]
+    variants = augment(store, takes)
+    inputs = StageInputs({"poses": takes, "variants": variants}, seed=3)
+    (shard,) = training.plan(inputs, TrainingParameters(models=("naive_fk", "copy")))
+    verdict = verdict_of(store.manifest(training.run_shard(shard, store)))
+    assert verdict is not None
+    assert verdict.level is Level.WARN
+    assert "no trained model is better than copying the source" in verdict.reason
 
 
 def test_a_split_without_far_scales_says_what_it_needs(store: Store) -> None:

@@ -1,5 +1,3 @@
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,6 @@ from pasdedeux.augmentation import (
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.model_metrics import key_joint_pairs, model_errors
 from pasdedeux.learning import (
-    MODELS,
     RidgeScaleModel,
     TrainingItem,
     VariantKey,
@@ -89,21 +86,6 @@ def test_on_an_unseen_take_ridge_learns_what_forward_kinematics_can_tell() -> No
     assert model_errors(predicted, truth, np.zeros((0, 2), int)).e_r_cm < 0.5
     copied = model_errors(other.positions_m, truth, np.zeros((0, 2), int)).e_r_cm
     assert copied > 3.0
-
-
-@pytest.mark.parametrize("name", sorted(MODELS))
-def test_every_model_survives_its_arrays(name: str) -> None:
-    def items() -> Iterator[TrainingItem]:
-        return iter(_quadratic_items([0.9, 1.1]))
-
-    model, _ = MODELS[name].train(items)
-    arrays = model.arrays()
-    assert arrays
-    again = load_model(name, arrays)
-    (variation,) = uniform_variations([0.8], ["A"])
-    for take_id in ("sway", "unseen"):
-        request = VariantRequest(take_id, TAKE, variation.bone_scale)
-        np.testing.assert_array_equal(model.predict(request), again.predict(request))
 
 
 def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:

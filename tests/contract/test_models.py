@@ -1,0 +1,107 @@
+"""What every registered model does, as `VariantModel` says."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import Augmenter, Source, uniform_variations
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.model_metrics import model_errors
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning import BASELINES, MODELS, TrainingItem, VariantModel, VariantRequest, load_model
+from pasdedeux.skeletons import BODY22
+from tests.builders.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(8), 30.0, "sway")
+UNSEEN = Source(swaying_pair(5, seed=9), 30.0, "unseen")
+KINDS = pytest.mark.parametrize("kind", MODELS.values(), ids=MODELS)
+
+
+@pytest.fixture(scope="module")
+def variants() -> list[TrainingItem]:
+    variations = uniform_variations([0.8, 0.9, 1.1, 1.2], ["A", "B"])
+    return [
+        TrainingItem(v.variation.variant_id, VariantRequest("sway", TAKE, v.bone_scale), v.positions_m)
+        for v in Augmenter(TAKE).solve(variations)
+    ]
+
+
+def train(kind: type[VariantModel], variants: list[TrainingItem]) -> VariantModel:
+    def items() -> Iterator[TrainingItem]:
+        return iter(variants)
+
+    model, log = kind.train(items)
+    assert all(np.isfinite(entry.value) for entry in log)
+    return model
+
+
+def requests() -> list[VariantRequest]:
+    scales = [variation.bone_scale for variation in uniform_variations([0.75, 1.0, 1.25], ["A", "AB"])]
+    return [VariantRequest(take.name, take, scale) for take in (TAKE, UNSEEN) for scale in scales]
+
+
+@KINDS
+def test_a_model_predicts_finite_motions_of_both_people_for_seen_and_unseen_takes(
+    kind: type[VariantModel], variants: list[TrainingItem]
+) -> None:
+    model = train(kind, variants)
+    for request in requests():
+        motion = model.predict(request)
+        assert motion.shape == request.source.positions_m.shape
+        assert motion.dtype == np.float64
+        assert np.isfinite(motion).all()
+        assert not np.shares_memory(motion, request.source.positions_m)
+
+
+@KINDS
+def test_training_again_gives_the_same_arrays_and_the_arrays_the_same_model(
+    kind: type[VariantModel], variants: list[TrainingItem]
+) -> None:
+    model, again = train(kind, variants), train(kind, variants)
+    arrays = model.arrays()
+    assert arrays
+    assert {name: values.tobytes() for name, values in arrays.items()} == {
+        name: values.tobytes() for name, values in again.arrays().items()
+    }
+    assert all(values.dtype == np.float64 for values in arrays.values())
+    loaded = load_model(kind.name, arrays)
+    for request in requests():
+        np.testing.assert_array_equal(model.predict(request), loaded.predict(request))
+
+
+@KINDS
+def test_bone_lengths_are_exact_where_promised(kind: type[VariantModel], variants: list[TrainingItem]) -> None:
+    model = train(kind, variants)
+    errors = []
+    for request in requests():
+        wanted = request.source.lengths_m * request.bone_scale
+        wanted[:, BODY22.root] = 0.0
+        errors.append(np.abs(bone_lengths(BODY22, model.predict(request)) - wanted).max())
+    assert (max(errors) < 1e-9) == kind.has_exact_bones
+
+
+@KINDS
+def test_what_is_trained_beats_the_copy_on_its_take_and_refuses_to_learn_from_nothing(
+    kind: type[VariantModel], variants: list[TrainingItem]
+) -> None:
+    assert kind.is_trained == (kind.name not in BASELINES)
+    if not kind.is_trained:
+        assert kind.train(lambda: iter([]))[1] == []
+        return
+    train_on = [item for item in variants if "0.90" in item.variant_id or "1.10" in item.variant_id]
+    models = [train(kind, train_on), train(MODELS["copy"], train_on)]
+    none = np.zeros((0, 2), np.int64)
+    own, copied = (
+        np.mean([model_errors(model.predict(item.request), item.motion_m, none).e_r_cm for item in variants])
+        for model in models
+    )
+    assert own < copied
+    with pytest.raises(InputError):
+        kind.train(lambda: iter([]))
+    with pytest.raises(InputError):
+        kind.from_arrays({})
+
+
+def test_baselines_are_registered() -> None:
+    assert BASELINES == ("copy", "naive_fk")

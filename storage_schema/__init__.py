@@ -18,7 +18,15 @@ from storage_schema.errors import (
 )
 from storage_schema.keys import artifact_key, canonical_json, content_digest, file_sha256
 from storage_schema.manifest import ArtifactRef, FileEntry, Manifest, TableFile
-from storage_schema.references import Reference, default_store, iter_rows, open_table, parse_reference, resolve
+from storage_schema.references import (
+    Reference,
+    default_store,
+    iter_rows,
+    open_table,
+    parse_reference,
+    resolve,
+    table_files,
+)
 from storage_schema.runs import (
     InputRecord,
     LatestRun,
@@ -92,5 +100,6 @@ __all__ = [
     "record_latest",
     "resolve",
     "source_files",
+    "table_files",
     "verify",
 ]

@@ -23,7 +23,7 @@ from storage_schema.store import Store
 from storage_schema.table_data import TableData, concatenate
 from storage_schema.tables import TABLES
 
-__all__ = ["Reference", "default_store", "iter_rows", "open_table", "parse_reference", "resolve"]
+__all__ = ["Reference", "default_store", "iter_rows", "open_table", "parse_reference", "resolve", "table_files"]
 
 _BY_KEY = re.compile(r"(?P<table>\w+)@(?P<key>[0-9a-fA-F]{4,64})(#(?P<row>\d+))?")
 _BY_NAME = re.compile(r"(?P<table>\w+):(?P<scope>[^#]+)(#(?P<row>\d+))?")
@@ -136,6 +136,16 @@ def iter_rows(
         return
     for part in refs:
         yield from opened.iter_batches(part, name, columns=columns)
+
+
+def table_files(reference: Reference | str, store: Store | str | Path | None = None) -> list[Path]:
+    """Return the Parquet files whose rows a reference names, for pandas, polars, DuckDB; raises what `resolve` raises.
+
+    The files are for reading only.  The number of a row, if the reference has one, does not count.
+    """
+    opened = store if isinstance(store, Store) else default_store(store)
+    parsed = parse_reference(reference) if isinstance(reference, str) else reference
+    return [opened.table_path(ref, parsed.table) for ref in resolve(parsed, opened)]
 
 
 def default_store(root: str | Path | None = None) -> Store:

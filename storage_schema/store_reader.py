@@ -109,13 +109,13 @@ class StoreReader:
             CorruptArtifact: A file is not what its manifest says.
             SchemaError: A column is unknown, or the file was written with other columns.
         """
-        return read_table(self._table_path(ref, table), TABLES[table], columns=columns, rows=rows)
+        return read_table(self.table_path(ref, table), TABLES[table], columns=columns, rows=rows)
 
     def iter_batches(
         self, ref: ArtifactRef, table: str, *, columns: Sequence[str] | None = None
     ) -> Iterator[TableData]:
         """Read the artifact's part of a table some 10,000 rows at a time; raises what `read` raises."""
-        return iter_table(self._table_path(ref, table), TABLES[table], columns=columns)
+        return iter_table(self.table_path(ref, table), TABLES[table], columns=columns)
 
     def attachment(self, ref: ArtifactRef, name: str) -> bytes:
         """Return the bytes of an attached file.
@@ -168,7 +168,8 @@ class StoreReader:
         except OSError:
             return False
 
-    def _table_path(self, ref: ArtifactRef, table: str) -> Path:
+    def table_path(self, ref: ArtifactRef, table: str) -> Path:
+        """Return the path of the artifact's part of a table, for reading only; MissingArtifact where it has none."""
         manifest = self.manifest(ref)
         if table not in manifest.tables or table not in TABLES:
             there = ", ".join(manifest.tables) or "none"

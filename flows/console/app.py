@@ -21,7 +21,7 @@ from storage_schema import StorageError
 from tasks.graph import Graph, GraphError
 from tasks.shards import ClusterError, ShardError
 
-__all__ = ["run_command_line"]
+__all__ = ["command_line", "run_command_line"]
 
 _DONE, _FAILED, _BAD_INPUT, _INTERRUPTED = 0, 1, 2, 130
 
@@ -46,7 +46,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     """Run one command; gives the exit code and never lets an error out as a traceback unless asked to (`--debug`)."""
     context = Context(given_graph=graph)
     try:
-        code = _app()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
+        code = command_line()(args=None if arguments is None else list(arguments), obj=context, standalone_mode=False)
     except _UsageError as error:
         error.show()
         return _BAD_INPUT
@@ -98,8 +98,8 @@ class _Commands(typer.core.TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-def _app() -> typer.Typer:
-    """Put the commands together."""
+def command_line() -> typer.Typer:
+    """Return the commands, put together."""
     app = typer.Typer(
         cls=_Commands, help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
     )

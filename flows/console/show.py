@@ -9,7 +9,7 @@ import typer
 
 from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
 from flows.console.display import format_table
-from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files
+from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
 __all__ = ["register"]
 
@@ -45,9 +45,16 @@ def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
     rows: Annotated[int, typer.Option(min=0, help="Rows to show.")] = 5,
+    has_files: Annotated[
+        bool, typer.Option("--files", help="Only the paths of the Parquet files, one a line.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show what a reference names."""
+    if has_files:
+        for path in table_files(reference, open_store(store)):
+            typer.echo(str(path))
+        return
     described = _describe(open_store(store), reference, rows)
     if as_json:
         print_json(described)

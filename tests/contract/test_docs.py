@@ -1,0 +1,83 @@
+"""README and docs: links lead somewhere, commands and studies exist, and the snippets about reading run."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from flows.console.app import command_line
+from flows.study_files import shipped_studies
+from flows.study_keys import study_keys
+from storage_schema import ShardRecord, Store, record_latest
+from tasks.graph import load_graph
+from tests.builders.storage_rows import commit_rows
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "deploy" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8"))
+    assert [link for link in links if "://" not in link and not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_and_option_that_is_shown_exists(page: Path) -> None:
+    commands = typer.main.get_command(command_line())
+    lines = [line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
+    for line in (line for line in lines if line.startswith("pasdedeux ")):
+        words = line.split("#  ")[0].split(" # ")[0].split()[1:]
+        command = commands
+        while hasattr(command, "commands"):
+            assert words[0] in command.commands, line
+            command = command.commands[words.pop(0)]
+        options = {option for parameter in command.params for option in parameter.opts}
+        assert [word for word in words if word.startswith("--") and word not in options] == [], line
+        if command.name in ("run", "plan", "show") and words and words[0].isidentifier():
+            assert words[0] in shipped_studies(), line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_study_that_is_shown_has_keys_that_exist(page: Path) -> None:
+    known = {re.sub(r"\.(N|NAME)(?=\.|$)", "", key.name) for key in study_keys(load_graph())}
+
+    def check(path: str, value: object) -> None:
+        if isinstance(value, dict) and path:
+            tables = [name for name in value if f"{path}.{name}" not in known]
+            assert path in known or "." not in path, path
+            for name, item in value.items():
+                # A name of the reader's own stands where a key is not known; what is below it must be.
+                check(path if name in tables and isinstance(item, dict) else f"{path}.{name}", item)
+        elif isinstance(value, dict):
+            for name, item in value.items():
+                check(name, item)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for item in value:
+                check(path, item)
+        else:
+            assert path in known or path.startswith("ingest.mappings."), path
+
+    for text in blocks(page, "toml"):
+        check("", tomllib.loads(text))
+
+
+def test_the_snippets_about_reading_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(tmp_path / "store")
+    stages = {"poses": "ingest", "variant_quality": "augmentation"}
+    refs = {table: commit_rows(store, table, 6, stage=stage, partition="waltz") for table, stage in stages.items()}
+    records = {stages[table]: [ShardRecord.of(store.manifest(ref), store)] for table, ref in refs.items()}
+    record_latest(store, "duets", "run-1", records)
+    monkeypatch.chdir(tmp_path)
+    snippets = blocks(ROOT / "docs" / "reading-the-store.md", "python")
+    assert len(snippets) == 4
+    for snippet in snippets:
+        exec(compile(snippet, "reading-the-store.md", "exec"), {})

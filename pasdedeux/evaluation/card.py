@@ -32,6 +32,7 @@ class DatasetCard:
         sources: Sources with licence and credit line.
         skipped: What was left out and why, a sentence each.
         cautions: Known limits, a sentence each.
+        verdicts: How good it is, a line for each stage and topic.
     """
 
     title: str
@@ -42,11 +43,15 @@ class DatasetCard:
     sources: Sequence[CardSource]
     skipped: Sequence[str]
     cautions: Sequence[str]
+    verdicts: Sequence[str] = ()
 
 
 def render_card(card: DatasetCard) -> str:
     """Return the card as Markdown; the same card always gives the same text."""
-    lines = [f"# {card.title}", "", card.description, "", "## Contents", "", "| table | rows |", "|---|---|"]
+    lines = [f"# {card.title}", "", card.description]
+    if card.verdicts:
+        lines += ["", "## Is it good?", "", *(f"- {line}" for line in card.verdicts)]
+    lines += ["", "## Contents", "", "| table | rows |", "|---|---|"]
     lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
     lines += ["", "## Takes", ""]
     lines += [f"- {take}{' (held out for evaluation)' if take in card.held_out else ''}" for take in card.takes]

@@ -73,13 +73,12 @@ def coverage_scores(
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
             scores += [
-                Score("coverage", f"coverage_{measure}", method, value, unit, is_baseline, split, "all", at, num_truth)
+                Score(f"coverage_{measure}", method, value, unit, is_baseline, split, "all", at, num_truth)
                 for at, value in points
             ]
         if method != "real_frames":
             scores += [
                 Score(
-                    "coverage",
                     f"as_good_as_real_frames_{measure}",
                     method,
                     as_good_as_real_frames(float(own[-1]), real, levels.num_draws),
@@ -89,7 +88,7 @@ def coverage_scores(
                 )
                 for (measure, own, _), (_, real, _) in zip(_measures(curve), _measures(levels), strict=True)
             ]
-            scores.append(Score("coverage", "num_draws", method, float(curve.num_draws[-1]), "", is_baseline, split))
+            scores.append(Score("num_draws", method, float(curve.num_draws[-1]), "", is_baseline, split))
     return scores
 
 
@@ -113,7 +112,7 @@ def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, gro
             ):
                 is_baseline = method.startswith("prior_only")
                 name = f"{method}_and_{grown}"
-                scores.append(Score("coverage", metric, name, value, unit, is_baseline, split, count=len(least)))
+                scores.append(Score(metric, name, value, unit, is_baseline, split, count=len(least)))
     return scores
 
 
@@ -135,7 +134,6 @@ def realism_scores(
         nearest.add(real)
         scores += summarise(
             nearest.cartesian_m,
-            topic="coverage",
             metric="draw_to_nearest_real_D_C",
             method=method,
             unit="m",

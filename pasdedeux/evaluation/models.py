@@ -1,18 +1,89 @@
-"""Errors of augmentation models over test variants, as scores and as curves over the scale."""
+"""Augmentation models over test variants: E_r, E_b and JPD (Li et al. 2024, section 5.1) as scores and curves.
+
+The paper gives them in words: l2 distances, per joint, averaged over both people.  Here E_r is the mean distance
+between predicted and true joints in the world (nothing is aligned or centred), E_b the mean difference of bone lengths,
+and JPD the mean difference of the distance of key joint pairs, "the body parts in continuous contact", which the paper
+names by hand per take and `key_joint_pairs` finds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
+from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
-from pasdedeux.evaluation.model_metrics import ModelErrors
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.skeletons import BODY22
 
-__all__ = ["model_figure", "model_scores"]
+__all__ = ["ModelErrors", "key_joint_pairs", "model_errors", "model_figure", "model_scores"]
 
+Array = npt.NDArray[np.float64]
+Pairs = npt.NDArray[np.int64]
+
+_CONTACT_M = 0.2
+_CM = 100.0
+_MM = 1000.0
 _METRICS = {"E_r": ("e_r_cm", "cm"), "E_b": ("e_b_mm", "mm"), "JPD": ("jpd_cm", "cm")}
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Errors of one predicted variant: E_r in cm, E_b in mm, JPD in cm; JPD is NaN where a take has no key pair."""
+
+    e_r_cm: float
+    e_b_mm: float
+    jpd_cm: float
+
+
+def key_joint_pairs(source_m: Array, *, max_pairs: int = 3) -> Pairs:
+    """Return the joint pairs (pair, 2: joint of A, joint of B) in the most continuous contact in the source.
+
+    Pairs are ordered by the share of frames in which they are closer than 0.2 m, then by their mean distance; at most
+    `max_pairs` of them, none that is never in contact.
+
+    Args:
+        source_m: The take (T, 2, 22, 3), metres.
+        max_pairs: How many are given at most.
+    """
+    distance = np.linalg.norm(source_m[:, 0, :, None] - source_m[:, 1, None], axis=-1)
+    share = (distance < _CONTACT_M).mean(axis=0)
+    order = np.lexsort((distance.mean(axis=0).ravel(), -share.ravel()))[:max_pairs]
+    chosen = [index for index in order if share.ravel()[index] > 0]
+    return np.array([divmod(int(index), BODY22.num_joints) for index in chosen], dtype=np.int64).reshape(-1, 2)
+
+
+def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> ModelErrors:
+    """Compare a predicted variant with the true one.
+
+    Args:
+        predicted_m: (T, 2, 22, 3), metres.
+        true_m: (T, 2, 22, 3), metres.
+        pairs: Key joint pairs (pair, 2) of the take.
+
+    Raises:
+        InputError: Shapes differ, or a value is not finite.
+    """
+    if predicted_m.shape != true_m.shape or predicted_m.shape[-3:] != (2, BODY22.num_joints, 3):
+        raise InputError(f"predicted motion {predicted_m.shape} and true motion {true_m.shape} must be (T, 2, 22, 3)")
+    if not (np.isfinite(predicted_m).all() and np.isfinite(true_m).all()):
+        raise InputError("a predicted or true motion is not finite")
+    bones = [child for _, child in BODY22.bones]
+    length_error = np.abs(bone_lengths(BODY22, predicted_m) - bone_lengths(BODY22, true_m))[..., bones]
+    if len(pairs):
+        apart = [np.linalg.norm(m[:, 0, pairs[:, 0]] - m[:, 1, pairs[:, 1]], axis=-1) for m in (predicted_m, true_m)]
+        jpd = float(np.abs(apart[0] - apart[1]).mean())
+    else:
+        jpd = float("nan")
+    return ModelErrors(
+        e_r_cm=_CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
+        e_b_mm=_MM * float(length_error.mean()),
+        jpd_cm=_CM * jpd,
+    )
 
 
 def model_scores(
@@ -25,19 +96,8 @@ def model_scores(
             values = np.array([getattr(error, name) for error in found])
             values = values[np.isfinite(values)]
             if len(values):
-                scores.append(
-                    Score(
-                        topic="models",
-                        metric=metric,
-                        method=model,
-                        value=float(values.mean()),
-                        unit=unit,
-                        is_baseline=model in baselines,
-                        split=split,
-                        item=item,
-                        count=len(values),
-                    )
-                )
+                mean, is_baseline = float(values.mean()), model in baselines
+                scores.append(Score(metric, model, mean, unit, is_baseline, split, item, count=len(values)))
     return scores
 
 

@@ -61,7 +61,6 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
         }
         scores += [
             Score(
-                topic="reconstruction",
                 metric=metric,
                 method=method,
                 value=value,
@@ -73,7 +72,7 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
             )
             for metric, value in figures.items()
         ]
-    scores.append(Score("reconstruction", "jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
+    scores.append(Score("jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
     return scores
 
 
@@ -105,7 +104,6 @@ def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item
         }
         scores += [
             Score(
-                "reconstruction",
                 metric,
                 method,
                 float(values.mean()),

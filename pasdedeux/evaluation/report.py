@@ -15,12 +15,12 @@ _MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".webp": "image/we
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text: a caption, column headings and rows; the rows in `baseline_rows` are shown as baselines."""
+    """A table of text: a caption, column headings and rows; rows with levels (pass, warn, fail) are marked."""
 
     caption: str
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    baseline_rows: frozenset[int] = frozenset()
+    levels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Score", "columns_of", "summarise"]
+__all__ = ["COLUMNS", "Score", "columns_of", "summarise"]
+
+COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
+"""Columns of the `scores` table beside `topic`, which says who measured."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """One figure: what was measured, of which method, on what.
+    """One figure of a topic: what was measured, of which method, on what.
 
     Args:
-        topic: coverage, density, lifting, views, chains, reconstruction, augmentation, models or takes.
         metric: Name of the measure.
         method: Method or density measured.
         value: The figure.
@@ -28,7 +31,6 @@ class Score:
         count: Number of things the figure is over.
     """
 
-    topic: str
     metric: str
     method: str
     value: float
@@ -40,27 +42,17 @@ class Score:
     count: int = 1
 
 
-def columns_of(scores: Iterable[Score]) -> dict[str, list[object]]:
+def columns_of(topic: str, scores: Iterable[Score]) -> dict[str, list[object]]:
     """Return scores as columns of the `scores` table, sorted so that the same figures always give the same bytes."""
-    rows = sorted(scores, key=lambda s: (s.topic, s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
-    names = ("topic", "metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
-    return {name: [getattr(row, name) for row in rows] for name in names}
+    rows = sorted(scores, key=lambda s: (s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
+    return {"topic": [topic] * len(rows), **{name: [getattr(row, name) for row in rows] for name in COLUMNS}}
 
 
-def summarise(
-    values: npt.NDArray[np.float64],
-    *,
-    topic: str,
-    metric: str,
-    method: str,
-    unit: str,
-    is_baseline: bool = False,
-    split: str = "all",
-    item: str = "all",
-) -> list[Score]:
+def summarise(values: npt.NDArray[np.float64], *, metric: str, method: str, unit: str, **more: Any) -> list[Score]:
     """Return mean, median and 90th percentile of `values` (n,) as scores `<metric>_mean`, `_median`, `_p90`.
 
-    Values that are not finite are left out; none left gives no score.
+    Values that are not finite are left out; none left gives no score.  What else a score says (split, item, whether it
+    is of a baseline) is handed on.
     """
     finite = np.asarray(values, dtype=np.float64)
     finite = finite[np.isfinite(finite)]
@@ -68,16 +60,6 @@ def summarise(
         return []
     figures = {"mean": finite.mean(), "median": np.median(finite), "p90": np.percentile(finite, 90)}
     return [
-        Score(
-            topic=topic,
-            metric=f"{metric}_{name}",
-            method=method,
-            value=float(value),
-            unit=unit,
-            is_baseline=is_baseline,
-            split=split,
-            item=item,
-            count=int(finite.size),
-        )
+        Score(f"{metric}_{name}", method, float(value), unit, count=int(finite.size), **more)
         for name, value in figures.items()
     ]

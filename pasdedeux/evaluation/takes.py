@@ -39,7 +39,7 @@ def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
             ("root_distance_median", float(np.median(roots)), "m"),
         ]
     return [
-        Score(topic="takes", metric=name, method="capture", value=value, unit=unit, item=take_id, count=len(people_m))
+        Score(metric=name, method="capture", value=value, unit=unit, item=take_id, count=len(people_m))
         for name, value, unit in figures
     ]
 

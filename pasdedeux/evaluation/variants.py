@@ -76,7 +76,6 @@ def quality_scores(qualities: VariantQualities) -> list[Score]:
         for kind, value in (("mean", finite.mean()), ("worst", finite.max())):
             scores.append(
                 Score(
-                    topic="augmentation",
                     metric=f"{name.removesuffix('_m')}_{kind}",
                     method=method,
                     value=float(value),
@@ -93,7 +92,6 @@ def verdict_scores(qualities: VariantQualities) -> list[Score]:
     """Count the variants that passed, warned and failed."""
     return [
         Score(
-            topic="augmentation",
             metric=f"variants_{verdict}",
             method="interaction_mesh",
             value=float(sum(found == verdict for found in qualities.verdicts)),

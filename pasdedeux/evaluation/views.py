@@ -49,7 +49,6 @@ def view_scores(estimated: Array, weight: Array, truth: Array, *, split: str) ->
     for method, (values, is_baseline) in methods.items():
         scores += summarise(
             np.rad2deg(values[is_known]),
-            topic="views",
             metric="view_error",
             method=method,
             unit="degrees",
@@ -88,7 +87,5 @@ def view_robustness(
         accuracy = view_accuracy(estimates, truth)
         item = f"noise {noise_px:g} px, {occlusion:.0%} hidden"
         for method, radians in (("heaviest_hypothesis", accuracy.best_rad), ("best_hypothesis", accuracy.nearest_rad)):
-            scores += summarise(
-                np.rad2deg(radians), topic="views", metric="view_error", method=method, unit="degrees", item=item
-            )
+            scores += summarise(np.rad2deg(radians), metric="view_error", method=method, unit="degrees", item=item)
     return scores

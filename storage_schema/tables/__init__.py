@@ -5,7 +5,15 @@ from __future__ import annotations
 from storage_schema.columns import Table
 from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKES
 from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
-from storage_schema.tables.products import MODELS, SCORES, TRAINING_LOG, VARIANT_FRAMES, VARIANT_QUALITY, VARIANTS
+from storage_schema.tables.products import (
+    MODELS,
+    SCORES,
+    TRAINING_LOG,
+    VARIANT_FRAMES,
+    VARIANT_QUALITY,
+    VARIANTS,
+    VERDICTS,
+)
 from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
 from storage_schema.tables.sampling import (
     CHAIN_INFO,
@@ -46,5 +54,6 @@ TABLES: dict[str, Table] = {
         MODELS,
         TRAINING_LOG,
         SCORES,
+        VERDICTS,
     )
 }

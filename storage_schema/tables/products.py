@@ -7,7 +7,7 @@ import pyarrow as pa
 from storage_schema.columns import Table, array, boolean, float64, integer, text
 from storage_schema.tables.common import FRAME, MODEL_ID, TAKE_ID, TIME_S, VARIANT_ID, VERDICT, positions, unitquats
 
-__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY"]
+__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY", "VERDICTS"]
 
 VARIANTS = Table(
     name="variants",
@@ -172,5 +172,23 @@ SCORES = Table(
         float64("value", "The figure"),
         text("unit", "Unit of the figure"),
         integer("count", "Number of things the figure is over"),
+    ),
+)
+
+VERDICTS = Table(
+    name="verdicts",
+    meaning="One row per partition of a stage and per topic of the evaluation: is it good, and beside what.",
+    sorted_by=("stage", "partition"),
+    columns=(
+        text("stage", "Stage that is judged"),
+        text("partition", "Partition of it; the topic where the stage is evaluation"),
+        text("level", "pass, warn or fail: the worst of its shards"),
+        text("reason", "Why, in words"),
+        text("figure", "The figure that matters, as people say it; empty without one"),
+        float64("value", "That figure, the median over the shards; NaN without one"),
+        text("unit", "Unit of the figure"),
+        float64("baseline", "The same figure of the trivial way to do it; NaN without one"),
+        text("baseline_name", "What the trivial way is"),
+        integer("count", "Number of results that the verdict is over"),
     ),
 )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import partial
 
-from pydantic import Field
+from pydantic import create_model
 
 from storage_schema import ArtifactRef, Store
 from tasks.evaluation import (
@@ -12,134 +13,67 @@ from tasks.evaluation import (
     chains,
     clips,
     coverage,
-    density,
-    lifting,
+    lifted_pairs,
     models,
-    people,
     reconstruction,
     report,
     takes,
-    unseen_views,
     views,
 )
-from tasks.evaluation.topic import STAGE_NAME, VERSION, TopicResult, commit_topic
+from tasks.evaluation.experiments import density, people, unseen_views
+from tasks.evaluation.topic import STAGE_NAME, VERSION, Topic, commit_topic
 from tasks.stage import Parameters, Shard, Stage, StageInputs
 
-__all__ = ["STAGE", "EvaluationParameters"]
+__all__ = ["STAGE", "TOPICS", "evaluation_stage"]
 
-
-class EvaluationParameters(Parameters):
-    """What is scored and shown."""
-
-    title: str = Field("A dataset of close two-person motion", description="Title of the report and the card")
-    description: str = Field(
-        "Made with pasdedeux from the takes and annotations named in the study.",
-        description="What the study makes, a sentence or two for the report and the card",
-    )
-    num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
-    num_judged_pairs: int = Field(
-        0, ge=0, description="Real pairs of held-out takes that terms of the density are judged on; 0: none are judged"
-    )
-    num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
-    num_completed_pairs: int = Field(
-        12, ge=0, description="Real pairs of each part whose joints are hidden and completed from draws; 0: none"
-    )
-    clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
-    clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
-    unseen_views_deg: tuple[float, ...] = Field(
-        (),
-        description="Directions from which held-out takes are seen and reconstructed by every method: on the "
-        "projection database's body by parallel rays, as in the paper on it, and on their own by a pinhole",
-    )
-    has_unseen_view_sweeps: bool = Field(
-        False, description="Also at growing noise and with more and more joints missing, from the same directions"
-    )
-    num_crowd_views: int = Field(
-        0, ge=0, description="Random views per take of two people that identities are followed through; 0: none"
-    )
-    has_left_out_clips: bool = Field(
-        False, description="Each take of the projection database against the rest of it, from the same directions"
-    )
-
-
-_RUN: dict[str, Callable[[Shard, Store], TopicResult]] = {
-    takes.TOPIC: takes.run,
-    clips.TOPIC: clips.run,
-    views.TOPIC: views.run,
-    chains.TOPIC: chains.run,
-    coverage.TOPIC: coverage.run,
-    density.TOPIC: density.run,
-    lifting.TOPIC: lifting.run,
-    reconstruction.TOPIC: reconstruction.run,
-    **dict.fromkeys(unseen_views.TOPICS, unseen_views.run),
-    people.TOPIC: people.run,
-    unseen_views.LEFT_OUT_TOPIC: unseen_views.run_left_out,
-    augmentation.TOPIC: augmentation.run,
-    models.TOPIC: models.run,
-    report.TOPIC: report.run,
-}
-
-
-def plan(inputs: StageInputs, parameters: EvaluationParameters) -> list[Shard]:
-    """Plan the topics there is something for, and the report over them."""
-    topics = [
-        *takes.shards(inputs),
-        *clips.shards(inputs, seconds=parameters.clip_seconds, rate_hz=parameters.clip_rate_hz),
-        *views.shards(inputs),
-        *chains.shards(inputs),
-        *coverage.shards(
-            inputs, num_truth_pairs=parameters.num_truth_pairs, num_curve_points=parameters.num_curve_points
-        ),
-        *density.shards(inputs, num_judged_pairs=parameters.num_judged_pairs),
-        *lifting.shards(inputs, num_completed_pairs=parameters.num_completed_pairs),
-        *reconstruction.shards(inputs),
-        *unseen_views.shards(
-            inputs, yaws_deg=parameters.unseen_views_deg, has_sweeps=parameters.has_unseen_view_sweeps
-        ),
-        *unseen_views.left_out_shards(
-            inputs, yaws_deg=parameters.unseen_views_deg, is_wanted=parameters.has_left_out_clips
-        ),
-        *people.shards(inputs, num_views=parameters.num_crowd_views),
-        *augmentation.shards(inputs),
-        *models.shards(inputs),
-    ]
-    if not topics:
-        return []
-    return [*topics, report.shard(inputs, topics, title=parameters.title, description=parameters.description)]
-
-
-def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Score one topic, or assemble the report."""
-    return commit_topic(shard, store, _RUN[shard.partition](shard, store))
-
-
-STAGE = Stage(
-    name=STAGE_NAME,
-    version=VERSION,
-    reads=(
-        "takes",
-        "poses",
-        "annotations",
-        "cameras",
-        "torso_basis",
-        "joint_limits",
-        "views",
-        "seeds",
-        "draws",
-        "chain_info",
-        "lifted_pairs",
-        "in_betweens",
-        "projections",
-        "codebook",
-        "motions",
-        "variants",
-        "variant_quality",
-        "models",
-        "training_log",
-    ),
-    writes=("scores",),
-    parameters=EvaluationParameters,
-    plan=plan,
-    run_shard=run_shard,
-    meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
+TOPICS: tuple[Topic, ...] = (
+    takes.TOPIC,
+    clips.TOPIC,
+    views.TOPIC,
+    chains.TOPIC,
+    coverage.TOPIC,
+    density.TOPIC,
+    lifted_pairs.TOPIC,
+    reconstruction.TOPIC,
+    unseen_views.PARALLEL_VIEWS,
+    unseen_views.PINHOLE_VIEWS,
+    unseen_views.LEFT_OUT_CLIPS,
+    people.TOPIC,
+    augmentation.TOPIC,
+    models.TOPIC,
 )
+"""Every topic, in the order of the page."""
+
+
+def evaluation_stage(topics: Sequence[Topic]) -> Stage:
+    """Return the stage that answers these topics: it reads their tables, and its keys are those of their settings."""
+    settings = dict.fromkeys(topic.settings for topic in topics if topic.settings is not Parameters)
+    return Stage(
+        name=STAGE_NAME,
+        version=VERSION,
+        reads=tuple(dict.fromkeys(table for topic in topics for table in topic.reads) | dict.fromkeys(report.READS)),
+        writes=("scores", "verdicts"),
+        parameters=create_model(
+            "EvaluationParameters", __base__=(report.PageSettings, *settings), __doc__="What is scored and shown."
+        ),
+        plan=partial(_plan, tuple(topics)),
+        run_shard=partial(_run_shard, tuple(topics)),
+        meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
+    )
+
+
+def _plan(topics: Sequence[Topic], inputs: StageInputs, parameters: report.PageSettings) -> list[Shard]:
+    """Plan the topics there is something for, and the report over them."""
+    planned = [shard for topic in topics for shard in topic.plan(inputs, parameters)]
+    return [*planned, report.plan(inputs, parameters, planned)] if planned else []
+
+
+def _run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
+    """Score one topic, or assemble the report."""
+    if shard.partition == report.PARTITION:
+        return report.run_shard(topics, shard, store)
+    topic = next(topic for topic in topics if topic.name == shard.partition)
+    return commit_topic(topic, shard, store, topic.run(shard, store))
+
+
+STAGE = evaluation_stage(TOPICS)

@@ -13,31 +13,28 @@ from pasdedeux.evaluation.variants import (
     verdict_scores,
     worst_variants,
 )
+from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store
-from tasks.evaluation.topic import TopicResult, make_shard, read_people
-from tasks.stage import Shard, StageInputs
+from tasks.evaluation.topic import Topic, TopicResult, read_people
+from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "run", "shards"]
-
-TOPIC = "augmentation"
+__all__ = ["TOPIC"]
 
 
-def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard per take that has variants."""
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard per take that has variants."""
     found = []
     for take in inputs.of("poses"):
         take_id = take.facts["take_id"]
         variants = [manifest for manifest in inputs.of("variants") if manifest.facts["takes"] == [take_id]]
         if variants:
-            found.append(
-                make_shard(topic=TOPIC, name=take_id, inputs=[take, *variants], parameters={}, seed=inputs.seed)
-            )
+            found.append(TOPIC.shard(inputs, take_id, take=[take], variants=variants))
     return found
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score the variants of one take and draw the extremes beside the source."""
-    take, *parts = shard.inputs
+    take, parts = shard.ref("take"), shard.refs("variants")
     take_id = store.manifest(take).facts["take_id"]
     tables = [store.read(ref, "variant_quality") for ref in parts]
     names = [name for table in tables for name in table["variant_id"]]
@@ -90,3 +87,14 @@ def _read_variant(store: Store, ref: ArtifactRef, variant_id: str) -> np.ndarray
     for batch in store.iter_batches(ref, "variants", columns=["variant_id", "body22_m"]):
         parts.append(batch["body22_m"][batch["variant_id"] == variant_id].astype(np.float64))
     return np.concatenate(parts)
+
+
+TOPIC = Topic(
+    name="augmentation",
+    heading="Augmentation",
+    introduction="Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",
+    reads=("variants", "variant_quality", "poses"),
+    plan=_plan,
+    run=_run,
+    yardsticks=(Yardstick("contact_drift_mean", "contact drift", ("naive_fk",), ("interaction_mesh",)),),
+)

@@ -10,17 +10,16 @@ from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
-from tasks.evaluation.topic import TopicResult, make_shard
-from tasks.stage import Shard, StageInputs
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["TOPIC"]
 
-TOPIC = "chains"
-_REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "least": np.min, "greatest": np.max}
+_REDUCE: dict[str, Callable[[np.ndarray], np.float64]] = {"mean": np.mean, "min": np.min, "max": np.max}
 _FIGURES = {
     "acceptance_rate": ("", "mean"),
-    "ess_min": ("", "least"),
-    "rhat_max": ("", "greatest"),
+    "ess_min": ("", "min"),
+    "rhat_max": ("", "max"),
     "travelled_m": ("m", "mean"),
     "log_density_first": ("", "mean"),
     "log_density_mean": ("", "mean"),
@@ -32,17 +31,15 @@ _STANDING_M = 0.95
 """Height at which the middle of a pair is drawn."""
 
 
-def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard over the summaries of all chains, and one that shows draws of a chain of each density."""
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard over the summaries of all chains, and one that shows draws of a chain of each density."""
     found = inputs.of("chain_info")
     shown = _first_chains(inputs.of("draws"))
-    planned = [make_shard(topic=TOPIC, name="summary", inputs=found, parameters={}, seed=inputs.seed)] if found else []
-    if shown:
-        planned.append(make_shard(topic=TOPIC, name="draws", inputs=shown, parameters={}, seed=inputs.seed))
-    return planned
+    named = {"summary": found, "draws": shown}
+    return [TOPIC.shard(inputs, name, chains=chains) for name, chains in named.items() if chains]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains, or show draws."""
     return _shown(shard, store) if shard.name == "draws" else _summarised(shard, store)
 
@@ -63,7 +60,7 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
 def _shown(shard: Shard, store: Store) -> TopicResult:
     """Draw four draws of each density, evenly spaced, as in Yin et al. 2018, figs. 6 and 7; score their prior."""
     chains: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for ref in shard.inputs:
+    for ref in shard.refs("chains"):
         table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
         parts = (np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["log_prior"]))
         chains.setdefault(str(store.manifest(ref).facts["density"]), []).append(parts)
@@ -79,7 +76,6 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
         captions[name] = f"Draws of one chain of {density} from the first seed, as in Yin et al. 2018, figs. 6 and 7."
         scores += summarise(
             log_prior,
-            topic=TOPIC,
             metric="log_prior",
             method=density,
             unit="",
@@ -92,14 +88,13 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
 def _summarised(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains of each density and seed."""
     scores, notes = [], []
-    for ref in shard.inputs:
+    for ref in shard.refs("chains"):
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
         for name, (unit, kind) in _FIGURES.items():
             scores.append(
                 Score(
-                    topic=TOPIC,
-                    metric=f"{name.removesuffix('_m')}_{kind}",
+                    metric=f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}",
                     method=density,
                     value=float(_REDUCE[kind](table[name])),
                     unit=unit,
@@ -114,3 +109,24 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
             for row in np.nonzero(table["verdict"] != "ok")[0]
         ]
     return TopicResult(scores=scores, notes=notes)
+
+
+TOPIC = Topic(
+    name="chains",
+    heading="Chains",
+    introduction="How the Markov chains went: acceptance, effective sample size, R-hat per seed.",
+    reads=("chain_info", "draws"),
+    plan=_plan,
+    run=_run,
+    cautions=(
+        (
+            "draws",
+            "Draws are a mixture over the chains of the study's seeds, not independent samples of one distribution.",
+        ),
+        (
+            "draws",
+            "The density knows nothing of ground contact, and one view does not see the relative depth of the two "
+            "people.",
+        ),
+    ),
+)

@@ -3,54 +3,63 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
-from tasks.evaluation.topic import TopicResult, make_shard
+from tasks.evaluation.topic import Topic, TopicResult
 from tasks.evaluation.truth import read_cameras
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["TOPIC"]
 
-TOPIC = "clips"
 _UNKNOWN_IMAGE_MARGIN_PX = 20
 
 
-def shards(inputs: StageInputs, *, seconds: float, rate_hz: float) -> list[Shard]:
-    """One shard per sequence that is a video; sequences of single annotated pairs have no clip."""
+class ClipSettings(Parameters):
+    """How clips are cut."""
+
+    clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
+    clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
+
+
+class ClipParameters(ClipSettings):
+    """One sequence's clip."""
+
+    sequence_id: str
+
+
+def _plan(inputs: StageInputs, settings: ClipSettings) -> list[Shard]:
+    """Plan one shard per sequence that is a video; sequences of single annotated pairs have no clip."""
+    cut = {name: getattr(settings, name) for name in ClipSettings.model_fields}
     return [
-        make_shard(
-            topic=TOPIC,
-            name=sequence_id,
-            inputs=[manifest],
-            parameters={"sequence_id": sequence_id, "seconds": seconds, "rate_hz": rate_hz},
-            seed=inputs.seed,
-        )
+        TOPIC.shard(inputs, sequence_id, ClipParameters(sequence_id=sequence_id, **cut), annotations=[manifest])
         for manifest in inputs.of("annotations")
         if manifest.facts["purpose"] != "random_views"
         for sequence_id in manifest.facts["sequence_ids"]
     ]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Draw the first seconds of one sequence."""
     from pasdedeux.evaluation.overlay import floor_grid, overlay_clip  # here: planning does not need OpenCV
 
-    sequence_id = shard.parameters["sequence_id"]
+    options = shard.options(ClipParameters)
+    sequence_id, annotations = options.sequence_id, shard.ref("annotations")
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
-    data = store.read(shard.inputs[0], "annotations", columns=columns)
+    data = store.read(annotations, "annotations", columns=columns)
     is_here = data["sequence_id"] == sequence_id
-    is_here &= data["time_s"] < shard.parameters["seconds"] + data["time_s"][is_here].min()
+    is_here &= data["time_s"] < options.clip_seconds + data["time_s"][is_here].min()
     keypoints, times = _by_frame(data, is_here)
-    step = _step(times, shard.parameters["rate_hz"])
+    step = _step(times, options.clip_rate_hz)
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    camera = read_cameras(store, shard.inputs).get(sequence_id)
+    camera = read_cameras(store, [annotations]).get(sequence_id)
     name = f"clip-{sequence_id.replace('/', '-')}.webp"
     clip = overlay_clip(
         OP14,
         keypoints,
         image_size_px=size,
-        rate_hz=min(shard.parameters["rate_hz"], _rate(times)),
+        rate_hz=min(options.clip_rate_hz, _rate(times)),
         floor_px=None if camera is None else floor_grid(camera),
         labels=[f"{time:.1f} s" for time in times[::step]],
     )
@@ -86,3 +95,15 @@ def _image(keypoints: np.ndarray, width: float, height: float) -> tuple[np.ndarr
     low = finite.min(axis=0) - _UNKNOWN_IMAGE_MARGIN_PX
     extent = finite.max(axis=0) + _UNKNOWN_IMAGE_MARGIN_PX - low
     return keypoints - low, (int(extent[0]), int(extent[1]))
+
+
+TOPIC = Topic(
+    name="clips",
+    heading="Sequences",
+    introduction="The 2D poses of each sequence as its camera saw them.",
+    reads=("annotations", "cameras"),
+    plan=_plan,
+    run=_run,
+    settings=ClipSettings,
+    cautions=(("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),),
+)

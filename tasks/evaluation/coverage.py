@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.coverage import (
@@ -15,28 +16,40 @@ from pasdedeux.evaluation.coverage import (
     union_scores,
 )
 from pasdedeux.evaluation.embedding import PairMap, map_figure
+from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.experiments.exploration import exploration_table
 from pasdedeux.sampling.coverage import coverage_curve
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
-from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import read_take_frames, read_takes
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC", "draws_from_first_seeds", "run", "shards"]
+__all__ = ["TOPIC", "draws_from_first_seeds"]
 
-TOPIC = "coverage"
 SPLITS = ("annotated", "unannotated", "held_out")
 _NUM_MAPPED = 150
 """Real pairs on the map."""
 _MAPPED_DRAWS = (10, 50, 250)
 """Draws of each method on its panels."""
-
-
 _MANY_SEEDS = 5
 
 
-def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) -> list[Shard]:
-    """One shard per part of the real frames, over the draws of every density and the grown seeds."""
+class CoverageSettings(Parameters):
+    """How finely coverage is measured."""
+
+    num_truth_pairs: int = Field(300, ge=1, description="Real pairs of each part that coverage is measured on, at most")
+    num_curve_points: int = Field(12, ge=2, description="Points of the coverage curve")
+
+
+class CoverageParameters(CoverageSettings):
+    """One part of the real frames."""
+
+    split: str
+
+
+def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
+    """Plan one shard per part of the real frames, over the draws of every density and the grown seeds."""
     draws = draw_manifests(inputs)
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     annotations = [
@@ -49,51 +62,47 @@ def shards(inputs: StageInputs, *, num_truth_pairs: int, num_curve_points: int) 
     seeds = [seed for seed in inputs.of("seeds") if seed.facts["kind"] != GROWN]
     has_held_out = any(take.facts["is_held_out"] for take in takes)
     return [
-        make_shard(
-            topic=TOPIC,
-            name=split,
-            inputs=[*takes, *annotations, *seeds[:1], *draws],
-            parameters={
-                "split": split,
-                "num_takes": len(takes),
-                "num_annotations": len(annotations),
-                "num_seeds": len(seeds[:1]),
-                "num_truth_pairs": num_truth_pairs,
-                "num_curve_points": num_curve_points,
-            },
-            seed=inputs.seed,
+        TOPIC.shard(
+            inputs,
+            split,
+            CoverageParameters(
+                split=split,
+                num_truth_pairs=settings.num_truth_pairs,
+                num_curve_points=settings.num_curve_points,
+            ),
+            takes=takes,
+            annotations=annotations,
+            first_seed=seeds[:1],
+            draws=draws,
         )
         for split in SPLITS
         if split != "held_out" or has_held_out
     ]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Measure coverage on one part of the real frames."""
-    split, parameters = shard.parameters["split"], shard.parameters
-    take_refs = shard.inputs[: parameters["num_takes"]]
-    annotation_refs = shard.inputs[parameters["num_takes"] : parameters["num_takes"] + parameters["num_annotations"]]
-    rest = shard.inputs[parameters["num_takes"] + parameters["num_annotations"] :]
-    seed_refs, draw_refs = rest[: parameters["num_seeds"]], rest[parameters["num_seeds"] :]
+    options = shard.options(CoverageParameters)
+    split, take_refs, draw_refs = options.split, shard.refs("takes"), shard.refs("draws")
     held_out = {f["take_id"] for ref in take_refs if (f := store.manifest(ref).facts)["is_held_out"]}
     for ref in draw_refs:
         refuse_overlap(
             f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], sorted(held_out)
         )
     takes = read_takes(store, take_refs, "pair17_m")
-    annotated = set(read_take_frames(store, annotation_refs, keys_only=True).values())
-    generator = stream(shard.seed, TOPIC, split)
+    annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
+    generator = stream(shard.seed, TOPIC.name, split)
     truth, others = _split(takes, annotated, held_out, split)
     if not len(truth) or not len(others):
         return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
-    truth = truth[generator.permutation(len(truth))[: parameters["num_truth_pairs"]]]
+    truth = truth[generator.permutation(len(truth))[: options.num_truth_pairs]]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
     mapped = list(draws)
     draws |= draws_from_first_seeds(store, draw_refs)
     # In random order, so that every seed counts from the start.
     draws = {name: pairs[generator.permutation(len(pairs))] for name, pairs in draws.items()}
     curves = {
-        name: coverage_curve(truth, pairs, curve_points(len(pairs), parameters["num_curve_points"]))
+        name: coverage_curve(truth, pairs, curve_points(len(pairs), options.num_curve_points))
         for name, pairs in draws.items()
     }
     levels = real_frame_levels(truth, others, generator)
@@ -104,7 +113,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
     name = f"coverage-{split}.png"
     pictures = {name: coverage_figure(curves, levels, split=split)}
     captions = {name: f"Coverage of {words} frames by the draws of each density and by grown seeds."}
-    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, seed_refs), split)
+    shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), split)
     if shown is not None:
         name = f"coverage-map-{split}.png"
         pictures[name] = shown
@@ -171,3 +180,17 @@ def _split(
         others.append(pairs[~chosen[split]])
     empty = np.zeros((0, 2, 17, 3))
     return np.concatenate([empty, *wanted]), np.concatenate([empty, *others])
+
+
+TOPIC = Topic(
+    name="coverage",
+    heading="Coverage",
+    introduction="Mean distance from real pairs to their nearest draw as draws increase, beside chains that know the "
+    "physical prior only, and beside sets of real frames.",
+    reads=("draws", "seeds", "poses", "annotations"),
+    plan=_plan,
+    run=_run,
+    settings=CoverageSettings,
+    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", ("prior_only",)),),
+    tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
+)

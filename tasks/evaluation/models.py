@@ -2,49 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from pasdedeux.evaluation.model_metrics import ModelErrors, key_joint_pairs, model_errors
-from pasdedeux.evaluation.models import model_figure, model_scores
+from pasdedeux.evaluation.models import ModelErrors, key_joint_pairs, model_errors, model_figure, model_scores
+from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
 from storage_schema import ArtifactRef, Store
 from tasks.augmentation import read_pair
-from tasks.evaluation.topic import TopicResult, make_shard
-from tasks.stage import Shard, StageInputs
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, StageInputs
 from tasks.training import read_items
 
-__all__ = ["TOPIC", "run", "shards"]
-
-TOPIC = "models"
+__all__ = ["TOPIC"]
 
 
-def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard per split."""
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard per split."""
     found = []
     for models in inputs.of("models"):
         tested = set(models.facts["test"])
         takes = [manifest for manifest in inputs.of("poses") if manifest.facts["take_id"] in tested]
         variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in tested]
-        found.append(
-            make_shard(
-                topic=TOPIC,
-                name=models.facts["split"],
-                inputs=[models, *takes, *variants],
-                parameters={"num_takes": len(takes)},
-                seed=inputs.seed,
-            )
-        )
+        found.append(TOPIC.shard(inputs, models.facts["split"], models=[models], takes=takes, variants=variants))
     return found
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants."""
-    models_ref, *others = shard.inputs
-    facts = store.manifest(models_ref).facts
-    num_takes = shard.parameters["num_takes"]
-    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in others[:num_takes]}
-    keys, homes, scales = _test_variants(store, others[num_takes:], facts["test"])
-    models = _read_models(store, models_ref)
+    facts = store.manifest(shard.ref("models")).facts
+    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in shard.refs("takes")}
+    keys, homes, scales = _test_variants(store, shard.refs("variants"), facts["test"])
+    models = _read_models(store, shard.ref("models"))
     pairs = {take_id: key_joint_pairs(take.source.positions_m) for take_id, take in takes.items()}
     errors: dict[str, list[ModelErrors]] = {name: [] for name in models}
     at: list[float] = []
@@ -73,7 +63,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _test_variants(
-    store: Store, refs: list[ArtifactRef], wanted: dict[str, list[str]]
+    store: Store, refs: Sequence[ArtifactRef], wanted: dict[str, list[str]]
 ) -> tuple[list[VariantKey], dict[tuple[str, str], ArtifactRef], dict[tuple[str, str], float]]:
     """Return the test variants, where each lies, and the scale of person A (NaN where not uniform)."""
     keys, homes, scales = [], {}, {}
@@ -95,3 +85,25 @@ def _read_models(store: Store, ref: ArtifactRef) -> dict[str, VariantModel]:
         values = np.asarray(table["values"][row], dtype=np.float64).reshape(table["array_shape"][row])
         arrays.setdefault(str(model), {})[str(table["array_name"][row])] = values
     return {name: load_model(name, found) for name, found in arrays.items()}
+
+
+TOPIC = Topic(
+    name="models",
+    heading="Models",
+    introduction="Models that predict a variant from the source and its bone scales; copy and naive forward kinematics "
+    "are the baselines.",
+    reads=("models", "poses", "variants", "variant_quality"),
+    plan=_plan,
+    run=_run,
+    yardsticks=(
+        Yardstick("E_r", "joint error E_r", ("ridge_scale", *BASELINES)),
+        Yardstick("E_r", "joint error E_r", BASELINES),
+    ),
+    cautions=(
+        (
+            "models",
+            "Models are scored on takes that they saw at other scales (cross-scale split) unless the split says "
+            "otherwise.",
+        ),
+    ),
+)

@@ -15,21 +15,20 @@ from pasdedeux.evaluation.reconstruction import (
     reconstruction_scores,
     reconstruction_sheet,
 )
+from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "run", "shards"]
-
-TOPIC = "reconstruction"
+__all__ = ["TOPIC", "search_notes"]
 
 _CLIP_HZ = 12.0
 _CLIP_S = 4.0
 
 
-def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard per sequence that was reconstructed."""
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard per sequence that was reconstructed."""
     found = []
     for motions in inputs.of("motions"):
         if not motions.tables["motions"].rows:
@@ -37,34 +36,25 @@ def shards(inputs: StageInputs) -> list[Shard]:
         used = {ref.key for ref in motions.inputs}
         annotations = [m for m in inputs.of("annotations") if m.ref.key in used and m.facts["is_virtual"]]
         takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
-        found.append(
-            make_shard(
-                topic=TOPIC,
-                name=motions.partition,
-                inputs=[motions, *annotations, *takes],
-                parameters={"num_annotations": len(annotations)},
-                seed=inputs.seed,
-            )
-        )
+        found.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
     return found
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one sequence."""
-    motions, *others = shard.inputs
+    motions, annotations = shard.ref("motions"), shard.refs("annotations")
     facts = store.manifest(motions).facts
     refuse_overlap(
         f"the projection database of sequence {shard.name}", facts["database_takes"], facts["sequence_takes"]
     )
-    if not shard.parameters["num_annotations"]:
+    if not annotations:
         return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
     if "num_merged_rows" in facts:
         note = (
             f"{shard.name}: people were followed by pose and motion, so nobody knows whose truth a track is; no scores."
         )
         return _show(store, motions, note)
-    annotations = others[: shard.parameters["num_annotations"]]
-    takes = read_takes(store, others[shard.parameters["num_annotations"] :], "op14_m")
+    takes = read_takes(store, shard.refs("takes"), "op14_m")
     cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
     table = _read_motions(store, motions)
@@ -102,10 +92,10 @@ def run(shard: Shard, store: Store) -> TopicResult:
     )
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=_search_notes(shard.name, facts))
+    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=search_notes(shard.name, facts))
 
 
-def _search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
+def search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
     """Say how the database was searched when that was not exactly."""
     if not facts.get("search_slack"):
         return []
@@ -175,3 +165,28 @@ def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
         captions={name: f"{sequence_id}: reconstructed by {method}, a colour for each person."},
         notes=[note],
     )
+
+
+TOPIC = Topic(
+    name="reconstruction",
+    heading="Reconstruction",
+    introduction="Motions reconstructed from 2D against the truth, by each frame's nearest projection (the baseline), "
+    "by the published window rule, by Viterbi over the candidates, and by Viterbi and a fit to the image; `_clean` is "
+    "the method with the clean-up after it. Errors are means over op14, centred on the mid-hip: as they are, with the "
+    "root's rotation taken away, and after one scale for the whole motion, for one camera does not see how large a "
+    "person is; jitter is the mean second difference from frame to frame. Of two people: how far their distance, the "
+    "depth between them and their place to each other are off. `nearest` leaves both where their own size puts them, "
+    "the others place them by pairs that look like both; `equal_depth` takes both to be equally far away.",
+    reads=("motions", "annotations", "cameras", "poses"),
+    plan=_plan,
+    run=_run,
+    yardsticks=(
+        Yardstick(
+            "error_root_kept",
+            "mean joint error",
+            ("nearest", "standing_still"),
+            ("fit_clean", "fit", "viterbi_clean", "viterbi", "window_clean", "window"),
+        ),
+    ),
+    has_means_first=True,
+)

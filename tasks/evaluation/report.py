@@ -1,179 +1,131 @@
-"""Topic `report`: everything that was found as one page, and the dataset card."""
+"""The report: everything that was found as one page, and the dataset card."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+
+from pydantic import Field
 
 from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.exploration import exploration_table
-from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
+from pasdedeux.evaluation.report import Picture, Report, Section, render_report
 from pasdedeux.evaluation.score_tables import mean_table, score_table
-from pasdedeux.evaluation.scores import Score
-from storage_schema import Manifest, Store
-from tasks.evaluation.topic import STAGE_NAME, TopicResult
-from tasks.stage import Shard, StageInputs
+from pasdedeux.evaluation.scores import COLUMNS, Score
+from pasdedeux.evaluation.verdicts import Judged, by_stage, verdict_columns, verdict_line, verdict_table
+from pasdedeux.verdict import summarise_verdicts
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
+from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
 
-__all__ = ["TOPIC", "run", "shard"]
+__all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
-TOPIC = "report"
-
-_SECTIONS = {
-    "takes": ("Takes", "The 3D motion that came in, at the study's rate, in body22."),
-    "clips": ("Sequences", "The 2D poses of each sequence as its camera saw them."),
-    "views": ("Views", "Estimated views against the true cameras of virtual video; the mean view is the baseline."),
-    "chains": (
-        "Chains",
-        "How the Markov chains went: acceptance, effective sample size, R-hat per seed.",
-    ),
-    "coverage": (
-        "Coverage",
-        "Mean distance from real pairs to their nearest draw as draws increase, beside chains that know the physical "
-        "prior only, and beside sets of real frames.",
-    ),
-    "density": (
-        "Density",
-        "How well terms of the density tell real pairs of held-out takes from corrupted ones (area under the curve), "
-        "and how they go with the distance of lifted pairs from real ones.",
-    ),
-    "lifting": (
-        "Lifting",
-        "Annotations lifted to 3D by the draws that look like them; joints hidden in real pairs and completed from "
-        "draws; frames filled in between. Pair errors keep distance and depth between the people, person errors are "
-        "about each root, both in camera axes.",
-    ),
-    "reconstruction": (
-        "Reconstruction",
-        "Motions reconstructed from 2D against the truth, by each frame's nearest projection (the baseline), by the "
-        "published window rule, by Viterbi over the candidates, and by Viterbi and a fit to the image; `_clean` is the "
-        "method with the clean-up after it. Errors are means over op14, centred on the mid-hip: as they are, with the "
-        "root's rotation taken away, and after one scale for the whole motion, for one camera does not see how large a "
-        "person is; jitter is the mean second difference from frame to frame. Of two people: how far their distance, "
-        "the depth between them and their place to each other are off. `nearest` leaves both where their own size puts "
-        "them, the others place them by pairs that look like both; `equal_depth` takes both to be equally far away.",
-    ),
-    "parallel_views": (
-        "Unseen motion, parallel rays",
-        "Held-out motion on the body of the projection database, seen by parallel rays: errors of every method, and "
-        "how far reconstructions from two views differ (root rotation removed), as in the paper on such databases. "
-        "`_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its image.",
-    ),
-    "pinhole_views": (
-        "Unseen motion, pinhole",
-        "The same motion on its own body before a pinhole at 4 m; proportions and scale are estimated from the track, "
-        "and the lens is assumed, as it is with video of one's own. Where the height of the camera over the floor is "
-        "known, the floor says how large the person is.",
-    ),
-    "left_out_clips": (
-        "Clips left out",
-        "Each take of the projection database on the database's body by parallel rays, reconstructed from the rest.",
-    ),
-    "people": (
-        "People kept apart",
-        "Virtual video of the takes of two people from random views, people in random order in every frame: how often "
-        "those who are followed by pose and motion are taken for each other, and what the repair does with injected "
-        "faults of detectors. Noise is at 1080 lines.",
-    ),
-    "augmentation": (
-        "Augmentation",
-        "Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",
-    ),
-    "models": (
-        "Models",
-        "Models that predict a variant from the source and its bone scales; copy and naive forward kinematics are the "
-        "baselines.",
-    ),
-}
-"""Heading and introduction of each topic, in the order of the page."""
-
-_CAUTIONS = (
-    ("draws", "Draws are a mixture over the chains of the study's seeds, not independent samples of one distribution."),
-    (
-        "draws",
-        "The density knows nothing of ground contact, and one view does not see the relative depth of the two people.",
-    ),
-    ("cameras", "Virtual video is made from motion capture: its 2D noise is simulated."),
-    (
-        "models",
-        "Models are scored on takes that they saw at other scales (cross-scale split) unless the split says otherwise.",
-    ),
-)
-"""What to know of a dataset that has a table."""
-_MEANS = ("reconstruction", "left_out_clips")
-"""Topics of many items, whose means are shown first."""
+PARTITION = "report"
+READS = ("takes", "training_log")
+"""Tables that the page and the card read beside those of the topics."""
 
 
-def shard(inputs: StageInputs, topics: Sequence[Shard], *, title: str, description: str) -> Shard:
-    """Return the shard that assembles what all other topics found."""
-    counted = {manifest.ref.key: manifest for table in inputs.manifests for manifest in inputs.of(table)}
+class PageSettings(Parameters):
+    """What the page says of the study."""
+
+    title: str = Field("A dataset of close two-person motion", description="Title of the report and the card")
+    description: str = Field(
+        "Made with pasdedeux from the takes and annotations named in the study.",
+        description="What the study makes, a sentence or two for the report and the card",
+    )
+
+
+def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) -> Shard:
+    """Return the shard that assembles what the shards of all topics found."""
+    every = {manifest.ref.key: manifest for table in inputs.manifests for manifest in inputs.of(table)}
     return Shard(
         stage=STAGE_NAME,
-        version=topics[0].version,
-        partition=TOPIC,
-        name=TOPIC,
-        parameters={"topic": TOPIC, "title": title, "description": description},
-        inputs=tuple(manifest.ref for manifest in counted.values()),
-        after=tuple(topic.key for topic in topics),
+        version=VERSION,
+        partition=PARTITION,
+        name=PARTITION,
+        parameters=PageSettings(title=settings.title, description=settings.description),
+        inputs=named_refs(made=list(every.values())),
+        after=tuple(shard.key for shard in planned),
         seed=inputs.seed,
     )
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
-    """Assemble the page and the card; the table of scores is what the other topics wrote, taken together."""
+def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRef:
+    """Assemble the page and the card, and commit both with a table of all verdicts."""
     found = [manifest for key in shard.after if (manifest := store.find(STAGE_NAME, key)) is not None]
     assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
-    inputs = [store.manifest(ref) for ref in shard.inputs]
-    scores = {topic: _scores(store, found, topic) for topic in _SECTIONS}
+    inputs = [store.manifest(ref) for ref in shard.refs("made")]
+    settings = shard.options(PageSettings)
     skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
-    card = _card(shard, inputs, skipped)
-    explored = exploration_table(scores["coverage"], scores["chains"])
-    beside = {"coverage": () if explored is None else (explored,)}
-    sections = [_section(store, found, topic, scores[topic], beside.get(topic, ())) for topic in _SECTIONS]
-    closing = Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",))
-    sources = Section(heading="Sources and licences", tables=card_tables(card))
+    scores = {topic.name: _scores(store, found, topic) for topic in topics}
+    judged = _judged([*inputs, *found])
+    verdicts = by_stage(judged, apart=STAGE_NAME)
+    card = _card(settings, topics, inputs, skipped, [verdict_line(*one) for one in verdicts.items()])
     page = render_report(
         Report(
-            title=shard.parameters["title"],
-            summary=(shard.parameters["description"],),
-            sections=[section for section in sections if section is not None] + [closing, sources],
+            title=settings.title,
+            summary=(settings.description,),
+            sections=[
+                *([Section(heading="Is it good?", tables=(verdict_table(verdicts),))] if verdicts else []),
+                *(section for topic in topics if (section := _section(store, found, topic, scores)) is not None),
+                Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",)),
+                Section(heading="Sources and licences", tables=card_tables(card)),
+            ],
         )
     )
-    return TopicResult(
-        pictures={"report.html": page.encode(), "card.md": render_card(card).encode()},
-        captions={"report.html": "The report", "card.md": "The dataset card"},
+    return commit(
+        shard,
+        store,
+        tables={"verdicts": verdict_columns(judged)} if judged else {},
+        attachments={"report.html": page.encode(), "card.md": render_card(card).encode()},
+        facts={"takes": merge_takes(*inputs)},
     )
 
 
-def _scores(store: Store, found: Sequence[Manifest], topic: str) -> list[Score]:
-    names = ("topic", "metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
+def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score]:
     scores = []
     for manifest in found:
-        if manifest.facts["topic"] == topic and "scores" in manifest.tables:
+        if manifest.partition == topic.name and "scores" in manifest.tables:
             table = store.read(manifest.ref, "scores")
-            columns = [table[name].tolist() for name in names]
-            scores += [Score(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
+            columns = [table[name].tolist() for name in COLUMNS]
+            scores += [Score(**dict(zip(COLUMNS, row, strict=True))) for row in zip(*columns, strict=True)]
     return scores
 
 
-def _section(
-    store: Store, found: Sequence[Manifest], topic: str, scores: Sequence[Score], tables: tuple[TextTable, ...]
-) -> Section | None:
+def _judged(manifests: Sequence[Manifest]) -> list[Judged]:
+    """Return one verdict for each stage and partition that has any, in order of appearance."""
+    groups = dict.fromkeys((manifest.ref.stage, manifest.partition) for manifest in manifests)
+    return [
+        Judged(stage, partition, verdict)
+        for stage, partition in groups
+        if (
+            verdict := summarise_verdicts(
+                one
+                for manifest in manifests
+                if (manifest.ref.stage, manifest.partition) == (stage, partition)
+                and (one := verdict_of(manifest)) is not None
+            )
+        )
+        is not None
+    ]
+
+
+def _section(store: Store, found: Sequence[Manifest], topic: Topic, scores: ScoresOf) -> Section | None:
     """Return a topic's section, with tables before its figures, or None when nothing was found."""
-    heading, introduction = _SECTIONS[topic]
-    parts = [manifest for manifest in found if manifest.facts["topic"] == topic]
+    parts = [manifest for manifest in found if manifest.partition == topic.name]
     if not parts:
         return None
-    pictures = tuple(
-        Picture(name=name, caption=manifest.facts["captions"][name], content=store.attachment(manifest.ref, name))
-        for manifest in parts
-        for name in sorted(manifest.attachments)
+    own = scores[topic.name]
+    means = mean_table(own, caption=f"{topic.heading}: means") if topic.has_means_first else None
+    figures = [score_table(own, caption=f"{topic.heading}: figures")] if own else []
+    return Section(
+        heading=topic.heading,
+        paragraphs=(topic.introduction, *dict.fromkeys(note for part in parts for note in part.facts["notes"])),
+        tables=(*topic.tables(scores), *([] if means is None else [means]), *figures),
+        pictures=tuple(
+            Picture(name=name, caption=part.facts["captions"][name], content=store.attachment(part.ref, name))
+            for part in parts
+            for name in sorted(part.attachments)
+        ),
     )
-    notes = tuple(dict.fromkeys(note for manifest in parts for note in manifest.facts["notes"]))
-    means = mean_table(scores, caption=f"{heading}: means") if topic in _MEANS else None
-    if means is not None:
-        tables = (*tables, means)
-    if scores:
-        tables = (*tables, score_table(scores, caption=f"{heading}: figures"))
-    return Section(heading=heading, paragraphs=(introduction, *notes), tables=tables, pictures=pictures)
 
 
 def _skipped(manifest: Manifest) -> list[str]:
@@ -192,28 +144,27 @@ def _skipped(manifest: Manifest) -> list[str]:
     return found
 
 
-def _sources(inputs: Sequence[Manifest]) -> list[CardSource]:
-    named = {(s.name, s.licence, s.credit) for manifest in inputs for s in manifest.sources}
-    return [CardSource(*source) for source in sorted(named)]
-
-
-def _card(shard: Shard, inputs: Sequence[Manifest], skipped: Sequence[str]) -> DatasetCard:
+def _card(
+    settings: PageSettings,
+    topics: Sequence[Topic],
+    inputs: Sequence[Manifest],
+    skipped: Sequence[str],
+    verdicts: Sequence[str],
+) -> DatasetCard:
     rows: dict[str, int] = {}
     for manifest in inputs:
         for table, part in manifest.tables.items():
             rows[table] = rows.get(table, 0) + part.rows
     takes = [manifest.facts for manifest in inputs if "poses" in manifest.tables]
+    sources = {(s.name, s.licence, s.credit) for manifest in inputs for s in manifest.sources}
     return DatasetCard(
-        title=shard.parameters["title"],
-        description=shard.parameters["description"],
-        rows=_without(rows, "scores"),
+        title=settings.title,
+        description=settings.description,
+        rows=rows,
         takes=sorted(facts["take_id"] for facts in takes),
         held_out=sorted(facts["take_id"] for facts in takes if facts["is_held_out"]),
-        sources=_sources(inputs),
+        sources=[CardSource(*source) for source in sorted(sources)],
         skipped=skipped,
-        cautions=tuple(sentence for table, sentence in _CAUTIONS if table in rows),
+        cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
+        verdicts=verdicts,
     )
-
-
-def _without(rows: Mapping[str, int], name: str) -> dict[str, int]:
-    return {table: count for table, count in rows.items() if table != name}

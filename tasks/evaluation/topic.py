@@ -1,22 +1,26 @@
-"""What every topic of the evaluation gives: figures, pictures with captions, and what was left out."""
+"""What a topic of the evaluation is, and what every topic gives: figures, pictures with captions, what was left out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.report import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
+from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Shard, commit, merge_takes
+from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
 
-__all__ = ["STAGE_NAME", "VERSION", "TopicResult", "commit_topic", "make_shard", "read_people", "refuse_overlap"]
+__all__ = ["STAGE_NAME", "VERSION", "Topic", "TopicResult", "commit_topic", "read_people", "refuse_overlap"]
 
 STAGE_NAME = "evaluation"
-VERSION = 15
+VERSION = 16
+
+ScoresOf = Mapping[str, Sequence[Score]]
 
 
 @dataclass(frozen=True)
@@ -36,29 +40,74 @@ class TopicResult:
     notes: Sequence[str] = ()
 
 
-def make_shard(*, topic: str, name: str, inputs: Sequence[Manifest], parameters: Mapping[str, Any], seed: int) -> Shard:
-    """Return a shard of a topic that reads these artifacts."""
-    return Shard(
-        stage=STAGE_NAME,
-        version=VERSION,
-        partition=topic,
-        name=name,
-        parameters={"topic": topic, **parameters},
-        inputs=tuple(manifest.ref for manifest in inputs),
-        seed=seed,
+def _no_tables(scores: ScoresOf) -> list[TextTable]:
+    return []
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A question that the evaluation answers: a section of the report.
+
+    A topic is a file with one of these, and a line in `TOPICS` (tasks/evaluation/__init__.py), whose order is that of
+    the page.
+
+    Args:
+        name: Name of the topic: the partition of its shards, and `topic` of its rows in the `scores` table.
+        heading: Heading of its section.
+        introduction: What its figures mean, for the reader of the page.
+        reads: Tables that its shards read; the stage reads those of all topics.
+        plan: Gives the shards for these inputs and settings (an instance of `settings`), made by `shard`; none where
+            there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
+        run: Scores one of these shards.
+        settings: Its keys in the study's section `evaluation`.
+        yardsticks: What says whether its result is good; the first whose figures a shard has gives the verdict.
+        has_means_first: The page shows means over many items before the items.
+        cautions: What to know of a dataset, as pairs of a table and a sentence that holds where the table is there.
+        tables: Tables beside the figures, from the scores of all topics by name.
+    """
+
+    name: str
+    heading: str
+    introduction: str
+    reads: tuple[str, ...]
+    plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
+    run: Callable[[Shard, Store], TopicResult] = field(repr=False)
+    settings: type[Parameters] = Parameters
+    yardsticks: tuple[Yardstick, ...] = ()
+    has_means_first: bool = False
+    cautions: tuple[tuple[str, str], ...] = ()
+    tables: Callable[[ScoresOf], Sequence[TextTable]] = field(default=_no_tables, repr=False)
+
+    def shard(
+        self, inputs: StageInputs, name: str, parameters: Parameters | None = None, **named: Sequence[Manifest]
+    ) -> Shard:
+        """Return a shard of the topic that reads these artifacts, by what they are to it."""
+        return Shard(
+            stage=STAGE_NAME,
+            version=VERSION,
+            partition=self.name,
+            name=name,
+            parameters=parameters or Parameters(),
+            inputs=named_refs(**named),
+            seed=inputs.seed,
+        )
+
+
+def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
+    """Commit what a topic found, with the verdict of the first of its yardsticks that fits."""
+    verdicts = (yardstick.verdict(result.scores) for yardstick in topic.yardsticks)
+    return commit(
+        shard,
+        store,
+        tables={"scores": columns_of(topic.name, result.scores)} if result.scores else {},
+        attachments=dict(result.pictures),
+        facts={
+            "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+            "captions": dict(result.captions),
+            "notes": list(result.notes),
+        },
+        verdict=next((verdict for verdict in verdicts if verdict is not None), None),
     )
-
-
-def commit_topic(shard: Shard, store: Store, result: TopicResult) -> ArtifactRef:
-    """Commit what a topic found."""
-    facts = {
-        "topic": shard.partition,
-        "takes": merge_takes(*(store.manifest(ref) for ref in shard.inputs)),
-        "captions": dict(result.captions),
-        "notes": list(result.notes),
-    }
-    tables = {"scores": columns_of(result.scores)} if result.scores else {}
-    return commit(shard, store, tables=tables, attachments=dict(result.pictures), facts=facts)
 
 
 def read_people(store: Store, ref: ArtifactRef, column: str) -> np.ndarray:

@@ -9,23 +9,23 @@ import numpy as np
 from pasdedeux.cameras import PinholeCamera, true_direction
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.evaluation.views import view_robustness, view_scores
 from storage_schema import Store, TableData
-from tasks.evaluation.topic import TopicResult, make_shard
+from tasks.evaluation.topic import Topic, TopicResult
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.torso_bases import read_torso_basis, shares_takes
 from tasks.views import ViewsParameters
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["TOPIC"]
 
-TOPIC = "views"
 _NUM_PROBED = 300
 """Annotated pairs whose views are estimated again under other noise and occlusion, at most."""
 
 
-def shards(inputs: StageInputs) -> list[Shard]:
-    """One shard over all views that were estimated."""
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard over all views that were estimated."""
     estimated = inputs.of("views")
     if not estimated:
         return []
@@ -33,23 +33,15 @@ def shards(inputs: StageInputs) -> list[Shard]:
     annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in known]
     bases = [basis for basis in inputs.of("torso_basis") if not any(shares_takes(one, basis) for one in annotations)]
     return [
-        make_shard(
-            topic=TOPIC,
-            name="accuracy",
-            inputs=[*estimated, *annotations, *inputs.of("poses"), *bases],
-            parameters={"num_views": len(estimated), "num_annotations": len(annotations), "num_bases": len(bases)},
-            seed=inputs.seed,
-        )
+        TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"), bases=bases)
     ]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score and draw the views."""
-    num_views, num_annotations = shard.parameters["num_views"], shard.parameters["num_annotations"]
-    views = [store.read(ref, "views") for ref in shard.inputs[:num_views]]
-    annotated = shard.inputs[num_views : num_views + num_annotations]
-    last = len(shard.inputs) - int(shard.parameters["num_bases"])
-    takes = read_takes(store, shard.inputs[num_views + num_annotations : last], "pair17_m")
+    views = [store.read(ref, "views") for ref in shard.refs("views")]
+    annotated = shard.refs("annotations")
+    takes = read_takes(store, shard.refs("takes"), "pair17_m")
     cameras, frames = read_cameras(store, annotated), read_take_frames(store, annotated)
     annotation_facts = [store.manifest(ref).facts for ref in annotated]
     held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
@@ -74,7 +66,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         scores += _robustness(shard, store, known, cameras, takes)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
-    skipped = [note for ref in shard.inputs[:num_views] for note in store.manifest(ref).facts.get("skipped", [])]
+    skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
     return TopicResult(
         scores=scores,
         pictures={"views.png": picture},
@@ -91,15 +83,15 @@ def _robustness(
     takes: dict[str, np.ndarray],
 ) -> list[Score]:
     """Estimate the views of some annotated pairs again, from exact images with noise and occlusion of our own."""
-    generator = stream(shard.seed, TOPIC, "robustness")
+    generator = stream(shard.seed, TOPIC.name, "robustness")
     chosen = [known[at] for at in np.sort(generator.permutation(len(known))[:_NUM_PROBED])]
     pairs = np.stack([takes[take][frame] for _, (take, frame) in chosen])
     images = np.stack([cameras[name].project(pair).px for (name, _), pair in zip(chosen, pairs, strict=True)])
     truth = np.stack([true_direction(pair, cameras[name]) for (name, _), pair in zip(chosen, pairs, strict=True)])
     camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
-    settings = store.manifest(shard.inputs[0]).parameters
+    settings = store.manifest(shard.refs("views")[0]).parameters
     options = ViewsParameters.model_validate(settings, strict=False)
-    basis = read_torso_basis(store, shard.inputs)
+    basis = read_torso_basis(store, shard.all_inputs)
     return view_robustness(generator, images, truth, camera_index, basis, options)
 
 
@@ -120,3 +112,14 @@ def _hypotheses(rows: Sequence[tuple[TableData, int, int, tuple[str, int]]]) -> 
         directions[index, : stop - start] = table["direction"][start:stop]
         weights[index, : stop - start] = table["weight"][start:stop]
     return directions, weights
+
+
+TOPIC = Topic(
+    name="views",
+    heading="Views",
+    introduction="Estimated views against the true cameras of virtual video; the mean view is the baseline.",
+    reads=("views", "annotations", "cameras", "poses", "torso_basis"),
+    plan=_plan,
+    run=_run,
+    yardsticks=(Yardstick("view_error_median", "median error of the view", ("mean_view",), ("heaviest_hypothesis",)),),
+)

@@ -19,7 +19,7 @@ from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import TABLES, ArtifactRef, Manifest, Store, open_table
 from tasks import projections, reconstruction
-from tasks.evaluation.reconstruction import _search_notes
+from tasks.evaluation.reconstruction import search_notes
 from tasks.stage import StageInputs
 from tests.builders.walkers import walk
 from tests.builders.walking_takes import put_artifact, put_take
@@ -230,8 +230,8 @@ def test_a_search_that_may_miss_says_how_much_it_finds(store: Store) -> None:
     assert facts[0]["search_recall"] == 1.0
     assert facts[1]["search_slack"] > 0.0
     assert 0.8 < facts[1]["search_recall"] <= 1.0
-    assert _search_notes("film", facts[0]) == []
-    (note,) = _search_notes("film", facts[1])
+    assert search_notes("film", facts[0]) == []
+    (note,) = search_notes("film", facts[1])
     assert note.startswith(f"film: {facts[1]['num_projections']:,} projections were searched with a slack")
 
 

@@ -12,7 +12,8 @@ from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior, kernel_from_json
 from tasks import chain_problem, chains
 from tasks.chains import ChainsParameters
-from tasks.evaluation import density
+from tasks.evaluation import STAGE
+from tasks.evaluation.experiments.density import COMBINED, TOPIC
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import (
     QUICK,
@@ -72,15 +73,15 @@ def test_agreement_without_grown_seeds_is_refused_alone_and_left_out_beside_othe
 def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=10)
-    assert density.shards(given, num_judged_pairs=0) == []
-    (shard,) = density.shards(given, num_judged_pairs=4)
+    assert TOPIC.plan(given, STAGE.parameters()) == []
+    (shard,) = TOPIC.plan(given, STAGE.parameters(num_judged_pairs=4))
     hidden = {manifest.ref for manifest in tables["annotations"] if manifest.facts["is_held_out"]}
-    assert not hidden.intersection(shard.inputs)
-    result = density.run(shard, store)
+    assert not hidden.intersection(shard.all_inputs)
+    result = TOPIC.run(shard, store)
     weights = [score for score in result.scores if score.metric == "combination_weight"]
     scores = [score for score in result.scores if score.metric != "combination_weight"]
     assert all(np.isfinite(score.value) and -1.0 <= score.value <= 1.0 for score in scores)
-    assert {score.method for score in weights} == set(density.COMBINED)
+    assert {score.method for score in weights} == set(COMBINED)
     assert "fitted on" in result.notes[1]
     assert set(result.pictures) == set(result.captions) == {"density-terms.png"}
     assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}

@@ -8,7 +8,7 @@ import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import ViewOptions
-from pasdedeux.evaluation.lifting import (
+from pasdedeux.evaluation.lifted_pairs import (
     HIDDEN,
     completion_scores,
     in_between_scores,

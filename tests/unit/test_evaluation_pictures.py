@@ -86,15 +86,13 @@ def test_a_clip_gives_the_same_bytes_twice_and_survives_points_far_outside() -> 
 
 def test_the_report_needs_no_other_file_and_escapes_what_it_shows() -> None:
     picture = Picture(name="a.png", caption="a picture", content=skeleton_sheet([]))
-    table = TextTable(
-        caption="<scores>", headings=("method", "value"), rows=(("copy", "1"),), baseline_rows=frozenset({0})
-    )
+    table = TextTable(caption="<scores>", headings=("method", "value"), rows=(("copy", "1"),), levels=("warn",))
     page = render_report(
         Report("A study", ("made from duets",), [Section("Takes & all", ("text",), (table,), (picture,))])
     )
     assert "http" not in page
     assert "&lt;scores&gt;" in page
-    assert 'class="baseline"' in page
+    assert '<tr class="warn"><td>copy</td>' in page
     assert 'href="#takes---all"' in page
     assert "data:image/png;base64," in page
 
@@ -128,16 +126,16 @@ def test_the_card_names_every_source_with_its_licence() -> None:
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:
-    scores = [Score("takes", "b", "m", 1.0), Score("takes", "a", "m", 2.0, at=3.0), Score("takes", "a", "m", 2.0)]
-    columns = columns_of(scores)
+    scores = [Score("b", "m", 1.0), Score("a", "m", 2.0, at=3.0), Score("a", "m", 2.0)]
+    columns = columns_of("takes", scores)
     assert list(columns) == [column.name for column in TABLES["scores"].columns]
-    assert columns == columns_of(reversed(scores))
+    assert columns == columns_of("takes", reversed(scores))
 
 
 def test_a_summary_leaves_out_what_is_not_finite() -> None:
-    found = summarise(np.array([1.0, 3.0, np.nan]), topic="t", metric="e", method="m", unit="m")
+    found = summarise(np.array([1.0, 3.0, np.nan]), metric="e", method="m", unit="m")
     assert {s.metric: (s.value, s.count) for s in found}["e_mean"] == (2.0, 2)
-    assert summarise(np.array([np.nan]), topic="t", metric="e", method="m", unit="m") == []
+    assert summarise(np.array([np.nan]), metric="e", method="m", unit="m") == []
 
 
 def test_take_scores_know_how_close_people_are() -> None:

@@ -14,8 +14,7 @@ from pasdedeux.evaluation.coverage import (
     curve_points,
     real_frame_levels,
 )
-from pasdedeux.evaluation.model_metrics import ModelErrors
-from pasdedeux.evaluation.models import model_figure, model_scores
+from pasdedeux.evaluation.models import ModelErrors, model_figure, model_scores
 from pasdedeux.evaluation.overlay import floor_grid
 from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_scores
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
@@ -142,9 +141,9 @@ def test_model_scores_leave_out_a_distance_that_no_take_has() -> None:
 
 def test_tables_put_methods_side_by_side_and_baselines_last() -> None:
     scores = [
-        Score("models", "E_r", "copy", 2.0, "cm", is_baseline=True),
-        Score("models", "E_r", "ridge", 1.0, "cm"),
-        Score("models", "E_r", "ridge", 0.5, "cm", at=3.0),
+        Score("E_r", "copy", 2.0, "cm", is_baseline=True),
+        Score("E_r", "ridge", 1.0, "cm"),
+        Score("E_r", "ridge", 0.5, "cm", at=3.0),
     ]
     table = score_table(scores, caption="c")
     assert table.headings == ("figure", "part", "item", "ridge", "copy (baseline)")
@@ -152,9 +151,7 @@ def test_tables_put_methods_side_by_side_and_baselines_last() -> None:
 
 
 def test_a_table_of_one_method_has_a_row_for_each_item() -> None:
-    scores = [
-        Score("takes", m, "capture", v, "m", item=i) for i in ("hug", "waltz") for m, v in (("a", 0.1), ("b", 0.2))
-    ]
+    scores = [Score(m, "capture", v, "m", item=i) for i in ("hug", "waltz") for m, v in (("a", 0.1), ("b", 0.2))]
     table = score_table(scores, caption="c")
     assert table.headings == ("part", "item", "a", "b")
     assert table.rows == (("all", "hug", "10 cm", "20 cm"), ("all", "waltz", "10 cm", "20 cm"))
@@ -162,7 +159,7 @@ def test_a_table_of_one_method_has_a_row_for_each_item() -> None:
 
 def test_items_come_in_natural_order_and_clean_before_other_conditions() -> None:
     scores = [
-        Score("t", "e", method, 0.1, "m", split=split, item=item)
+        Score("e", method, 0.1, "m", split=split, item=item)
         for method in ("fit", "nearest")
         for split in ("30 % missing", "clean")
         for item in ("clip_10", "clip_2", "all")
@@ -174,10 +171,10 @@ def test_items_come_in_natural_order_and_clean_before_other_conditions() -> None
 
 def test_means_count_every_item_once_and_leave_out_methods_that_not_all_have() -> None:
     scores = [
-        Score("t", "e", "fit", value, "m", item=item)
+        Score("e", "fit", value, "m", item=item)
         for item, value in (("a at 0", 0.1), ("a, mean of views", 0.2), ("b at 0", 0.5), ("b, mean of views", 0.4))
     ]
-    scores += [Score("t", "e", "window", 0.1, "m", item="a, mean of views"), Score("t", "x", "fit", 1.0, "m", at=2.0)]
+    scores += [Score("e", "window", 0.1, "m", item="a, mean of views"), Score("x", "fit", 1.0, "m", at=2.0)]
     table = mean_table(scores, caption="c")
     assert table is not None
     assert table.rows == (("all", "mean of 2", "30 cm"),)

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from pasdedeux.evaluation.exploration import exploration_table
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.experiments.exploration import exploration_table
 
 
 def covered(method: str, centimetres: float, *, split: str = "held_out") -> list[Score]:
     return [
-        Score("coverage", "num_draws", method, 50.0, split=split),
-        Score("coverage", "coverage_D_C", method, 0.01 * centimetres, "m", split=split),
-        Score("coverage", "coverage_D_C", method, 0.5, "m", split=split, at=1.0),
-        Score("coverage", "as_good_as_real_frames_D_C", method, 30.0, "frames", split=split),
+        Score("num_draws", method, 50.0, split=split),
+        Score("coverage_D_C", method, 0.01 * centimetres, "m", split=split),
+        Score("coverage_D_C", method, 0.5, "m", split=split, at=1.0),
+        Score("as_good_as_real_frames_D_C", method, 30.0, "frames", split=split),
     ]
 
 
 def went(method: str, seed: int, share: float) -> Score:
-    return Score("chains", "acceptance_rate_mean", method, share, item=f"seed {seed}")
+    return Score("acceptance_rate_mean", method, share, item=f"seed {seed}")
 
 
 def test_the_best_coverage_of_unseen_frames_comes_first_and_chains_are_means_over_seeds() -> None:
     coverage = [*covered("ic", 20.0), *covered("grown_seeds", 6.0), *covered("ic", 1.0, split="annotated")]
-    table = exploration_table(coverage, [went("ic", 0, 0.25), went("ic", 1, 0.75)])
-    assert table is not None
+    (table,) = exploration_table(coverage, [went("ic", 0, 0.25), went("ic", 1, 0.75)])
     assert [row[:4] for row in table.rows] == [
         ("grown_seeds", "50", "6 cm", "30 frames"),
         ("ic", "50", "20 cm", "30 frames"),
@@ -33,9 +32,8 @@ def test_the_best_coverage_of_unseen_frames_comes_first_and_chains_are_means_ove
 
 def test_without_held_out_frames_the_unannotated_ones_count_and_without_chains_there_is_no_table() -> None:
     scores = [*covered("ic", 9.0, split="unannotated"), *covered("ic", 3.0, split="annotated")]
-    table = exploration_table(scores, [went("ic", 0, 0.5)])
-    assert table is not None
+    (table,) = exploration_table(scores, [went("ic", 0, 0.5)])
     assert "unannotated" in table.caption
     assert table.rows[0][2] == "9 cm"
-    assert exploration_table(scores, []) is None
-    assert exploration_table([], [went("ic", 0, 0.5)]) is None
+    assert exploration_table(scores, []) == []
+    assert exploration_table([], [went("ic", 0, 0.5)]) == []

@@ -10,7 +10,7 @@ from pasdedeux.augmentation import (
     uniform_variations,
 )
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.model_metrics import key_joint_pairs, model_errors
+from pasdedeux.evaluation.models import key_joint_pairs, model_errors
 from pasdedeux.learning import (
     RidgeScaleModel,
     TrainingItem,
@@ -120,7 +120,7 @@ def test_metrics_are_in_the_papers_units() -> None:
 
 
 def test_key_pairs_are_those_in_contact_and_none_when_apart() -> None:
-    pairs = key_joint_pairs(TAKE.positions_m, most=2)
+    pairs = key_joint_pairs(TAKE.positions_m, max_pairs=2)
     wrists = set(BODY22.indices(["left_wrist", "right_wrist"]))
     assert len(pairs) == 2
     assert set(pairs.ravel().tolist()) <= wrists

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.detector_faults import KINDS, JointCounts
-from pasdedeux.evaluation.people_scores import fault_scores, identity_scores
+from pasdedeux.experiments.detector_faults import KINDS, JointCounts
+from pasdedeux.experiments.people import fault_scores, identity_scores
 from storage_schema import Store
-from tasks.evaluation import people
+from tasks.evaluation import STAGE
+from tasks.evaluation.experiments.people import TOPIC
 from tasks.stage import StageInputs, stream
 from tests.builders.crowds import duet_couple
 from tests.builders.walking_takes import put_take
@@ -62,10 +63,10 @@ def test_counts_of_joints_add_up_and_shares_of_nothing_are_unknown() -> None:
 def test_the_topic_takes_every_take_of_two_people_when_it_is_asked_for(tmp_path: Path) -> None:
     store = Store(tmp_path / "store")
     inputs = StageInputs({"poses": [put_take(store, "a"), put_take(store, "b", is_held_out=True)]}, seed=0)
-    assert people.shards(inputs, num_views=0) == []
-    shards = people.shards(inputs, num_views=1)
+    assert TOPIC.plan(inputs, STAGE.parameters()) == []
+    shards = TOPIC.plan(inputs, STAGE.parameters(num_crowd_views=1))
     assert [shard.name for shard in shards] == ["identities-0px", "identities-5px", "faults-0px", "faults-5px"]
-    result = people.run(shards[1], store)
+    result = TOPIC.run(shards[1], store)
     assert {score.item for score in result.scores} == {"a", "b", "all"}
     assert "2 takes from 1 random views" in result.notes[0]
-    assert people.run(shards[2], store).scores
+    assert {score.method for score in TOPIC.run(shards[2], store).scores} == {"repaired"}

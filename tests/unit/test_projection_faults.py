@@ -9,8 +9,8 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.detections import film, people_of
-from pasdedeux.evaluation.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
+from pasdedeux.experiments.detections import film, people_of
+from pasdedeux.experiments.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
 from pasdedeux.reconstruction.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14

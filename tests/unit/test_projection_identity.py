@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.detections import Detections, film
+from pasdedeux.experiments.detections import Detections, film
 from pasdedeux.reconstruction.identity import (
     FollowedRows,
     IdentityOptions,

@@ -8,7 +8,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
-from pasdedeux.evaluation.unseen_views import (
+from pasdedeux.experiments.unseen_views import (
     Condition,
     Setting,
     best_candidates,

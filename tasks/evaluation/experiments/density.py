@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 from scipy.stats import spearmanr
 
 from pasdedeux.evaluation.figures import grid_figure
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.plausibility import JointLimits, Occupancy
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.combination import Combination
@@ -19,14 +21,13 @@ from pasdedeux.sampling.judging import Corruption, Judge, Trial, seen_from, sepa
 from pasdedeux.sampling.likelihood import AnnotatedPairs, build_bank
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
-from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import read_takes
 from tasks.priors import read_limits, read_occupancy
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["COMBINED", "TOPIC"]
 
-TOPIC = "density"
 NUM_VIEWS, NUM_CANDIDATES = 12, 250
 FAR_M = 0.2
 """Corruptions that move no joint as far as this are left out of a score of their own, metres."""
@@ -51,35 +52,47 @@ COMBINED = (
 RANK_METRIC = "rank_correlation_with_nearest_real"
 
 
-def shards(inputs: StageInputs, *, num_judged_pairs: int) -> list[Shard]:
-    """One shard over the pairs of takes that are held out; none where there are no such takes or no annotations."""
+class DensitySettings(Parameters):
+    """How much is judged."""
+
+    num_judged_pairs: int = Field(
+        0, ge=0, description="Real pairs of held-out takes that terms of the density are judged on; 0: none are judged"
+    )
+
+
+class DensityParameters(DensitySettings):
+    """What the shard is told."""
+
+    num_hypotheses: int = 1
+
+
+def _plan(inputs: StageInputs, settings: DensitySettings) -> list[Shard]:
+    """Plan one shard over the pairs of held-out takes; none where there are no such takes or no annotations."""
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
-    if not (num_judged_pairs and annotated and views and any(take.facts["is_held_out"] for take in takes)):
+    if not (settings.num_judged_pairs and annotated and views and any(take.facts["is_held_out"] for take in takes)):
         return []
     grown = [manifest for manifest in inputs.of("seeds") if manifest.facts["kind"] == "grown_seeds"]
     return [
-        make_shard(
-            topic=TOPIC,
-            name="terms",
-            inputs=[*takes, *grown, *annotated, *views, *inputs.of("joint_limits")],
-            parameters={
-                "num_takes": len(takes),
-                "num_grown": len(grown),
-                "num_judged_pairs": num_judged_pairs,
-                "num_hypotheses": 1,
-            },
-            seed=inputs.seed,
+        TOPIC.shard(
+            inputs,
+            "terms",
+            DensityParameters(num_judged_pairs=settings.num_judged_pairs),
+            takes=takes,
+            grown=grown,
+            annotations=annotated,
+            views=views,
+            joint_limits=inputs.of("joint_limits"),
         )
     ]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every term by AUC and pair by pair for every corruption, and by its rank correlation with the truth."""
     material = _read(shard, store)
-    count = int(shard.parameters["num_judged_pairs"])
-    rng = stream(shard.seed, TOPIC)
+    count = shard.options(DensityParameters).num_judged_pairs
+    rng = stream(shard.seed, TOPIC.name)
     hidden = np.concatenate([material.takes[name] for name in material.held_out])
     shown = {name: pairs for name, pairs in material.takes.items() if name not in material.held_out}
     judge = material.judge(rng, None)
@@ -88,8 +101,8 @@ def run(shard: Shard, store: Store) -> TopicResult:
     notes = [
         f"{min(count, len(hidden))} real pairs of {', '.join(material.held_out)}, and corruptions that their own "
         "image does not show; that image counts as annotated, so the best view of both is perfect. `auc`: the chance "
-        "that a real pair scores above a corrupted one of any pair; `told_apart`: above its own corruption; 0.5 is "
-        "chance. The rank correlation is between minus the term and the distance from the nearest real pair, over "
+        "that a real pair scores above a corrupted one of any pair; `paired_accuracy`: above its own corruption; 0.5 "
+        "is chance. The rank correlation is between minus the term and the distance from the nearest real pair, over "
         "pairs lifted without agreement. `image_odds` is the share of a pair's density among all lifts of its image."
     ]
     scores: list[Score] = []
@@ -103,7 +116,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
         if lifted is not None:
             lifted.values["combination"] = combination.value(lifted.values)
         scores += [
-            Score(TOPIC, "combination_weight", term, float(weight), split="fitted")
+            Score("combination_weight", term, float(weight), split="fitted")
             for term, weight in zip(combination.terms, combination.weights, strict=True)
         ]
         notes.append(
@@ -117,8 +130,8 @@ def run(shard: Shard, store: Store) -> TopicResult:
             false = trial.corrupted[term]
             area, paired = separation(real, false), told_apart(real, false)
             areas.setdefault(term, {})[name] = area
-            scores.append(Score(TOPIC, f"auc_{name}", term, area, split="held_out", count=len(real)))
-            scores.append(Score(TOPIC, f"told_apart_{name}", term, paired, split="held_out", count=len(real)))
+            scores.append(Score(f"auc_{name}", term, area, split="held_out", count=len(real)))
+            scores.append(Score(f"paired_accuracy_{name}", term, paired, split="held_out", count=len(real)))
     if lifted is not None:
         for term, values in lifted.values.items():
             # A term that says the same of every pair has no rank.
@@ -126,7 +139,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
                 rank = float(spearmanr(-values, lifted.distance_m).statistic)
                 areas[term]["rank correlation"] = rank
                 count = len(values)
-                scores.append(Score(TOPIC, RANK_METRIC, term, rank, split="annotated", count=count))
+                scores.append(Score(RANK_METRIC, term, rank, split="annotated", count=count))
     columns = [*kinds, *(["rank correlation"] if lifted is not None else [])]
     picture = grid_figure(
         np.array([[row.get(column, np.nan) for column in columns] for row in areas.values()]),
@@ -236,32 +249,52 @@ def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def _read(shard: Shard, store: Store) -> _Material:
-    num_takes, num_grown = int(shard.parameters["num_takes"]), int(shard.parameters["num_grown"])
-    take_refs, grown_refs = shard.inputs[:num_takes], shard.inputs[num_takes : num_takes + num_grown]
+    take_refs = shard.refs("takes")
     facts = [store.manifest(ref).facts for ref in take_refs]
     held_out = sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
-    for ref in shard.inputs[num_takes:]:
+    for ref in (ref for name in shard.inputs if name != "takes" for ref in shard.refs(name)):
         refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
     take_of: dict[str, str | None] = {}
-    for ref in shard.inputs:
-        if "annotations" in store.manifest(ref).tables:
-            table = store.read(ref, "annotations", columns=["sequence_id", "take_id"])
-            take_of.update(zip(table["sequence_id"], table["take_id"], strict=True))
-    tables = [store.read(ref, "seeds", columns=["pair17_m", "sequence_id"]) for ref in grown_refs]
+    for ref in shard.refs("annotations"):
+        table = store.read(ref, "annotations", columns=["sequence_id", "take_id"])
+        take_of.update(zip(table["sequence_id"], table["take_id"], strict=True))
+    tables = [store.read(ref, "seeds", columns=["pair17_m", "sequence_id"]) for ref in shard.refs("grown")]
     placed = gather(
         store,
-        annotations=shard.all_inputs,
-        views=shard.all_inputs,
-        num_hypotheses=int(shard.parameters["num_hypotheses"]),
+        annotations=shard.refs("annotations"),
+        views=shard.refs("views"),
+        num_hypotheses=shard.options(DensityParameters).num_hypotheses,
     )
     sequences = [placed.places[index][0] for index in placed.gathered.pairs.annotation_index.tolist()]
     return _Material(
         takes=read_takes(store, take_refs, "pair17_m"),
         held_out=held_out,
-        limits=read_limits(store, shard.all_inputs),
-        occupancy=read_occupancy(store, shard.all_inputs),
+        limits=read_limits(store, shard.refs("joint_limits")),
+        occupancy=read_occupancy(store, shard.refs("joint_limits")),
         gathered=placed.gathered,
         annotated_take=np.array([take_of.get(sequence) for sequence in sequences], dtype=object),
         grown=np.concatenate([np.zeros((0, 2, 17, 3)), *(np.asarray(table["pair17_m"]) for table in tables)]),
         grown_take=np.array([take_of.get(str(one)) for table in tables for one in table["sequence_id"]], dtype=object),
     )
+
+
+TOPIC = Topic(
+    name="density",
+    heading="Density",
+    introduction="How well terms of the density tell real pairs of held-out takes from corrupted ones (area under the "
+    "curve), and how they go with the distance of lifted pairs from real ones.",
+    reads=("poses", "seeds", "annotations", "views", "joint_limits"),
+    plan=_plan,
+    run=_run,
+    settings=DensitySettings,
+    yardsticks=(
+        Yardstick(
+            "auc_depth_mirrored",
+            "area under the curve, pairs mirrored in depth",
+            methods=("combination", "agreement"),
+            is_larger_better=True,
+            chance=0.5,
+            chance_name="guessing",
+        ),
+    ),
+)

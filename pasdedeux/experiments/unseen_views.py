@@ -307,7 +307,6 @@ def unseen_view_scores(
     methods: Sequence[Method] = tuple(Method),
     has_clean_up: bool = True,
     has_live: bool = False,
-    topic: str = "",
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
@@ -324,9 +323,7 @@ def unseen_view_scores(
         methods: Which methods.
         has_clean_up: Also with the clean-up.
         has_live: Also as it leaves the live chain.
-        topic: Topic of the scores; the setting's own when empty.
     """
-    topic = topic or setting.value
     # Parallel rays of unknown scale leave the depth of the way open: a thousandth of scale is a thousandth of infinity.
     has_way = setting is Setting.PINHOLE or condition.has_scale
     figures: dict[tuple[str, str], list[float]] = {}
@@ -353,7 +350,7 @@ def unseen_view_scores(
         named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(yaws_deg, values, strict=True)]
         named += [(f"{item}, {ALL_VIEWS}", float(np.mean(values)))] if len(values) > 1 else []
         scores += [
-            Score(topic, metric, method, value, unit, _is_baseline(method), condition.name, label, count=count)
+            Score(metric, method, value, unit, _is_baseline(method), condition.name, label, count=count)
             for label, value in named
         ]
     for method, found in motions.items():
@@ -361,8 +358,7 @@ def unseen_view_scores(
             differs = _mean(root_removed_error_m(found[0], other))
             label = f"{item}, views {abs(yaw - yaws_deg[0]):g} degrees apart"
             scores.append(
-                Score(
-                    topic, "two_views_differ", method, differs, "m", _is_baseline(method), condition.name, label,
+                Score("two_views_differ", method, differs, "m", _is_baseline(method), condition.name, label,
                     count=count,
                 )
             )  # fmt: skip
@@ -403,7 +399,6 @@ def level_scores(
                 errors.setdefault(method, []).append(_mean(root_centred_error_m(positions, seen.truth_m)))
         scores += [
             Score(
-                setting.value,
                 f"error_root_kept_by_{kind}",
                 method,
                 float(np.mean(values)),

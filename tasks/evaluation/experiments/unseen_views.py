@@ -6,15 +6,17 @@ against the rest of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.unseen_views import (
+from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
     Setting,
@@ -29,15 +31,12 @@ from pasdedeux.projections.published import Codebook
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Manifest, Store
-from tasks.evaluation.topic import TopicResult, make_shard, read_people, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, read_people, refuse_overlap
 from tasks.projections import read_views
 from tasks.reconstruction import read_database
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["LEFT_OUT_TOPIC", "TOPICS", "left_out_shards", "run", "run_left_out", "shards"]
-
-TOPICS = tuple(setting.value for setting in Setting)
-LEFT_OUT_TOPIC = "left_out_clips"
+__all__ = ["LEFT_OUT_CLIPS", "PARALLEL_VIEWS", "PINHOLE_VIEWS"]
 
 _LEVELS = {"noise": (0.0, 0.01, 0.03, 0.06, 0.1, 0.2), "missing": (0.0, 0.1, 0.3, 0.5, 0.7)}
 _LEVEL_LABELS = {
@@ -49,73 +48,101 @@ _LEFT_OUT_METHODS = (Method.NEAREST, Method.VITERBI, Method.FIT)
 _LEFT_OUT_CONDITIONS = (Condition("clean"), Condition("noise 3 % of the torso", noise=0.03))
 
 
-def shards(inputs: StageInputs, *, yaws_deg: Sequence[float], has_sweeps: bool) -> list[Shard]:
-    """One shard per held-out take, setting and condition, with the database parts that have not seen the take."""
-    if not yaws_deg:
-        return []
-    found = []
-    for take in inputs.of("poses"):
-        if not take.facts["is_held_out"]:
-            continue
-        take_id = take.facts["take_id"]
-        parts = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
-        if not parts:
-            continue
-        for setting in Setting:
-            steps = [("condition", number) for number in range(len(CONDITIONS[setting]))]
-            steps += [(kind, 0) for kind in _LEVELS] if has_sweeps else []
-            for kind, number in steps:
-                # A codebook is of use with exactly the parts it numbers.
-                books = [] if kind != "condition" else _books(inputs, parts)
-                found.append(
-                    make_shard(
-                        topic=setting.value,
-                        name=f"{take_id}-{kind}" + (f"-{number}" if kind == "condition" else ""),
-                        inputs=[take, *parts, *books],
-                        parameters={
-                            "take_id": take_id,
-                            "yaws_deg": list(yaws_deg),
-                            "num_parts": len(parts),
-                            "kind": kind,
-                            "condition": number,
-                        },
-                        seed=inputs.seed,
-                    )
-                )
-    return found
+class DirectionSettings(Parameters):
+    """From where motions are seen."""
+
+    unseen_views_deg: tuple[float, ...] = Field(
+        (),
+        description="Directions from which held-out takes are seen and reconstructed by every method: on the "
+        "projection database's body by parallel rays, as in the paper on it, and on their own by a pinhole",
+    )
 
 
-def left_out_shards(inputs: StageInputs, *, yaws_deg: Sequence[float], is_wanted: bool) -> list[Shard]:
-    """One shard per take of the database, with the parts that have not seen it."""
-    found: list[Shard] = []
-    if not (yaws_deg and is_wanted):
-        return found
-    for take in inputs.of("poses"):
-        take_id = take.facts["take_id"]
-        parts = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
-        if take.facts["is_held_out"] or not parts:
-            continue
-        found.append(
-            make_shard(
-                topic=LEFT_OUT_TOPIC,
-                name=take_id,
-                inputs=[take, *parts],
-                parameters={"take_id": take_id, "yaws_deg": list(yaws_deg), "num_parts": len(parts)},
-                seed=inputs.seed,
-            )
+class UnseenViewsSettings(DirectionSettings):
+    """What is done to the images of held-out takes."""
+
+    has_unseen_view_sweeps: bool = Field(
+        False, description="Also at growing noise and with more and more joints missing, from the same directions"
+    )
+
+
+class LeftOutSettings(DirectionSettings):
+    """Whether takes of the database are left out in turn."""
+
+    has_left_out_clips: bool = Field(
+        False, description="Each take of the projection database against the rest of it, from the same directions"
+    )
+
+
+class TakeParameters(DirectionSettings):
+    """One take against the parts of the database that have not seen it."""
+
+    take_id: str
+
+
+class StepParameters(TakeParameters):
+    """One take in one condition (of the setting's, by number), or at growing levels of noise or missing joints."""
+
+    kind: str
+    condition: int = 0
+
+
+def _plan_setting(setting: Setting, inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
+    """Plan one shard per held-out take and condition, with the database parts that have not seen the take."""
+    steps = [("condition", number) for number in range(len(CONDITIONS[setting]))]
+    steps += [(kind, 0) for kind in _LEVELS] if settings.has_unseen_view_sweeps else []
+    return [
+        _SETTINGS[setting].shard(
+            inputs,
+            f"{take_id}-{kind}" + (f"-{number}" if kind == "condition" else ""),
+            StepParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg, kind=kind, condition=number),
+            take=[take],
+            parts=parts,
+            # A codebook is of use with exactly the parts it numbers.
+            codebook=_books(inputs, parts) if kind == "condition" else [],
         )
-    return found
+        for take_id, take, parts in _takes(inputs, settings, is_held_out=True)
+        for kind, number in steps
+    ]
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _plan_left_out(inputs: StageInputs, settings: LeftOutSettings) -> list[Shard]:
+    """Plan one shard per take of the database, with the parts that have not seen it."""
+    if not settings.has_left_out_clips:
+        return []
+    return [
+        LEFT_OUT_CLIPS.shard(
+            inputs,
+            take_id,
+            TakeParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg),
+            take=[take],
+            parts=parts,
+        )
+        for take_id, take, parts in _takes(inputs, settings, is_held_out=False)
+    ]
+
+
+def _takes(
+    inputs: StageInputs, settings: DirectionSettings, *, is_held_out: bool
+) -> Iterator[tuple[str, Manifest, list[Manifest]]]:
+    """Yield the takes that are asked for and the parts of the database that have not seen each; none without any."""
+    for take in inputs.of("poses") if settings.unseen_views_deg else ():
+        take_id = str(take.facts["take_id"])
+        parts = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
+        if take.facts["is_held_out"] == is_held_out and parts:
+            yield take_id, take, parts
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one take in one setting: a condition, or a sweep of growing levels."""
-    setting, kind = Setting(shard.partition), shard.parameters["kind"]
+    setting, options = Setting(shard.partition), shard.options(StepParameters)
+    kind, take_id, yaws_deg = options.kind, options.take_id, options.unseen_views_deg
     searcher, codebook, rate_hz = _database(shard, store, setting)
     scores: list[Score] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
     for item, world, person in _people(shard, store, rate_hz):
-        labels = ("evaluation", setting.value, shard.parameters["take_id"], person, kind, shard.parameters["condition"])
+        labels = ("evaluation", setting.value, take_id, person, kind, options.condition)
         draw = partial(_stream, shard.seed, labels)
         if kind != "condition":
             points = level_scores(
@@ -126,7 +153,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
                 levels=_LEVELS[kind],
                 rate_hz=rate_hz,
                 item=item,
-                yaws_deg=shard.parameters["yaws_deg"],
+                yaws_deg=yaws_deg,
                 stream=draw,
                 methods=_CURVE_METHODS,
             )
@@ -135,7 +162,7 @@ def run(shard: Shard, store: Store) -> TopicResult:
             pictures[name] = _curves(points, f"{item}, {setting.value}", _LEVEL_LABELS[kind])
             captions[name] = f"{item}: mean error over the views, root rotation kept, against {_LEVEL_LABELS[kind]}."
             continue
-        condition = CONDITIONS[setting][shard.parameters["condition"]]
+        condition = CONDITIONS[setting][options.condition]
         scores += unseen_view_scores(
             searcher,
             world,
@@ -143,32 +170,33 @@ def run(shard: Shard, store: Store) -> TopicResult:
             condition,
             rate_hz=rate_hz,
             item=item,
-            yaws_deg=shard.parameters["yaws_deg"],
+            yaws_deg=yaws_deg,
             stream=draw,
             codebook=codebook,
             has_live=True,
         )
-        if shard.parameters["condition"] == 0:
+        if options.condition == 0:
             name = f"{setting.value}-{item.replace(' ', '-')}.webp"
-            pictures[name] = _clip(searcher, world, setting, condition, shard.parameters["yaws_deg"][0], rate_hz, draw)
+            pictures[name] = _clip(searcher, world, setting, condition, yaws_deg[0], rate_hz, draw)
             captions[name] = (
                 f"{item}, {condition.name}: the image (left), the fit as the camera sees it (middle) and from its side "
                 "(right); truth in grey."
             )
     note = (
-        f"{shard.parameters['take_id']} against {searcher.database.num_projections:,} projections; best_of_50 is "
+        f"{take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
         "a mark that knows the truth."
     )
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=[note] if kind == "condition" else [])
 
 
-def run_left_out(shard: Shard, store: Store) -> TopicResult:
+def _run_left_out(shard: Shard, store: Store) -> TopicResult:
     """Score a take of the database against the rest of the database, by parallel rays."""
+    take_id, yaws_deg = shard.options(TakeParameters).take_id, shard.options(TakeParameters).unseen_views_deg
     searcher, _, rate_hz = _database(shard, store, Setting.PARALLEL)
     scores: list[Score] = []
     for item, world, person in _people(shard, store, rate_hz):
         for number, condition in enumerate(_LEFT_OUT_CONDITIONS):
-            labels = ("evaluation", LEFT_OUT_TOPIC, shard.parameters["take_id"], person, number)
+            labels = ("evaluation", LEFT_OUT_CLIPS.name, take_id, person, number)
             scores += unseen_view_scores(
                 searcher,
                 world,
@@ -176,11 +204,10 @@ def run_left_out(shard: Shard, store: Store) -> TopicResult:
                 condition,
                 rate_hz=rate_hz,
                 item=item,
-                yaws_deg=shard.parameters["yaws_deg"],
+                yaws_deg=yaws_deg,
                 stream=partial(_stream, shard.seed, labels),
                 methods=_LEFT_OUT_METHODS,
                 has_clean_up=False,
-                topic=LEFT_OUT_TOPIC,
             )
     return TopicResult(scores=scores)
 
@@ -196,16 +223,14 @@ def _stream(seed: int, labels: Sequence[str | int], *more: int) -> np.random.Gen
 
 def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, Codebook | None, float]:
     """Return the database of the shard's parts, in the order of the codebook where there is one, and its rate."""
-    _, *others = shard.inputs
-    parts, books = others[: shard.parameters["num_parts"]], others[shard.parameters["num_parts"] :]
+    parts, books = shard.refs("parts"), shard.refs("codebook")
     used = [store.manifest(part).facts for part in parts]
-    refuse_overlap(
-        "the projection database", [name for one in used for name in one["takes"]], [shard.parameters["take_id"]]
-    )
+    take_id = shard.options(TakeParameters).take_id
+    refuse_overlap("the projection database", [name for one in used for name in one["takes"]], [take_id])
     codebook = None
     if books:
         by_key = {part.key: part for part in parts}
-        parts = [by_key[key] for key in store.manifest(books[0]).facts["part_keys"]]
+        parts = tuple(by_key[key] for key in store.manifest(books[0]).facts["part_keys"])
         table = store.read(books[0], "codebook")
         codebook = Codebook(np.asarray(table["representative_m"]), tuple(np.asarray(one) for one in table["members"]))
     views = read_views([store.manifest(part) for part in parts])
@@ -219,7 +244,7 @@ def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, C
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[tuple[str, np.ndarray, int]]:
     """Return name, motion (frame, 14, 3) at the database's rate and number of every person of the shard's take."""
-    take, take_id = shard.inputs[0], shard.parameters["take_id"]
+    take, take_id = shard.ref("take"), shard.options(TakeParameters).take_id
     people = read_people(store, take, "op14_m")
     from_hz = float(store.manifest(take).facts["rate_hz"])
     return [
@@ -268,3 +293,49 @@ def _clip(
         rate_hz=rate_hz / step,
         truth_m=seen.truth_m[::step, None],
     )
+
+
+_READS = ("poses", "projections", "codebook")
+_YARDSTICKS = (Yardstick("error_root_kept", "mean joint error", (Method.NEAREST.value,), (Method.FIT.value,)),)
+
+PARALLEL_VIEWS = Topic(
+    name=Setting.PARALLEL.value,
+    heading="Unseen motion, parallel rays",
+    introduction="Held-out motion on the body of the projection database, seen by parallel rays: errors of every "
+    "method, and how far reconstructions from two views differ (root rotation removed), as in the paper on such "
+    "databases. `_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its "
+    "image.",
+    reads=_READS,
+    plan=partial(_plan_setting, Setting.PARALLEL),
+    run=_run,
+    settings=UnseenViewsSettings,
+    yardsticks=_YARDSTICKS,
+)
+
+PINHOLE_VIEWS = Topic(
+    name=Setting.PINHOLE.value,
+    heading="Unseen motion, pinhole",
+    introduction="The same motion on its own body before a pinhole at 4 m; proportions and scale are estimated from "
+    "the track, and the lens is assumed, as it is with video of one's own. Where the height of the camera over the "
+    "floor is known, the floor says how large the person is.",
+    reads=_READS,
+    plan=partial(_plan_setting, Setting.PINHOLE),
+    run=_run,
+    settings=UnseenViewsSettings,
+    yardsticks=_YARDSTICKS,
+)
+
+LEFT_OUT_CLIPS = Topic(
+    name="left_out_clips",
+    heading="Clips left out",
+    introduction="Each take of the projection database on the database's body by parallel rays, reconstructed from "
+    "the rest.",
+    reads=_READS,
+    plan=_plan_left_out,
+    run=_run_left_out,
+    settings=LeftOutSettings,
+    yardsticks=_YARDSTICKS,
+    has_means_first=True,
+)
+
+_SETTINGS = {Setting.PARALLEL: PARALLEL_VIEWS, Setting.PINHOLE: PINHOLE_VIEWS}

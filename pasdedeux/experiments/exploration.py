@@ -22,20 +22,20 @@ _COVERAGE = {
 _CHAINS = {
     "acceptance_rate_mean": "accepted",
     "travelled_mean": "travelled",
-    "ess_min_least": "least ESS",
+    "ess_min": "smallest ESS",
 }
 
 
-def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> TextTable | None:
+def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> list[TextTable]:
     """Lay out a row for each method that was scored in both topics or grew, best coverage of the hardest part first.
 
     Coverage is over held-out frames where there are any, else over unannotated ones; figures of chains are means over
-    seeds.  None where chains were not scored, or nothing was covered.
+    seeds.  No table where chains were not scored, or nothing was covered.
     """
     single = [score for score in coverage if np.isnan(score.at)]
     split = next((one for one in _SPLITS if any(score.split == one for score in single)), None)
     if split is None or not chains:
-        return None
+        return []
     covered = {(score.method, score.metric): score for score in single if score.split == split}
     went: dict[tuple[str, str], list[Score]] = {}
     for score in chains:
@@ -55,8 +55,10 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> Tex
             values = [score.value for score in found if np.isfinite(score.value)]
             cells.append(format_value(float(np.mean(values)), found[0].unit) if values else "")
         rows.append((method, *cells))
-    return TextTable(
-        caption=f"What each way of exploring brought: {split.replace('_', ' ')} frames",
-        headings=("draws of", *_COVERAGE.values(), *_CHAINS.values()),
-        rows=tuple(rows),
-    )
+    return [
+        TextTable(
+            caption=f"What each way of exploring brought: {split.replace('_', ' ')} frames",
+            headings=("draws of", *_COVERAGE.values(), *_CHAINS.values()),
+            rows=tuple(rows),
+        )
+    ]

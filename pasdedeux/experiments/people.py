@@ -7,18 +7,16 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.detections import film, people_of
-from pasdedeux.evaluation.detector_faults import KINDS, JointCounts, count_joints, inject
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.experiments.detections import film, people_of
+from pasdedeux.experiments.detector_faults import KINDS, JointCounts, count_joints, inject
 from pasdedeux.reconstruction.faults import repair_faults
 from pasdedeux.reconstruction.identity import follow_people, identity_switches
 
-__all__ = ["TOPIC", "fault_scores", "identity_scores"]
+__all__ = ["fault_scores", "identity_scores"]
 
 Array = npt.NDArray[np.float64]
 Stream = Callable[[str, int], np.random.Generator]
-
-TOPIC = "people"
 
 
 def identity_scores(
@@ -52,11 +50,11 @@ def identity_scores(
     for metric, counts in (("identity_switches", switches), ("dropped_rows", dropped)):
         named = {**counts, "all": sum(counts.values())}
         scores += [
-            Score(TOPIC, metric, "followed", float(value), "", False, split, name, count=rows.get(name, total))
+            Score(metric, "followed", float(value), "", False, split, name, count=rows.get(name, total))
             for name, value in named.items()
         ]
     per_minute = sum(switches.values()) / minutes if minutes else float("nan")
-    return [*scores, Score(TOPIC, "identity_switches_per_minute", "followed", per_minute, "", False, split, "all")]
+    return [*scores, Score("identity_switches_per_minute", "followed", per_minute, "", False, split, "all")]
 
 
 def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: float, stream: Stream) -> list[Score]:
@@ -82,7 +80,7 @@ def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: floa
             counts[kind] += count_joints(faulty, points, found)
     split = _noise(noise_px)
     scores = [
-        Score(TOPIC, metric, "repaired", value, "", False, split, f"fault: {kind}", count=one.wrong)
+        Score(metric, "repaired", value, "", False, split, f"fault: {kind}", count=one.wrong)
         for kind, one in counts.items()
         for metric, value in {
             "share_of_wrong_joints_found": one.recall,
@@ -94,7 +92,7 @@ def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: floa
     share = touched / joints if joints else float("nan")
     return [
         *scores,
-        Score(TOPIC, "share_of_good_joints_touched", "repaired", share, "", False, split, "no fault", count=joints),
+        Score("share_of_good_joints_touched", "repaired", share, "", False, split, "no fault", count=joints),
     ]
 
 

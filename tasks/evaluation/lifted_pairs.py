@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from pydantic import Field
 
-from pasdedeux.evaluation.lifting import (
+from pasdedeux.evaluation.lifted_pairs import (
     completion_scores,
     in_between_scores,
     lifted_scores,
     lifted_sheet,
 )
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, join_draws, read_draw_sets
-from tasks.evaluation.topic import TopicResult, make_shard, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
-from tasks.stage import Shard, StageInputs, stream
+from tasks.stage import Parameters, Shard, StageInputs, stream
 
-__all__ = ["TOPIC", "run", "shards"]
+__all__ = ["TOPIC"]
 
-TOPIC = "lifting"
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
@@ -30,8 +31,16 @@ _MOST_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
 
 
-def shards(inputs: StageInputs, *, num_completed_pairs: int) -> list[Shard]:
-    """One shard over all lifted pairs, and one over real pairs of which joints are hidden and frames left out."""
+class LiftedPairsSettings(Parameters):
+    """What is completed to be scored."""
+
+    num_completed_pairs: int = Field(
+        12, ge=0, description="Real pairs of each part whose joints are hidden and completed from draws; 0: none"
+    )
+
+
+def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
+    """Plan one shard over all lifted pairs, and one over real pairs of which joints are hidden and frames left out."""
     lifted = list(inputs.of("lifted_pairs"))
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     known = {ref.key for manifest in lifted for ref in manifest.inputs}
@@ -40,45 +49,32 @@ def shards(inputs: StageInputs, *, num_completed_pairs: int) -> list[Shard]:
     ]
     found = []
     if lifted and takes and annotations:
-        found.append(
-            make_shard(
-                topic=TOPIC,
-                name="lifted",
-                inputs=[*takes, *annotations, *lifted],
-                parameters={"num_takes": len(takes), "num_annotations": len(annotations)},
-                seed=inputs.seed,
-            )
-        )
+        found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != "prior_only"]
-    if num_completed_pairs and draws and takes:
-        found.append(
-            make_shard(
-                topic=TOPIC,
-                name="completed",
-                inputs=[*takes, *draws],
-                parameters={"num_takes": len(takes), "num_completed_pairs": num_completed_pairs},
-                seed=inputs.seed,
-            )
-        )
+    if settings.num_completed_pairs and draws and takes:
+        options = LiftedPairsSettings(num_completed_pairs=settings.num_completed_pairs)
+        found.append(TOPIC.shard(inputs, "completed", options, takes=takes, draws=draws))
     return found
 
 
-def run(shard: Shard, store: Store) -> TopicResult:
+def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one of the two."""
-    return _lifted(shard, store) if shard.name == "lifted" else _completed(shard, store)
+    match shard.parameters:
+        case LiftedPairsSettings():
+            return _completed(shard, store)
+        case _:
+            return _lifted(shard, store)
 
 
 def _lifted(shard: Shard, store: Store) -> TopicResult:
-    num_takes, num_annotations = int(shard.parameters["num_takes"]), int(shard.parameters["num_annotations"])
-    take_refs = shard.inputs[:num_takes]
-    annotation_refs = shard.inputs[num_takes : num_takes + num_annotations]
+    take_refs, annotation_refs = shard.refs("takes"), shard.refs("annotations")
     takes = read_takes(store, take_refs, "pair17_m")
     held_out = _held_out(store, take_refs)
     frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
     found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     examples: dict[str, dict[tuple[str, int], dict[str, np.ndarray]]] = {}
-    for ref in shard.inputs[num_takes + num_annotations :]:
+    for ref in shard.refs("lifted"):
         facts = store.manifest(ref).facts
         if facts["is_held_out"]:
             refuse_overlap(f"artifact {store.manifest(ref).partition}", facts["learned_takes"], held_out)
@@ -107,7 +103,6 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
             errors = [np.linalg.norm(_middled(pair) - _middled(true), axis=-1).mean() for pair, true in rows]
             scores.append(
                 Score(
-                    topic=TOPIC,
                     metric="in_between_lifted_error_mean",
                     method=method,
                     value=float(np.mean(errors)),
@@ -135,15 +130,15 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
 
 
 def _completed(shard: Shard, store: Store) -> TopicResult:
-    num_takes, count = int(shard.parameters["num_takes"]), int(shard.parameters["num_completed_pairs"])
-    take_refs, draw_refs = shard.inputs[:num_takes], shard.inputs[num_takes:]
+    count = shard.options(LiftedPairsSettings).num_completed_pairs
+    take_refs, draw_refs = shard.refs("takes"), shard.refs("draws")
     takes, held_out = read_takes(store, take_refs, "pair17_m"), _held_out(store, take_refs)
     for ref in draw_refs:
         refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
     sets = read_draw_sets(store, draw_refs)
     draws = join_draws("all", [(name, found.pairs_m) for name, found in sets.items()])
     # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
-    generator = stream(shard.seed, TOPIC, "completed")
+    generator = stream(shard.seed, TOPIC.name, "completed")
     grown = sets[GROWN].pairs_m if GROWN in sets else draws.pairs_m[:0]
     sampled = [found.pairs_m for name, found in sets.items() if name != GROWN]
     others = np.concatenate(sampled) if sampled else draws.pairs_m[:0]
@@ -185,3 +180,20 @@ def _split(facts: dict[str, object], is_held_out: bool) -> str:
 
 def _middled(pair: np.ndarray) -> np.ndarray:
     return pair - pair.reshape(-1, 3).mean(axis=0)
+
+
+TOPIC = Topic(
+    name="lifting",
+    heading="Lifting",
+    introduction="Annotations lifted to 3D by the draws that look like them; joints hidden in real pairs and completed "
+    "from draws; frames filled in between. Pair errors keep distance and depth between the people, person errors are "
+    "about each root, both in camera axes.",
+    reads=("lifted_pairs", "in_betweens", "poses", "annotations", "cameras", "draws", "seeds"),
+    plan=_plan,
+    run=_run,
+    settings=LiftedPairsSettings,
+    yardsticks=(
+        Yardstick("occluded_joint_error_mean", "error of completed joints", ("mean_pair", "nearest_draw"), ("fitted",)),
+        Yardstick("lifted_pair_error_mean", "error of lifted pairs", ("naive_sampling", "lifting"), ("fitted",)),
+    ),
+)

@@ -175,7 +175,6 @@ def lifted_sheet(examples: Sequence[Mapping[str, Array]], *, title: str) -> byte
 def _summary(values: Array, metric: str, method: str, split: str, *, item: str = "all") -> list[Score]:
     return summarise(
         values,
-        topic="lifting",
         metric=metric,
         method=method,
         unit="m",

@@ -1,0 +1,1 @@
+"""Topics that only the studies of the papers ask for."""

@@ -1,0 +1,156 @@
+"""Every registered topic: what it finds arrives in the report, with its heading and introduction; so does a new one."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.evaluation.drawing import skeleton_sheet
+from pasdedeux.evaluation.score_tables import format_value
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
+from storage_schema import Manifest, Store
+from tasks.evaluation import STAGE, TOPICS, evaluation_stage
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
+from tests.builders.real_study import BuiltStudy
+
+pytestmark = pytest.mark.slow
+
+EVERYTHING = {
+    "num_truth_pairs": 8,
+    "num_completed_pairs": 1,
+    "clip_seconds": 0.3,
+    "num_judged_pairs": 3,
+    "unseen_views_deg": (0.0,),
+    "has_left_out_clips": True,
+    "num_crowd_views": 1,
+}
+"""Settings under which every topic has something to do on the small study."""
+
+
+def inputs_of(store: Store, stage: Stage) -> StageInputs:
+    """Return what the stages before left in a store, by table."""
+    made = [manifest for manifest in store.artifacts() if manifest.ref.stage != stage.name]
+    made.sort(key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
+    return StageInputs({table: [one for one in made if table in one.tables] for table in stage.reads}, seed=3)
+
+
+def evaluate(store: Store, stage: Stage, **settings: object) -> list[Manifest]:
+    """Return what each shard committed; the last is the report."""
+    planned = stage.plan(inputs_of(store, stage), stage.parameters(**settings))
+    return [store.manifest(stage.run_shard(shard, store)) for shard in planned]
+
+
+def page_of(store: Store, made: Sequence[Manifest]) -> str:
+    return html.unescape(store.attachment(made[-1].ref, "report.html").decode())
+
+
+@pytest.fixture(scope="module")
+def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, list[Manifest], str]:
+    """Return the small study's store with every topic scored in it, what was made, and the page."""
+    # Two takes of the database: one can be left out only where another is there.
+    store = Store(small.copy_store(tmp_path_factory.mktemp("topics")))
+    made = evaluate(store, STAGE, **EVERYTHING)
+    return store, made, page_of(store, made)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[Manifest], str], topic: Topic) -> None:
+    store, made, page = evaluated
+    parts = [one for one in made if one.partition == topic.name]
+    assert parts, f"the small study has nothing for topic {topic.name}: let EVERYTHING ask for it"
+    section = page.split(f">{topic.heading}</h2>")[1].split("<h2")[0]
+    assert topic.introduction in section
+    shown = 0
+    for part in parts:
+        for note in part.facts["notes"]:
+            assert note in section
+        for name in part.attachments:
+            assert base64.b64encode(store.attachment(part.ref, name)).decode() in section
+            assert part.facts["captions"][name] in section
+            shown += 1
+        if "scores" in part.tables:
+            table = store.read(part.ref, "scores")
+            assert set(table["topic"]) == {topic.name}
+            for value, unit, at in zip(table["value"], table["unit"], table["at"], strict=True):
+                assert not np.isnan(at) or f"<td>{format_value(value, unit)}</td>" in section
+            shown += table.num_rows
+    assert shown > 0
+
+
+def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
+    evaluated: tuple[Store, list[Manifest], str],
+) -> None:
+    store, made, page = evaluated
+    headings = [part.split("<")[0] for part in page.split('<h2 id="')[1:]]
+    headings = [heading.split(">")[1] for heading in headings]
+    assert headings == [
+        "Is it good?",
+        *(topic.heading for topic in TOPICS),
+        "Left out, and why",
+        "Sources and licences",
+    ]
+    judged = {one.partition for one in made if verdict_of(one) is not None}
+    table = store.read(made[-1].ref, "verdicts")
+    ours = [name for stage, name in zip(table["stage"], table["partition"], strict=True) if stage == "evaluation"]
+    assert sorted(ours) == sorted(judged)
+    assert {"views", "reconstruction", "augmentation", "models", "coverage", "lifting"} <= judged
+    card = store.attachment(made[-1].ref, "card.md").decode()
+    assert "## Is it good?" in card
+    for name in judged:
+        assert f"evaluation: {name.replace('_', ' ')}" in page
+        assert f"- evaluation: {name.replace('_', ' ')}: " in card
+
+
+class ToySettings(Parameters):
+    num_toys: int = 0
+
+
+def plan_toys(inputs: StageInputs, settings: ToySettings) -> list[Shard]:
+    return [TOY.shard(inputs, "all", ToySettings(num_toys=settings.num_toys), takes=inputs.of("poses"))]
+
+
+def run_toys(shard: Shard, store: Store) -> TopicResult:
+    count = shard.options(ToySettings).num_toys * len(shard.refs("takes"))
+    scores = [Score("toys", "counted", float(count)), Score("toys", "guessed", 1000.0, is_baseline=True)]
+    return TopicResult(scores, {"toy.png": skeleton_sheet([])}, {"toy.png": "A toy."}, ["Toys were counted."])
+
+
+TOY = Topic(
+    name="toys",
+    heading="Toys & games",
+    introduction="How many toys there are.",
+    reads=("poses",),
+    plan=plan_toys,
+    run=run_toys,
+    settings=ToySettings,
+    yardsticks=(Yardstick("toys", "toys", ("guessed",)),),
+    cautions=(("poses", "Toys break."),),
+)
+
+
+def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Path) -> None:
+    store = Store(small.copy_store(tmp_path))
+    stage = evaluation_stage([topic for topic in TOPICS if topic.name == "takes"] + [TOY])
+    assert set(stage.parameters.model_fields) == {"title", "description", "num_toys"}
+    made = evaluate(store, stage, num_toys=3)
+    page = page_of(store, made)
+    for text in (
+        "Toys & games",
+        "How many toys there are.",
+        "Toys were counted.",
+        "A toy.",
+        "<td>6</td>",
+        "Toys break.",
+    ):
+        assert text in page
+    (verdict,) = [verdict_of(one) for one in made if one.partition == "toys"]
+    assert verdict is not None
+    assert (verdict.level, verdict.value, verdict.baseline) == ("pass", 6.0, 1000.0)
+    assert "counted is better than guessed" in page

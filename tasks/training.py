@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from pydantic import Field, field_validator
 
-from pasdedeux.evaluation.model_metrics import model_errors
+from pasdedeux.evaluation.models import model_errors
 from pasdedeux.learning import (
     BASELINES,
     MODELS,

@@ -15,13 +15,16 @@ from pasdedeux.evaluation.score_tables import format_value
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import Manifest, Store
+from tasks import projections
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
 from tests.builders.real_study import BuiltStudy
+from tests.builders.walking_takes import put_take
 
 pytestmark = pytest.mark.slow
 
+WALKER = "walker"
 EVERYTHING = {
     "num_truth_pairs": 8,
     "num_completed_pairs": 1,
@@ -36,7 +39,7 @@ EVERYTHING = {
 
 def inputs_of(store: Store, stage: Stage) -> StageInputs:
     """Return what the stages before left in a store, by table."""
-    made = [manifest for manifest in store.artifacts() if manifest.ref.stage != stage.name]
+    made = [one for one in store.artifacts() if one.ref.stage != stage.name and one.partition != WALKER]
     made.sort(key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     return StageInputs({table: [one for one in made if table in one.tables] for table in stage.reads}, seed=3)
 
@@ -56,6 +59,10 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
     """Return the small study's store with every topic scored in it, what was made, and the page."""
     # Two takes of the database: one can be left out only where another is there.
     store = Store(small.copy_store(tmp_path_factory.mktemp("topics")))
+    # A database from which the only other take can be left out.
+    takes = StageInputs({"poses": [put_take(store, WALKER, rate_hz=12.0)]}, seed=3)
+    for shard in projections.plan(takes, projections.ProjectionsParameters(pitches_deg=(0.0, 20.0), heights_m=())):
+        projections.run_shard(shard, store)
     made = evaluate(store, STAGE, **EVERYTHING)
     return store, made, page_of(store, made)
 

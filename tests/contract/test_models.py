@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.model_metrics import model_errors
+from pasdedeux.evaluation.models import model_errors
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import BASELINES, MODELS, TrainingItem, VariantModel, VariantRequest, load_model
 from pasdedeux.skeletons import BODY22

@@ -46,7 +46,7 @@ class BodyPart(IntEnum):
 
 
 _EXTREMITIES = BODY22.indices(["left_wrist", "right_wrist", *(BODY22.joint_names[i] for i in FEET)])
-_LIMBS = BODY22.indices(["left_elbow", "right_elbow", "left_knee", "right_knee"])
+_LIMBS = [limb[1] for limb in BODY22.limbs]
 
 
 _STANCE_SPEED_M_S = (0.15, 0.45)

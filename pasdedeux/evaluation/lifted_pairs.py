@@ -38,9 +38,9 @@ BASELINES = frozenset({"mean_pair", "lifting", "lifting_ik", "naive_sampling", "
 """Methods that others are compared with."""
 
 HIDDEN = {
-    "arm": tuple(PAIR17.indices((f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist")) for side in ("left", "right")),
-    "leg": tuple(PAIR17.indices((f"{side}_knee", f"{side}_ankle")) for side in ("left", "right")),
-    "limbs": (PAIR17.indices([f"{s}_{j}" for s in ("left", "right") for j in ("elbow", "wrist", "knee", "ankle")]),),
+    "arm": PAIR17.arms,
+    "leg": tuple(leg[1:] for leg in PAIR17.legs),
+    "limbs": ([joint for side in zip(PAIR17.arms, PAIR17.legs, strict=True) for limb in side for joint in limb[1:]],),
 }
 """What is hidden of one person: an arm, a leg, or everything beyond shoulders and hips."""
 

@@ -20,13 +20,8 @@ KINDS = ("body", "arms", "legs", "exchanged", "stolen", "merged")
 only; a person whose every joint is now and then the partner's."""
 
 _MIRROR = np.array(OP14.mirror)
-_ARMS = np.array(OP14.indices([f"{s}_{j}" for s in ("left", "right") for j in ("shoulder", "elbow", "wrist")]))
-_LEGS = np.array(OP14.indices([f"{s}_{j}" for s in ("left", "right") for j in ("hip", "knee", "ankle")]))
-_LIMBS = [
-    np.array(OP14.indices([f"{side}_{joint}" for joint in joints]))
-    for side in ("left", "right")
-    for joints in (("elbow", "wrist"), ("knee", "ankle"))
-]
+_ARMS, _LEGS = np.array(OP14.arms).ravel(), np.array(OP14.legs).ravel()
+_LIMBS = [np.array(limb[1:]) for side in zip(OP14.arms, OP14.legs, strict=True) for limb in side]
 _VISIBLE = 0.06
 """A fault that moves a joint by less than this share of the body's height cannot be seen, and does no harm."""
 

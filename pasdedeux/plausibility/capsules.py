@@ -112,7 +112,7 @@ class CapsuleModel:
 
 def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
     """Return the stature (*batch,) of people with these bone lengths (*batch, J), from their legs, metres."""
-    legs = skeleton.indices(("left_knee", "left_ankle", "right_knee", "right_ankle"))
+    legs = [joint for leg in skeleton.legs for joint in leg[1:]]
     return np.asarray(bone_lengths_m[..., legs].sum(axis=-1) / (2.0 * LEG_PER_HEIGHT))
 
 

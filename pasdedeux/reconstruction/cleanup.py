@@ -38,9 +38,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
-_LEGS = tuple(
-    tuple(OP14.indices([f"{side}_{name}" for name in ("hip", "knee", "ankle")])) for side in ("left", "right")
-)
+_LEGS = OP14.legs
 _ANKLES = np.array([leg[2] for leg in _LEGS])
 _UP, _AWAY = 1, 2
 _FLOOR_QUANTILE = 0.1

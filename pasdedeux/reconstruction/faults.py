@@ -39,17 +39,8 @@ Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 
-_ARMS = OP14.indices(["left_shoulder", "left_elbow", "left_wrist"])
-_LEGS = OP14.indices(["left_hip", "left_knee", "left_ankle"])
-_EXCHANGED_LIMBS: tuple[tuple[int, ...], ...] = tuple(
-    tuple(OP14.indices(names))
-    for names in (
-        ("left_elbow", "left_wrist"),
-        ("right_elbow", "right_wrist"),
-        ("left_knee", "left_ankle"),
-        ("right_knee", "right_ankle"),
-    )
-)
+_ARMS, _LEGS = OP14.arms[0], OP14.legs[0]
+_EXCHANGED_LIMBS = tuple(limb[1:] for limb in OP14.limbs)
 _MIRROR = np.array(OP14.mirror)
 _SIDE_STATES = 4
 _MEMORY_S = 0.2

@@ -43,14 +43,7 @@ PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -15.0
 PENETRATION_WIDTH_M = 0.01
 _SAME_M = 1e-6
 
-_LIMBS = np.array(
-    [
-        PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
-        for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-        for side in ("left", "right")
-    ],
-    dtype=np.int64,
-)
+_LIMBS = np.array(PAIR17.limbs, dtype=np.int64)
 _NUM_LIMBS = 2 * len(_LIMBS)
 
 

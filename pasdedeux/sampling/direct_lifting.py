@@ -48,11 +48,7 @@ _DEPTHS_M = np.linspace(-0.9, 0.9, 19)
 _NUM_WEIGHED = 12
 _NUM_TRIES = 8
 _ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
-_LIMBS = [
-    PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
-    for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-    for side in ("left", "right")
-]
+_LIMBS = PAIR17.limbs
 _PELVIS, _SPINE, _CHEST, _NECK, _HEAD = PAIR17.indices(("pelvis", "spine", "chest", "neck", "head"))
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2 * len(_LIMBS))))
 

@@ -32,11 +32,7 @@ CONTACT_WEIGHT = 0.5
 _WHOLE_BODIES = [0, 1, 14]
 """Which of the other lifts mirror both people, person A and person B."""
 
-_LIMBS = [
-    PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
-    for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-    for side in ("left", "right")
-]
+_LIMBS = PAIR17.limbs
 
 
 def other_lifts(seen_m: Array) -> Array:

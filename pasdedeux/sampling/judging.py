@@ -46,11 +46,7 @@ SIGMA_L = 0.01
 """Bandwidth of the published likelihood; 2 sigma_l^2 is in metres (Yin et al. 2018, eq. 9)."""
 _MEAN_VIEW_WIDTH_M = 0.01
 _ANKLES = PAIR17.indices(("left_ankle", "right_ankle"))
-_LIMBS = [
-    PAIR17.indices((f"{side}_{root}", f"{side}_{middle}", f"{side}_{end}"))
-    for root, middle, end in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
-    for side in ("left", "right")
-]
+_LIMBS = PAIR17.limbs
 
 
 class Corruption(StrEnum):

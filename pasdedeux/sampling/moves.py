@@ -28,16 +28,7 @@ class MoveKind(StrEnum):
     ROOTS = "roots"
 
 
-LIMBS = tuple(
-    tuple(PAIR17.indices(names))
-    for names in (
-        ("spine", "chest", "neck", "head"),
-        ("left_shoulder", "left_elbow", "left_wrist"),
-        ("right_shoulder", "right_elbow", "right_wrist"),
-        ("left_hip", "left_knee", "left_ankle"),
-        ("right_hip", "right_knee", "right_ankle"),
-    )
-)
+LIMBS = (PAIR17.indices(("spine", "chest", "neck", "head")), *PAIR17.limbs)
 """Bones of the trunk, the arms and the legs of one person, by the joint they end in."""
 
 

@@ -86,6 +86,23 @@ class Skeleton:
         return [self.index(name) for name in joint_names]
 
     @cached_property
+    def arms(self) -> tuple[list[int], list[int]]:
+        """Shoulder, elbow and wrist of the left arm and of the right one; an InputError where there are none."""
+        left, right = ([f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")] for side in ("left", "right"))
+        return self.indices(left), self.indices(right)
+
+    @cached_property
+    def legs(self) -> tuple[list[int], list[int]]:
+        """Hip, knee and ankle of the left leg and of the right one; an InputError where there are none."""
+        left, right = ([f"{side}_{name}" for name in ("hip", "knee", "ankle")] for side in ("left", "right"))
+        return self.indices(left), self.indices(right)
+
+    @property
+    def limbs(self) -> tuple[list[int], list[int], list[int], list[int]]:
+        """Left arm, right arm, left leg, right leg, each from its root outward."""
+        return (*self.arms, *self.legs)
+
+    @cached_property
     def mirror(self) -> tuple[int, ...]:
         """Index of each joint's left/right counterpart (`left_` against `right_`); itself where there is none."""
         swapped = {"left_": "right_", "right_": "left_"}

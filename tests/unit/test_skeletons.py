@@ -81,3 +81,13 @@ def test_a_mapping_names_the_source_joint_it_misses() -> None:
     mapping = JointMap(name="m", target=_two_joints(), table={"low": "a", "high": "b"})
     with pytest.raises(InputError, match="joint 'b' is not in the source; known joints: a, c"):
         mapping.matrix(["a", "c"])
+
+
+@pytest.mark.parametrize("skeleton", [PAIR17, OP14, BODY22], ids=lambda one: one.name)
+def test_limbs_are_chains_and_left_ones_mirror_right_ones(skeleton: Skeleton) -> None:
+    for root, middle, end in skeleton.limbs:
+        assert skeleton.parents[end] == middle
+        assert skeleton.parents[middle] == root
+    for left, right in (skeleton.arms, skeleton.legs):
+        assert [skeleton.mirror[joint] for joint in left] == right
+        assert all(skeleton.joint_names[joint].startswith("left_") for joint in left)

@@ -19,7 +19,7 @@ __all__ = ["LiveCleanUp", "LiveCleanUpOptions"]
 
 Array = npt.NDArray[np.float64]
 
-_LEGS = np.array([OP14.indices([f"{side}_{name}" for name in ("hip", "knee", "ankle")]) for side in ("left", "right")])
+_LEGS = np.array(OP14.legs)
 _UP, _AWAY = 1, 2
 _FLOOR_QUANTILE = 0.1
 _LEAVING = 1.5

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +15,6 @@ from tasks.graph import Graph, load_graph
 
 __all__ = [
     "Context",
-    "ExportFormat",
     "JsonOption",
     "SettingOption",
     "StoreOption",
@@ -31,15 +29,6 @@ SettingOption = Annotated[
 ]
 StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
-
-
-class ExportFormat(StrEnum):
-    """Formats of exported files."""
-
-    BVH = "bvh"
-    NPZ = "npz"
-    CSV = "csv"
-    JSON = "json"
 
 
 @dataclass

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from flows.console.context import ExportFormat, JsonOption, StoreOption, open_store, print_json
+from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import format_table
+from flows.exports import EXPORT_FORMATS, export_reference
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
 __all__ = ["register"]
@@ -82,12 +83,12 @@ def show(
 def export(
     reference: ReferenceArgument,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
-    file_format: Annotated[ExportFormat, typer.Option("--format", help="What to write.")] = ExportFormat.NPZ,
+    file_format: Annotated[
+        str, typer.Option("--format", metavar="NAME", help=f"What to write: {', '.join(EXPORT_FORMATS)}.")
+    ] = "npz",
     store: StoreOption = Path("store"),
 ) -> None:
     """Write what a reference names into files."""
-    from flows.console.exporting import export_reference
-
     written = export_reference(open_store(store), reference, file_format, out)
     for path in written:
         typer.echo(str(path))

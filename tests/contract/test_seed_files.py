@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.console.context import ExportFormat
-from flows.console.exporting import export_reference
 from flows.execution import Run, begin, execute
+from flows.exports import export_reference
 from flows.planning import Selection, make_plan
 from flows.study import Study
 from pasdedeux.benchmarks.synthetic import random_pairs
@@ -203,16 +202,16 @@ def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
     build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")
     seed = np.asarray(open_table("seeds:edited", store)["pair17_m"])
     out = tmp_path / "out"
-    as_json = export_reference(store, "seeds:edited", ExportFormat.JSON, out)
+    as_json = export_reference(store, "seeds:edited", "json", out)
     assert [path.name for path in as_json] == ["seed0.json", "seed1.json", "CREDITS.txt"]
-    as_bvh = export_reference(store, "seeds:edited#1", ExportFormat.BVH, out)
+    as_bvh = export_reference(store, "seeds:edited#1", "bvh", out)
     assert [path.name for path in as_bvh] == ["seed1_A.bvh", "seed1_B.bvh", "CREDITS.txt"]
     (exact,) = planned(store, SeedFile(path=out / "seed1.json"))
     (close,) = planned(store, SeedFile(path=out / "seed1_A.bvh", other=out / "seed1_B.bvh"))
     np.testing.assert_allclose(store.read(exact.ref, "seeds")["pair17_m"][0], seed[1], atol=1e-12)
     np.testing.assert_allclose(store.read(close.ref, "seeds")["pair17_m"][0], seed[1], atol=2e-6)
     assert exact.facts["takes"] == ["waltz"]
-    (draw, _) = export_reference(store, "draws:edited#3", ExportFormat.JSON, out)
+    (draw, _) = export_reference(store, "draws:edited#3", "json", out)
     assert json.loads(draw.read_text())["made_from"].endswith("#3")
     with pytest.raises(InputError, match="allowed are seeds and single draws"):
-        export_reference(store, "draws:edited", ExportFormat.JSON, out)
+        export_reference(store, "draws:edited", "json", out)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flows.console.context import ExportFormat
-from flows.console.exporting import export_reference
+from flows.exports import export_reference
 from pasdedeux.formats import read_bvh
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import OP14
@@ -48,7 +47,7 @@ def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp
         tables={"motions": columns},
         facts={"pitch_deg": 30.0},
     )
-    export_reference(store, f"motions@{ref.key[:8]}", ExportFormat.BVH, tmp_path / "out")
+    export_reference(store, f"motions@{ref.key[:8]}", "bvh", tmp_path / "out")
     source = read_bvh((tmp_path / "out" / "walk_0_fit.bvh").read_bytes())
     motion = source.to_motion(metres_per_unit=0.01, rate_hz=30.0, up_axis="y")
     positions = motion.world()[0]

@@ -1,0 +1,60 @@
+"""Takes rows out of the store as files of other people's formats, with licence and credits beside them.
+
+A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in `EXPORT_FORMATS`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from flows.exports.export_format import Export, ExportFormat, write_text
+from pasdedeux.errors import InputError
+from storage_schema import Store, parse_reference, resolve
+
+__all__ = ["EXPORT_FORMATS", "Export", "ExportFormat", "export_format", "export_reference"]
+
+EXPORT_FORMATS = {
+    "npz": "flows.exports.npz_table",
+    "csv": "flows.exports.csv_table",
+    "bvh": "flows.exports.bvh_motions",
+    "json": "flows.exports.json_pairs",
+}
+"""Module of each format, by its name on the command line; imported when it is used, so that help comes at once."""
+
+
+def export_format(name: str) -> ExportFormat:
+    """Return the format of this name, or an InputError that lists the known ones."""
+    if name not in EXPORT_FORMATS:
+        raise InputError(f"export format '{name}' is not known; known formats: {', '.join(EXPORT_FORMATS)}")
+    found = import_module(EXPORT_FORMATS[name]).FORMAT
+    assert isinstance(found, ExportFormat)
+    return found
+
+
+def export_reference(store: Store, text: str, file_format: str, out: Path) -> list[Path]:
+    """Write what a reference names into a folder, and return the files, the credits last.
+
+    Raises:
+        InputError: The format is not known, or cannot hold what is named.
+        UnknownReference: The reference names nothing.
+    """
+    reference = parse_reference(text)
+    export = Export(store, text, reference, tuple(resolve(reference, store)))
+    kind = export_format(file_format)
+    if not kind.can_write(reference):
+        raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
+    out.mkdir(parents=True, exist_ok=True)
+    return [*kind.write(export, out), write_text(out / "CREDITS.txt", _credits(export))]
+
+
+def _credits(export: Export) -> str:
+    """Return the licence and credit lines of every source, as text to keep with the files."""
+    sources = sorted(
+        {source for ref in export.refs for source in export.store.manifest(ref).sources}, key=lambda s: s.name
+    )
+    lines = [f"Exported from {export.text} by pasdedeux.", "", "Sources, their licences and credits:", ""]
+    lines.extend(f"{source.name}\n  licence: {source.licence}\n  credit:  {source.credit}\n" for source in sources)
+    lines.append("Artifacts (stage, key, content digest):")
+    lines.extend(f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in export.refs)
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,103 @@
+"""Motions as BVH, a file for each person; and pairs of one moment, as a study reads them back (`seeds.files`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.exports.export_format import Export, ExportFormat, names_pairs, write_text
+from flows.exports.json_pairs import named_pairs
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.pair_file import write_pair_bvh
+from pasdedeux.formats.positions_as_motion import exact_motion
+from pasdedeux.kinematics import Motion
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.skeletons import BODY22, OP14, Skeleton
+from storage_schema import ArtifactRef, Reference, Store, TableData
+
+_TABLES = ("poses", "variants", "motions")
+
+
+class BvhMotions(ExportFormat):
+    """Centimetres, degrees, Y up, at the true rate."""
+
+    writes = f"whole {', '.join(_TABLES)}, seeds and single draws"
+
+    def can_write(self, reference: Reference) -> bool:
+        """Tell whether the reference names whole motions, or pairs."""
+        return names_pairs(reference) or (reference.table in _TABLES and reference.row is None)
+
+    def write(self, export: Export, out: Path) -> Iterable[Path]:
+        """Write a file for each person."""
+        if names_pairs(export.reference):
+            return [
+                write_text(out / f"{name}_{letter}.bvh", person)
+                for name, pair in named_pairs(export)
+                for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
+            ]
+        return [write_text(out / f"{name}.bvh", write_bvh(motion)) for name, motion in _motions(export)]
+
+
+FORMAT = BvhMotions()
+
+
+def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
+    """Return the motions of one table by the name of their file."""
+    store, table = export.store, export.reference.table
+    for ref in export.refs:
+        if table == "poses":
+            yield from _pose_motions(store, ref)
+        else:
+            rows = store.read(ref, table)
+            if table == "variants":
+                for take, variant in _groups(rows, "take_id", "variant_id"):
+                    part = np.array((rows["take_id"] == take) & (rows["variant_id"] == variant))
+                    for person, letter in enumerate("AB"):
+                        positions = rows["body22_m"][part][:, person]
+                        yield f"{take}_{variant}_{letter}", _from_positions(BODY22, positions, rows["time_s"][part])
+            else:
+                camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
+                for sequence, person, method in _groups(rows, "sequence_id", "person_id", "method"):
+                    part = np.array(
+                        (rows["sequence_id"] == sequence) & (rows["person_id"] == person) & (rows["method"] == method)
+                    )
+                    name = f"{sequence}_{person}_{method}"
+                    # From the axes of a camera that looks down to a world in which people stand upright.
+                    upright_m = rows["op14_m"][part] @ camera.camera_from_upright_rotmat
+                    yield name, _from_positions(OP14, upright_m, rows["time_s"][part])
+
+
+def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
+    """Return a take's motions on the skeleton they came with."""
+    takes, poses = store.read(ref, "takes"), store.read(ref, "poses")
+    for index in range(takes.num_rows):
+        take = takes.row(index)
+        part = np.array((poses["take_id"] == take["take_id"]) & (poses["person"] == take["person"]))
+        skeleton = Skeleton(
+            name=str(take["take_id"]),
+            joint_names=tuple(take["joint_names"]),
+            parents=tuple(map(int, take["joint_parents"])),
+        )
+        rotations = [values for values, is_wanted in zip(poses["local_unitquat"], part, strict=True) if is_wanted]
+        motion = Motion(
+            skeleton=skeleton,
+            rest_offsets_m=np.asarray(take["rest_offset_m"], dtype=float).reshape(-1, 3),
+            root_translation_m=np.asarray(poses["root_translation_m"][part], dtype=float),
+            local_unitquat=np.asarray(np.stack(rotations), dtype=float).reshape(len(rotations), -1, 4),
+            rate_hz=float(take["rate_hz"]),
+        )
+        yield f"{take['take_id']}_{take['person']}", motion
+
+
+def _from_positions(skeleton: Skeleton, positions_m: Any, time_s: Any) -> Motion:
+    rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
+    return exact_motion(skeleton, np.asarray(positions_m, dtype=float), rate_hz)
+
+
+def _groups(rows: TableData, *columns: str) -> list[tuple[Any, ...]]:
+    """Return the distinct values of some columns, in the order in which they come."""
+    return list(dict.fromkeys(zip(*(rows[name].tolist() for name in columns), strict=True)))

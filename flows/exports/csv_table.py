@@ -1,0 +1,63 @@
+"""Any table as CSV: a line for each row."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.exports.export_format import Export, ExportFormat
+from pasdedeux.skeletons.working import WORKING_SKELETONS
+from storage_schema import TABLES, Column, Reference, TableData, iter_rows
+
+
+class CsvTable(ExportFormat):
+    """A fixed array takes a column for each number, named by its axes; one of varying length is JSON."""
+
+    writes = "all tables"
+
+    def can_write(self, reference: Reference) -> bool:
+        """Return True."""
+        return True
+
+    def write(self, export: Export, out: Path) -> Iterable[Path]:
+        """Write the table."""
+        path = out / f"{export.reference.table}.csv"
+        columns = TABLES[export.reference.table].columns
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([name for column in columns for name in _names(column)])
+            for batch in iter_rows(export.text, export.store):
+                cells = [_cells(column, batch) for column in columns]
+                for index in range(batch.num_rows):
+                    writer.writerow([cell for column in cells for cell in column[index]])
+        return [path]
+
+
+FORMAT = CsvTable()
+
+
+def _names(column: Column) -> list[str]:
+    names = [column.name]
+    for axis, length in zip(column.axes, column.shape, strict=True):
+        if axis == "joint" and column.joints in WORKING_SKELETONS:
+            labels: tuple[str, ...] = WORKING_SKELETONS[column.joints].joint_names
+        elif len(axis) == length:
+            labels = tuple(axis)
+        else:
+            labels = tuple(map(str, range(length)))
+        names = [f"{name}.{label}" for name in names for label in labels]
+    return names
+
+
+def _cells(column: Column, batch: TableData) -> list[list[Any]]:
+    values = batch[column.name]
+    if isinstance(values, list):
+        return [[json.dumps(np.asarray(value).tolist())] for value in values]
+    if column.shape:
+        return values.reshape(batch.num_rows, -1).tolist()
+    return [[value] for value in values.tolist()]

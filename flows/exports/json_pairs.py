@@ -1,0 +1,40 @@
+"""Pairs as JSON for editing, as a study reads them back (`seeds.files`): one file for both people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from flows.exports.export_format import Export, ExportFormat, names_pairs, write_text
+from pasdedeux.formats.pair_file import PairFile, write_pair_json
+from storage_schema import Reference
+from tasks.seeds.files import pair_of_draw, pairs_of_seeds
+
+__all__ = ["JsonPairs", "named_pairs"]
+
+
+class JsonPairs(ExportFormat):
+    """A file for each pair, with every digit, its lineage and credits."""
+
+    writes = "seeds and single draws (draws@key#row)"
+
+    def can_write(self, reference: Reference) -> bool:
+        """Tell whether the reference names pairs."""
+        return names_pairs(reference)
+
+    def write(self, export: Export, out: Path) -> Iterable[Path]:
+        """Write the pairs."""
+        return [write_text(out / f"{name}.json", write_pair_json(pair)) for name, pair in named_pairs(export)]
+
+
+FORMAT = JsonPairs()
+
+
+def named_pairs(export: Export) -> Iterator[tuple[str, PairFile]]:
+    """Return pairs of seeds, or the one of a draw, by the name of their file."""
+    if export.reference.table == "seeds":
+        for index, pair in pairs_of_seeds(export.store, export.text):
+            yield f"seed{index}", pair
+    else:
+        draw = pair_of_draw(export.store, export.text)
+        yield f"draw-{draw.key[:12]}-{draw.row}", draw.pair

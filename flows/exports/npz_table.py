@@ -1,0 +1,44 @@
+"""Any table as an npz archive: an array for each column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flows.exports.export_format import Export, ExportFormat
+from storage_schema import Reference, open_table
+
+
+class NpzTable(ExportFormat):
+    """Every column as an array; one of varying length as its values end to end and the rows' offsets."""
+
+    writes = "all tables"
+
+    def can_write(self, reference: Reference) -> bool:
+        """Return True."""
+        return True
+
+    def write(self, export: Export, out: Path) -> Iterable[Path]:
+        """Write the table."""
+        rows = open_table(export.text, export.store)
+        arrays: dict[str, Any] = {}
+        for name in rows.column_names:
+            values = rows[name]
+            if isinstance(values, list):
+                lengths = [len(value) for value in values]
+                parts = [np.asarray(value) for value in values if len(value)]
+                arrays[name] = np.concatenate(parts) if parts else np.empty(0)
+                arrays[f"{name}_offsets"] = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)]).astype(np.int64)
+            elif values.dtype == object:
+                arrays[name] = np.array(["" if value is None else value for value in values], dtype=np.str_)
+            else:
+                arrays[name] = values
+        path = out / f"{export.reference.table}.npz"
+        np.savez_compressed(path, **arrays)
+        return [path]
+
+
+FORMAT = NpzTable()

@@ -28,7 +28,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 UNITS_M = {"metre": 1.0, "centimetre": 0.01, "inch": 0.0254, "millimetre": 0.001, "CMU unit": 0.0254 / 0.45}
-"""Length units that motion files come in."""
+"""Length units that motion files come in: so far apart that only one of them can make an adult of a body."""
 
 ADULT_HEIGHT_M = (1.35, 2.1)
 """Statures within which a length unit is believed."""
@@ -135,13 +135,10 @@ def guess_unit(source: SourceMotion) -> UnitGuess:
         return UnitGuess(source.metres_per_unit, 1.0, "the file states its unit", height * source.metres_per_unit)
     if height <= 0:
         return UnitGuess(1.0, 0.0, "the body has no height", 0.0)
-    ranked = sorted(UNITS_M, key=lambda name: abs(np.log(height * UNITS_M[name] / USUAL_HEIGHT_M)))
-    name, rival = ranked[0], ranked[1]
+    name = min(UNITS_M, key=lambda unit: abs(np.log(height * UNITS_M[unit] / USUAL_HEIGHT_M)))
     metres = height * UNITS_M[name]
     if not ADULT_HEIGHT_M[0] <= metres <= ADULT_HEIGHT_M[1]:
         confidence = 0.1
-    elif ADULT_HEIGHT_M[0] <= height * UNITS_M[rival] <= ADULT_HEIGHT_M[1]:
-        confidence = 0.4
     else:
         confidence = 0.8 if abs(np.log(metres / USUAL_HEIGHT_M)) < 0.15 else 0.5
     return UnitGuess(UNITS_M[name], confidence, f"in units of one {name} the body is {metres:.2f} m tall", metres)

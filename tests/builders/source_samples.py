@@ -7,11 +7,12 @@ import json
 
 import numpy as np
 
-from pasdedeux.formats import write_bvh
+from pasdedeux.formats import read_annotation_csv, write_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.builders.annotation_files import write_annotation_npz
 
 FIGURE_REST_M = {
     "pelvis": (0.0, 0.95, 0.0),
@@ -236,3 +237,43 @@ def positions_npz() -> bytes:
     out = io.BytesIO()
     np.savez_compressed(out, positions_m=positions, joint_names=np.array(BODY22.joint_names), rate_hz=np.array(30.0))
     return out.getvalue()
+
+
+ROTATION_ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
+ROTATION_TEMPLATE = """HIERARCHY
+ROOT A
+{
+OFFSET 0 1 0
+CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+JOINT B
+{
+OFFSET 0 1 0
+CHANNELS 3 Zrotation Xrotation Yrotation
+JOINT C
+{
+OFFSET 0 1 0
+CHANNELS 3 Zrotation Xrotation Yrotation
+End Site
+{
+OFFSET 0 0 0
+}
+}
+}
+}
+"""
+
+GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
+    "bvh": (BVH_SMALL.encode(), b""),
+    "asf_amc": (AMC.encode(), ASF.encode()),
+    "rotation_rows": (ROTATION_ROWS.encode(), ROTATION_TEMPLATE.encode()),
+    "positions_npz": (positions_npz(), b""),
+}
+"""A good file of every format of motions, and what must lie beside it."""
+
+GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
+    "openpose": {f"w_{frame}_keypoints.json": openpose_text(people=2, seed=frame).encode() for frame in range(3)},
+    "coco": {"c.json": coco_text().encode()},
+    "annotation_csv": {"t.csv": csv_text().encode()},
+    "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},
+}
+"""Good files of every format of 2D poses, by name."""

@@ -15,9 +15,10 @@ from pasdedeux.formats import write_bvh
 from pasdedeux.formats.placement import place_motion
 from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import Shard, StageInputs
+from tasks.stage import Shard, StageInputs, verdict_of
 from tests.builders.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
 
 
@@ -444,6 +445,54 @@ def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tup
     pair[0].write_text(pair[0].read_text() + "\n")
     with pytest.raises(InputError, match=r"60_01.bvh changed since the run was planned"):
         STAGE.run_shard(shards[0], Store(tmp_path / "store"))
+
+
+def judged(manifest: Manifest) -> Verdict:
+    verdict = verdict_of(manifest)
+    assert verdict is not None
+    return verdict
+
+
+def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    store = Store(tmp_path / "store")
+    quiet = {"num_videos": 0, "num_random_views": 0}
+    takes = [{"id": "two", "files": list(pair)}, {"id": "one", "files": [pair[0]]}]
+    found = run(store, planned(takes=takes, virtual_video=quiet))
+    two, one = judged(found["two", "take"]), judged(found["one", "take"])
+    assert (two.level, two.reason) == (Level.PASS, "")
+    assert two.value >= 0.5
+    assert (one.level, one.reason) == (Level.WARN, "it has one person only: what needs pairs passes it over")
+    for path in pair:
+        path.write_text(write_bvh(figure_motion(40, 60.0), units_per_metre=55.0))
+    doubted = judged(run(store, planned(takes=takes[:1], virtual_video=quiet))["two", "take"])
+    assert doubted.level is Level.WARN
+    assert "its length unit is a guess" in doubted.reason
+    stated = [{**takes[0], "metres_per_unit": 1 / 32.0}]
+    assert judged(run(store, planned(takes=stated, virtual_video=quiet))["two", "take"]).level is Level.PASS
+
+
+def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    levels = {}
+    for name, size in (("large", None), ("small", [200, 200])):
+        video = {"num_videos": 2, "num_random_views": 0, "image_size_px": size}
+        shards = planned(takes=[{"id": "d", "files": list(pair)}], virtual_video=video)
+        levels[name] = judged(run(Store(tmp_path / name), shards)["d", "video"])
+    assert (levels["large"].level, levels["large"].value) == (Level.PASS, 100.0)
+    assert levels["small"].level is Level.FAIL
+    assert levels["small"].value < 50
+
+
+def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    section = {"id": "walk", "path": tmp_path / "walk", "on_unreadable": "skip"}
+    whole = judged(run(Store(tmp_path / "a"), planned(annotations=[section]))["walk", "annotations"])
+    assert whole.level is Level.PASS
+    assert 80 < whole.value < 100
+    (tmp_path / "walk" / "w_000000000003_keypoints.json").write_text("{")
+    cut = judged(run(Store(tmp_path / "b"), planned(annotations=[section]))["walk", "annotations"])
+    assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were left out")
 
 
 @pytest.mark.slow

@@ -11,63 +11,42 @@ from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats import (
+    ANNOTATION_FORMATS,
+    MOTION_FORMATS,
     AnnotatedFrames,
-    OpenPoseFrame,
     SourceMotion,
     check_anatomy,
     guess_motion,
-    join_openpose_frames,
-    read_amc,
-    read_annotation_csv,
-    read_annotation_npz,
-    read_asf,
     read_bvh,
     read_bvh_header,
-    read_coco,
-    read_openpose_frame,
-    read_positions_npz,
-    read_rotation_rows,
     recognise_format,
 )
-from tests.builders.annotation_files import write_annotation_npz
-from tests.builders.source_samples import AMC, ASF, BVH_SMALL, coco_text, csv_text, openpose_text, positions_npz
+from tests.builders.source_samples import BVH_SMALL, GOOD_ANNOTATIONS, GOOD_MOTIONS
 
-ROWS = "0 0 0 1 2 3 4 5 6\n10 20 30 0 0 0 7 8 9\n"
-TEMPLATE = """HIERARCHY
-ROOT A
-{
-OFFSET 0 1 0
-CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
-JOINT B
-{
-OFFSET 0 1 0
-CHANNELS 3 Zrotation Xrotation Yrotation
-JOINT C
-{
-OFFSET 0 1 0
-CHANNELS 3 Zrotation Xrotation Yrotation
-End Site
-{
-OFFSET 0 0 0
-}
-}
-}
-}
-"""
 
-READERS: dict[str, tuple[bytes, Callable[[bytes], object]]] = {
-    "bvh": (BVH_SMALL.encode(), read_bvh),
-    "asf": (ASF.encode(), read_asf),
-    "amc": (AMC.encode(), lambda data: read_amc(data, read_asf(ASF))),
-    "amc over a mangled asf": (ASF.encode(), lambda data: read_amc(AMC, read_asf(data))),
-    "rotation rows": (ROWS.encode(), lambda data: read_rotation_rows(data, TEMPLATE)),
-    "openpose": (openpose_text("body25", people=2).encode(), read_openpose_frame),
-    "coco": (coco_text().encode(), lambda data: read_coco(data, sequence_id="s")),
-    "annotation csv": (csv_text().encode(), read_annotation_csv),
-    "annotation npz": (write_annotation_npz(read_annotation_csv(csv_text())), read_annotation_npz),
-    "positions npz": (positions_npz(), read_positions_npz),
-    "guess": (BVH_SMALL.encode(), recognise_format),
-}
+def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
+    """Return a good file and its reader for everything that is registered, and for what lies beside a motion."""
+    readers: dict[str, tuple[bytes, Callable[[bytes], object]]] = {
+        "recognition": (BVH_SMALL.encode(), recognise_format)
+    }
+    for name, (motion, companion) in GOOD_MOTIONS.items():
+        kind = MOTION_FORMATS[name]
+        readers[name] = (motion, lambda data, kind=kind, companion=companion: kind.read(data, companion))
+        if companion:
+            readers[f"{name} beside"] = (companion, lambda data, kind=kind, motion=motion: kind.read(motion, data))
+    for name, files in GOOD_ANNOTATIONS.items():
+        first, *others = files
+        rest = {other: files[other] for other in others}
+        readers[name] = (
+            files[first],
+            lambda data, kind=ANNOTATION_FORMATS[name], first=first, rest=rest: kind.read(
+                {first: data, **rest}, sequence_id="s"
+            ),
+        )
+    return readers
+
+
+READERS = _readers()
 
 TOKENS = [
     b"nan", b"inf", b"-inf", b"1e999", b"1e300", b"-1", b"0", b"999999999", b"99999999999999999999", b"{", b"}", b"[",
@@ -122,8 +101,6 @@ def check(result: object) -> None:
         assert np.isfinite(result.keypoints_px[seen]).all()
         assert np.isnan(result.keypoints_px[~seen]).all()
         check_anatomy(result)
-    if isinstance(result, OpenPoseFrame) and result.layout:
-        join_openpose_frames([(0, result)], sequence_id="s")
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -1,0 +1,134 @@
+"""What every format of files that go out must do: be read back, carry the credits, refuse what it cannot hold."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.exports import EXPORT_FORMATS, export_format, export_reference
+from pasdedeux.benchmarks.synthetic import random_pairs
+from pasdedeux.errors import InputError
+from pasdedeux.formats import read_bvh
+from pasdedeux.formats.pair_file import read_pair_json
+from storage_schema import SourceCredit, Store, open_table, parse_reference
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.storage_rows import random_columns
+
+NUM_SEEDS = 2
+CREDIT = SourceCredit(name="a studio", licence="CC0", credit="Made by a studio")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Return a store with a short duet, its virtual video, and two seeds; its artifacts are named by table."""
+    store = Store(tmp_path_factory.mktemp("exports"))
+    section = {"duets": [{"name": "waltz", "duration_s": 0.5}], "virtual_video": {"num_random_views": 2}}
+    for shard in STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section)):
+        STAGE.run_shard(shard, store)
+    columns = random_columns("seeds", NUM_SEEDS) | {
+        "seed_index": np.arange(NUM_SEEDS),
+        "pair17_m": random_pairs(np.random.default_rng(0), NUM_SEEDS, spread_rad=0.1),
+    }
+    store.commit(
+        stage="seeds",
+        key="5" * 64,
+        partition="seed0",
+        name="seeds",
+        version=1,
+        parameters={},
+        seed=0,
+        inputs=[],
+        files=[],
+        tables={"seeds": columns},
+        facts={},
+        sources=[CREDIT],
+    )
+    return store
+
+
+def references(store: Store) -> dict[str, str]:
+    """Return a reference to one artifact of each table that the store has."""
+    return {table: f"{table}@{manifest.ref.key}" for manifest in store.artifacts() for table in manifest.tables}
+
+
+def check_npz(paths: list[Path], text: str, store: Store) -> None:
+    rows = open_table(text, store)
+    (path,) = paths
+    with np.load(path) as arrays:
+        assert set(rows.column_names) <= set(arrays)
+        assert all(len(arrays[name]) == rows.num_rows for name in rows.column_names if f"{name}_offsets" not in arrays)
+        for name in arrays:
+            if name.endswith("_m") and f"{name}_offsets" not in arrays:
+                np.testing.assert_array_equal(arrays[name], rows[name])
+
+
+def check_csv(paths: list[Path], text: str, store: Store) -> None:
+    rows = open_table(text, store)
+    (path,) = paths
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *lines = csv.reader(file)
+    assert len(set(header)) == len(header)
+    assert list(dict.fromkeys(name.partition(".")[0] for name in header)) == list(rows.column_names)
+    assert [len(line) for line in lines] == [len(header)] * rows.num_rows
+
+
+def check_bvh(paths: list[Path], text: str, store: Store) -> None:
+    assert len(paths) == 2 * (NUM_SEEDS if text.startswith("seeds") else 1)
+    for path in paths:
+        source = read_bvh(path.read_bytes())
+        assert source.num_frames == (1 if text.startswith("seeds") else 15)
+        stature = np.ptp(source.to_motion(metres_per_unit=0.01, rate_hz=30.0).world()[0][0], axis=0).max()
+        assert 1.0 < stature < 2.5
+
+
+def check_json(paths: list[Path], text: str, store: Store) -> None:
+    pairs = [read_pair_json(path.read_bytes()) for path in paths]
+    np.testing.assert_array_equal([pair.pair_m for pair in pairs], open_table(text, store)["pair17_m"])
+    assert all(pair.sources[0].credit == CREDIT.credit for pair in pairs)
+
+
+READ_BACK: dict[str, Callable[[list[Path], str, Store], None]] = {
+    "npz": check_npz,
+    "csv": check_csv,
+    "bvh": check_bvh,
+    "json": check_json,
+}
+"""How a program of others reads each format."""
+
+
+def test_every_format_is_read_back_here() -> None:
+    assert set(READ_BACK) == set(EXPORT_FORMATS)
+
+
+@pytest.mark.parametrize("name", EXPORT_FORMATS)
+def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_a_sentence(
+    store: Store, tmp_path: Path, name: str
+) -> None:
+    kind = export_format(name)
+    num_written = 0
+    for table, text in references(store).items():
+        out = tmp_path / table
+        if not kind.can_write(parse_reference(text)):
+            with pytest.raises(InputError) as found:
+                export_reference(store, text, name, out)
+            sentence = str(found.value)
+            assert sentence == f"'{text}' cannot be written as {name.upper()}; allowed are {kind.writes}"
+            assert not out.exists()
+            continue
+        *written, notice = export_reference(store, text, name, out)
+        READ_BACK[name](written, text, store)
+        (source,) = {one for manifest in store.artifacts() if manifest.ref.key in text for one in manifest.sources}
+        assert notice.name == "CREDITS.txt"
+        assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
+        num_written += 1
+    assert num_written > 0
+
+
+def test_an_unknown_format_is_answered_with_the_known_ones(store: Store, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'fbx' is not known; known formats: " + ", ".join(EXPORT_FORMATS)):
+        export_reference(store, references(store)["poses"], "fbx", tmp_path)

@@ -1,0 +1,161 @@
+"""What every format of files that come in must do: read its good file, know it from the others, refuse mangled ones."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats import (
+    ANNOTATION_FORMATS,
+    MOTION_FORMATS,
+    FileFormat,
+    FileStart,
+    check_anatomy,
+    find_annotation_format,
+    find_motion_format,
+    is_companion,
+    recognise_format,
+)
+from tasks.ingest import IngestParameters
+from tests.builders.source_samples import GOOD_ANNOTATIONS, GOOD_MOTIONS
+
+GOOD = {name: data for name, (data, _) in GOOD_MOTIONS.items()} | {
+    name: next(iter(files.values())) for name, files in GOOD_ANNOTATIONS.items()
+}
+FORMATS: dict[str, FileFormat] = {**MOTION_FORMATS, **ANNOTATION_FORMATS}
+NUMBER = re.compile(rb"[-+]?\d+(\.\d+)?")
+JUNK = bytes(range(256)) * 8
+
+
+def read(name: str, data: bytes) -> object:
+    """Read one file of a format, in the place of the first of its good files."""
+    if name in MOTION_FORMATS:
+        return MOTION_FORMATS[name].read(data, GOOD_MOTIONS[name][1])
+    first, *others = GOOD_ANNOTATIONS[name]
+    files = {first: data, **{other: GOOD_ANNOTATIONS[name][other] for other in others}}
+    return ANNOTATION_FORMATS[name].read(files, sequence_id="s")
+
+
+def test_there_is_a_good_file_of_every_format() -> None:
+    assert set(GOOD_MOTIONS) == set(MOTION_FORMATS)
+    assert set(GOOD_ANNOTATIONS) == set(ANNOTATION_FORMATS)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_is_known_from_every_other_by_its_content(name: str) -> None:
+    assert FORMATS[name].name == name
+    start = FileStart(GOOD[name])
+    assert [other for other, kind in FORMATS.items() if kind.recognises(start)] == [name]
+    assert recognise_format(GOOD[name]) is FORMATS[name]
+    assert not is_companion(GOOD[name])
+
+
+def test_a_file_of_no_format_is_told_what_formats_are_recognised_by() -> None:
+    with pytest.raises(FormatError, match="none of the known formats") as found:
+        recognise_format(b"hello")
+    assert all(f"{kind.name} ({kind.recognised_by})" in str(found.value) for kind in FORMATS.values())
+
+
+def test_a_motion_is_no_source_of_2d_poses_and_the_other_way_round() -> None:
+    with pytest.raises(FormatError, match="'bvh', not one of 2D poses"):
+        find_annotation_format("auto", GOOD["bvh"])
+    with pytest.raises(FormatError, match="'coco', not a motion of one person"):
+        find_motion_format("auto", GOOD["coco"])
+
+
+@pytest.mark.parametrize("name", MOTION_FORMATS)
+def test_the_good_file_of_a_motion_is_read_and_its_head_agrees(name: str) -> None:
+    data, companion = GOOD_MOTIONS[name]
+    kind = MOTION_FORMATS[name]
+    source, head = kind.read(data, companion), kind.read_head(data, companion)
+    assert source.num_frames == head.num_frames > 1
+    assert head.rest.num_frames == 1
+    assert head.rest.skeleton == source.skeleton
+    assert (head.rest.rate_hz, head.rest.metres_per_unit) == (source.rate_hz, source.metres_per_unit)
+    np.testing.assert_array_equal(head.rest.rest_offsets, source.rest_offsets)
+    positions, _ = source.to_motion(metres_per_unit=1.0, rate_hz=30.0).world()
+    assert np.isfinite(positions).all()
+    assert bool(kind.companion) == bool(kind.companion_names(f"60_01{kind.suffixes[0] if kind.suffixes else ''}"))
+
+
+@pytest.mark.parametrize("name", ANNOTATION_FORMATS)
+def test_the_good_files_of_2d_poses_are_read_and_are_people(name: str) -> None:
+    kind = ANNOTATION_FORMATS[name]
+    frames = kind.read(GOOD_ANNOTATIONS[name], sequence_id="s")
+    check_anatomy(frames)
+    is_seen = frames.confidence > 0
+    assert is_seen.mean() > 0.8
+    np.testing.assert_array_equal(np.isfinite(frames.keypoints_px).all(axis=-1), is_seen)
+    numbers = kind.frame_numbers(list(GOOD_ANNOTATIONS[name]))
+    assert numbers == (sorted(set(frames.frame.tolist())) if kind.is_file_per_frame else [])
+
+
+def cut_off(data: bytes) -> bytes:
+    """Cut a file in the middle of a line (or of its only one) after more than half of it."""
+    start = data.rfind(b"\n", 0, int(0.7 * len(data))) + 1
+    stop = data.find(b"\n", start)
+    return data[: start + ((stop if stop > 0 else len(data)) - start) // 2]
+
+
+def with_last_number(data: bytes, word: str) -> bytes:
+    """Put a word in the place of a file's last number."""
+    if data[:2] != b"PK":
+        *_, last = NUMBER.finditer(data)
+        return data[: last.start()] + word.encode() + data[last.end() :]
+    arrays = dict(np.load(io.BytesIO(data)))
+    *_, name = (key for key, array in arrays.items() if array.ndim > 1)
+    if word == "nan":
+        arrays[name] = arrays[name].copy()
+        arrays[name].flat[-1] = np.nan
+    else:
+        arrays[name] = np.full(arrays[name].shape, word)
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+MANGLED: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda data: b"",
+    "binary": lambda data: JUNK,
+    "cut off": cut_off,
+    "not a number": lambda data: with_last_number(data, "nan"),
+    "a word": lambda data: with_last_number(data, "left"),
+}
+PLACE = re.compile(r"line \d+|frame \d+|person \d+|annotation \d+|array '\w+'|damaged|is empty|zero byte")
+
+
+@pytest.mark.parametrize("how", MANGLED)
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_mangled_file_is_refused_with_the_place_of_the_fault(name: str, how: str) -> None:
+    with pytest.raises(FormatError) as found:
+        read(name, MANGLED[how](GOOD[name]))
+    assert PLACE.search(str(found.value)), found.value
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("how", ["empty", "binary", "cut off"])
+@pytest.mark.parametrize("name", [name for name, kind in MOTION_FORMATS.items() if kind.companion])
+def test_a_mangled_companion_is_refused(name: str, how: str) -> None:
+    data, companion = GOOD_MOTIONS[name]
+    with pytest.raises(FormatError):
+        MOTION_FORMATS[name].read_head(data, MANGLED[how](companion))
+
+
+@pytest.mark.parametrize(
+    ("section", "names"),
+    [
+        ({"takes": [{"id": "a", "files": ["x"], "format": "bhv"}]}, MOTION_FORMATS),
+        ({"annotations": [{"id": "a", "path": "x", "format": "cocoa"}]}, ANNOTATION_FORMATS),
+    ],
+)
+def test_a_study_that_names_an_unknown_format_is_told_all_of_them(
+    section: dict[str, object], names: dict[str, FileFormat]
+) -> None:
+    with pytest.raises(ValidationError, match="should be one of auto, " + ", ".join(names)):
+        IngestParameters.model_validate(section)

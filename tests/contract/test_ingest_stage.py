@@ -464,8 +464,8 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     assert (two.level, two.reason) == (Level.PASS, "")
     assert two.value >= 0.5
     assert (one.level, one.reason) == (Level.WARN, "it has one person only: what needs pairs passes it over")
-    for path in pair:
-        path.write_text(write_bvh(figure_motion(40, 60.0), units_per_metre=55.0))
+    for path in pair:  # in inches a person of 1.4 m
+        path.write_text(write_bvh(figure_motion(40, 60.0), units_per_metre=32.0))
     doubted = judged(run(store, planned(takes=takes[:1], virtual_video=quiet))["two", "take"])
     assert doubted.level is Level.WARN
     assert "its length unit is a guess" in doubted.reason

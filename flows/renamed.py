@@ -17,6 +17,18 @@ RENAMED_KEYS: dict[str, str] = {
     "views.least_root_distance_m": "views.least_root_distance_m is now views.min_root_distance_m",
     "views.calibrate_sizes": "the ratio of body sizes is always learned: leave it out",
     "seeds.num_hypotheses": "more than the likeliest view of an annotation brought nothing: leave it out",
+    "chains.kernel": "chains.kernel is now chains.proposal",
+    "chains.most_blocks": "chains.most_blocks is now chains.max_blocks",
+    "chains.most_invalid_angles": "chains.most_invalid_angles is now chains.max_invalid_angles",
+    "chains.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
+    "chains.reference": "the truncation refers to the seed's own density alone: leave it out",
+    "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
+    "chains.variants.*.kernel": "chains.kernel is now chains.proposal",
+    "chains.variants.*.most_blocks": "chains.most_blocks is now chains.max_blocks",
+    "chains.variants.*.most_invalid_angles": "chains.most_invalid_angles is now chains.max_invalid_angles",
+    "chains.variants.*.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
+    "chains.variants.*.reference": "the truncation refers to the seed's own density alone: leave it out",
+    "chains.variants.*.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
 """Old study key, or key=value, to one sentence with the new name or what became of it."""

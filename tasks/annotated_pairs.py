@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
-from pasdedeux.sampling.velocity import NEIGHBOUR_FRAMES
+from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.stage import StageInputs
@@ -29,14 +29,17 @@ __all__ = [
 
 Place = tuple[str, int]
 """Sequence and frame of an annotation."""
+People = dict[int, np.ndarray]
+"""Joints of the people of a frame, (17, 2), pixels, by person id."""
 
 
 @dataclass(frozen=True)
 class PlacedPairs:
-    """Annotated pairs, and the sequence and frame of each annotation by `annotation_index`."""
+    """Annotated pairs, the place of each by `annotation_index`, and everybody in every frame that was read."""
 
     gathered: GatheredPairs
     places: tuple[Place, ...]
+    frames: Mapping[Place, People]
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
@@ -67,7 +70,7 @@ def rows_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[i
 
 def read_people(
     store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
-) -> dict[Place, dict[int, np.ndarray]]:
+) -> dict[Place, People]:
     """Return the joints (17, 2), pixels, of every person by sequence and frame.
 
     Args:
@@ -76,17 +79,25 @@ def read_people(
         is_between: Whether frames that are there for velocity alone are wanted too.
         with_held_out: Whether annotations that are held out are wanted too.
     """
-    names = ["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
-    people: dict[Place, dict[int, np.ndarray]] = {}
-    for ref in refs:
-        if "annotations" not in store.manifest(ref).tables:
-            continue
-        table = store.read(ref, "annotations", columns=names)
+    people: dict[Place, People] = {}
+    for table, points in _read_tables(store, refs):
         is_wanted = (np.asarray(table["is_key"]) | is_between) & (~np.asarray(table["is_held_out"]) | with_held_out)
-        points = np.asarray(table["pair17_px"], dtype=np.float64)
-        for place, rows in rows_by_place(table, is_wanted).items():
-            people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
+        _add_people(people, table, points, is_wanted)
     return people
+
+
+def _read_tables(store: Store, refs: Iterable[ArtifactRef]) -> Iterator[tuple[TableData, np.ndarray]]:
+    """Yield the annotations of each artifact that has some, with their joints (row, 17, 2), pixels."""
+    names = ["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
+    for ref in refs:
+        if "annotations" in store.manifest(ref).tables:
+            table = store.read(ref, "annotations", columns=names)
+            yield table, np.asarray(table["pair17_px"], dtype=np.float64)
+
+
+def _add_people(people: dict[Place, People], table: TableData, points: np.ndarray, is_wanted: np.ndarray) -> None:
+    for place, rows in rows_by_place(table, is_wanted).items():
+        people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
 
 
 def first_two(people: Mapping[int, np.ndarray]) -> np.ndarray:
@@ -103,7 +114,12 @@ def gather(
     Raises:
         InputError: No annotated pair has a view.
     """
-    keypoints = read_people(store, annotations)
+    keypoints: dict[Place, People] = {}
+    frames: dict[Place, People] = {}
+    for table, points in _read_tables(store, annotations):
+        is_shown = ~np.asarray(table["is_held_out"])
+        _add_people(frames, table, points, is_shown)
+        _add_people(keypoints, table, points, is_shown & np.asarray(table["is_key"]))
     pairs, scales, directions, weights, which = [], [], [], [], []
     index: dict[Place, int] = {}
     for ref in views:
@@ -128,15 +144,15 @@ def gather(
         np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
     )
     num_skipped = gathered.num_skipped + sum(1 for place in keypoints if place not in index)
-    return PlacedPairs(gathered=replace(gathered, num_skipped=num_skipped), places=tuple(index))
+    return PlacedPairs(gathered=replace(gathered, num_skipped=num_skipped), places=tuple(index), frames=frames)
 
 
-def gather_tracks(store: Store, annotations: Sequence[ArtifactRef], placed: PlacedPairs) -> np.ndarray:
+def gather_tracks(placed: PlacedPairs) -> np.ndarray:
     """Return the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
 
     Frames without either of the two people are NaN.
     """
-    seen = read_people(store, annotations, is_between=True)
+    seen = placed.frames
     around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
     tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
     for place, (sequence, frame) in enumerate(placed.places):

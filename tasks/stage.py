@@ -33,13 +33,14 @@ VERDICT_FACT = "verdict"
 """Name under which a shard's verdict stands among its facts."""
 
 
+S = TypeVar("S", bound=Settings)
 P = TypeVar("P", bound="Parameters")
 
 
 class Parameters(Settings):
     """Base of every stage's section in a study, and of what its shards are told."""
 
-    def part(self, kind: type[P], **more: Any) -> P:
+    def part(self, kind: type[S], **more: Any) -> S:
         """Return the settings that `kind` has too, with what only the plan knows: what one kind of shard is told."""
         shared = {name: getattr(self, name) for name in kind.model_fields if name in type(self).model_fields}
         return kind(**shared, **more)

@@ -27,7 +27,7 @@ Look through the draws (`pasdedeux show draws:duets/ic-seed0#17`), choose one, a
 \b
   pasdedeux restart draws:duets/ic-seed0#17
   pasdedeux restart draws@3fa9c1#17 --draws 5000 --chains 4
-  pasdedeux restart draws@3fa9c1#17 --set chains.kernel=velocity
+  pasdedeux restart draws@3fa9c1#17 --set chains.proposal=velocity
 
 The draw is written to a file (JSON, for editing too).  The file becomes the only seed of a study of its own, named
 after the one that the draw is from and with the same settings otherwise; that is run until its chains are there.  What

@@ -1,4 +1,4 @@
-"""What the sampling room measures: `pasdedeux bench chains` shows these beside their plain baselines."""
+"""What is measured of chains: `pasdedeux bench chains` shows these beside their plain baselines."""
 
 from __future__ import annotations
 
@@ -10,27 +10,20 @@ import numpy as np
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
-from pasdedeux.cameras import project_pair
 from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.experiments.measured_likelihood import ImageMeasure, MeasuredLikelihood
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
-from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.agreement import Agreement, plain_agreement
+from pasdedeux.sampling.agreement import Agreement
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.density import Likelihood, PairDensity
-from pasdedeux.sampling.likelihood import (
-    AnnotatedPairs,
-    InteractionLikelihood,
-    ViewBank,
-    build_bank,
-    plain_log_likelihood,
-)
-from pasdedeux.sampling.measured_likelihood import ImageMeasure, MeasuredLikelihood, image_dissimilarity
+from pasdedeux.sampling.likelihood import InteractionLikelihood
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
-from pasdedeux.sampling.prior import PhysicalPrior
+from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
 from pasdedeux.sampling.proposals import GaussianBlocks
 
 __all__ = ["BENCHMARKS"]
@@ -51,17 +44,12 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     return pairs, annotations, build_bank(views, annotations, num_candidates=NUM_CANDIDATES)
 
 
-@cache
-def _edges() -> EdgeTable:
-    return edge_table(_problem()[1].points_m.reshape(NUM_ANNOTATIONS, -1, 2))
-
-
 def _samples() -> np.ndarray:
     return random_pairs(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
 
 
 def _against_plain(
-    name: str, fast: Likelihood, fast_name: str, plain: Callable[[np.ndarray], object], note: str
+    name: str, fast: Likelihood, fast_name: str, note: str, plain_name: str = "numpy, vectorised over candidates"
 ) -> BenchmarkResult:
     """Measure likelihood evaluations, none cut short by the prior or by a level to reach."""
     turns, slow_turns = itertools.cycle(_samples()), itertools.cycle(_samples())
@@ -70,8 +58,8 @@ def _against_plain(
         unit="evaluations",
         fast_name=fast_name,
         fast_per_s=measure_rate(lambda: [fast.log_likelihood(next(turns)) for _ in range(50)], count=50),
-        plain_name="numpy, vectorised over candidates",
-        plain_per_s=measure_rate(lambda: plain(next(slow_turns))),
+        plain_name=plain_name,
+        plain_per_s=measure_rate(lambda: fast.plain(next(slow_turns))),
         note=note,
     )
 
@@ -82,27 +70,24 @@ def _share_of_best(fast: Likelihood, exact: Likelihood) -> str:
     return f"{_SIZE}; exact best found in {np.mean(same):.1%} of {len(same)}"
 
 
-def _plain(pair: np.ndarray) -> object:
-    return plain_log_likelihood(pair, *_problem()[1:], table=_edges())
-
-
 def _likelihood() -> BenchmarkResult:
     """The published likelihood, without prior."""
     fast, exact = (InteractionLikelihood(*_problem()[1:], is_exact=is_exact) for is_exact in (False, True))
-    return _against_plain("likelihood", fast, "only who has a chance", _plain, _share_of_best(fast, exact))
+    return _against_plain("likelihood", fast, "only who has a chance", _share_of_best(fast, exact))
 
 
 def _exact() -> BenchmarkResult:
     """The published likelihood with all candidates compared."""
     exact = InteractionLikelihood(*_problem()[1:], is_exact=True)
-    return _against_plain("likelihood, exact", exact, "all candidates, compiled", _plain, _SIZE)
+    return _against_plain("likelihood, exact", exact, "all candidates, compiled", _SIZE)
 
 
 def _density() -> BenchmarkResult:
     """The published density: prior and likelihood, every one evaluated to the end."""
     chart = PairChart(standing_pair())
-    prior = PhysicalPrior(chart, JointLimits.published(), most_invalid=2 * NUM_ANGLES)
-    target = PairDensity(chart, prior, InteractionLikelihood(*_problem()[1:]), truncation=np.inf)
+    prior = PhysicalPrior(chart, JointLimits.published(), PriorSettings(max_invalid_angles=2 * NUM_ANGLES))
+    likelihood = InteractionLikelihood(*_problem()[1:])
+    target = PairDensity(chart, prior, likelihood, truncation=np.inf)
     parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
     turns, slow_turns = itertools.cycle(parameters), itertools.cycle(parameters)
 
@@ -110,7 +95,7 @@ def _density() -> BenchmarkResult:
         own = next(slow_turns)
         pair = chart.positions(own)
         prior.terms(own, pair)
-        _plain(pair)
+        likelihood.plain(pair)
 
     return BenchmarkResult(
         name="density, prior included",
@@ -128,30 +113,24 @@ def _measured(measure: ImageMeasure) -> BenchmarkResult:
     _, annotations, bank = _problem()
     fast = MeasuredLikelihood(annotations, bank, measure)
     exact = MeasuredLikelihood(annotations, bank, measure, is_exact=True)
-
-    def plain(pair: np.ndarray) -> None:
-        for view, image in enumerate(project_pair(pair, bank.directions).reshape(NUM_VIEWS, -1, 2)):
-            own = bank.candidates[view, : bank.counts[view]]
-            image_dissimilarity(image[None], annotations.points_m[own].reshape(len(own), -1, 2), measure).min()
-
     name = f"likelihood, {measure.value.replace('_', ' ')}"
-    return _against_plain(name, fast, "views that matter", plain, _share_of_best(fast, exact))
+    return _against_plain(name, fast, "views that matter", _share_of_best(fast, exact))
 
 
 def _agreement() -> BenchmarkResult:
     """The likelihood of the density of agreement with grown pairs."""
     grown = random_pairs(np.random.default_rng(3), NUM_GROWN, spread_rad=0.2)
-    fast = Agreement(grown)
-    note = f"{NUM_GROWN} grown pairs; penetration in the compiled form only"
-    return _against_plain("likelihood, agreement", fast, "compiled", lambda pair: plain_agreement(pair, grown), note)
+    note = f"{NUM_GROWN} grown pairs"
+    return _against_plain("likelihood, agreement", Agreement(grown), "compiled", note, "numpy, penetration compiled")
 
 
 def _chain() -> BenchmarkResult:
     """Steps of a chain of the full density; the plain form has no early end and no compiled likelihood."""
     pairs, annotations, bank = _problem()
     chart = PairChart(gauge_fix(pairs[0]))
-    prior = PhysicalPrior(chart, JointLimits.published(), most_invalid=29)
-    target = PairDensity(chart, prior, InteractionLikelihood(annotations, bank))
+    prior = PhysicalPrior(chart, JointLimits.published(), PriorSettings(max_invalid_angles=NUM_ANGLES))
+    likelihood = InteractionLikelihood(annotations, bank)
+    target = PairDensity(chart, prior, likelihood)
     propose, rng = GaussianBlocks(), np.random.default_rng(3)
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
 
@@ -159,14 +138,14 @@ def _chain() -> BenchmarkResult:
         parameters = propose(state.parameters, None, rng).parameters
         pair = chart.positions(parameters)
         prior.terms(parameters, pair)
-        _plain(pair)
+        likelihood.plain(pair)
 
     return BenchmarkResult(
         name="chain",
         unit="steps",
         fast_name="compiled, level drawn first",
         fast_per_s=measure_rate(
-            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, settle=chart.gauge_fixed),
+            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed),
             count=100,
         ),
         plain_name="numpy",

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pasdedeux.cameras import project_pair
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
-from pasdedeux.sampling.likelihood import AnnotatedPairs
+from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.skeletons import PAIR17
 

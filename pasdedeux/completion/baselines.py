@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.plausibility.capsules import capsule_model
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.parameters import LENGTH_INDICES, POSITION_INDICES, ROTATION_INDICES, PairChart
-from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
+from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["NaiveSamples", "lift_by_ik", "resolve_penetration", "sample_naively"]
@@ -123,7 +123,7 @@ def sample_naively(
     step[LENGTH_INDICES.ravel()] = 0.0
     tried = start + step * rng.normal(size=(2 * num_samples, len(start)))
     pairs = chart.positions(tried)
-    log_weight = -seed_quality(pairs, limits).violation_m2 / (2.0 * SIGMA_P_M**2)
+    log_weight = seed_quality(pairs, limits).log_prior
     # Gumbel keys: drawing without replacement in proportion to the weights.
     keys = log_weight + rng.gumbel(size=len(pairs))
     kept = pairs[np.sort(np.argsort(-keys, kind="stable")[:num_samples])]

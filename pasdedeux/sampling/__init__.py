@@ -1,6 +1,6 @@
 """Lifting by sampling: the density of 3D pairs given 2D annotations, chains that sample it, and how well they cover."""
 
-from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank, build_bank, gather_pairs
 from pasdedeux.sampling.chain import (
     ChainState,
     Segment,
@@ -15,28 +15,31 @@ from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import ChainReport, diagnose, invariants
 from pasdedeux.sampling.direct_lifting import LiftedSeeds, lift_seeds
 from pasdedeux.sampling.growth import Growth, GrowthOptions, grow
-from pasdedeux.sampling.guided import Guided, Guides
-from pasdedeux.sampling.likelihood import (
-    AnnotatedPairs,
-    InteractionLikelihood,
-    Match,
-    ViewBank,
-    build_bank,
-    plain_log_likelihood,
-)
-from pasdedeux.sampling.moves import MoveKind, MoveMixture
+from pasdedeux.sampling.likelihood import InteractionLikelihood, Match, plain_log_likelihood
 from pasdedeux.sampling.parameters import NUM_PARAMETERS, PairChart, gauge_fix
-from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
-from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, Resolved, Scales, VelocityBias
+from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
+from pasdedeux.sampling.proposals import (
+    PROPOSALS,
+    Correction,
+    GaussianBlocks,
+    MoveKind,
+    MoveMixture,
+    Proposed,
+    Scales,
+    StepSettings,
+    VelocityBlocks,
+)
 from pasdedeux.sampling.seeds import SeedQuality, choose_seeds, seed_quality
-from pasdedeux.sampling.velocity import Speeds, annotation_speeds, undo_swaps
-from pasdedeux.sampling.warm_up import kernel_from_json, kernel_to_json, warm_up
+from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.warm_up import proposal_from_json, proposal_to_json, warm_up
 
 __all__ = [
     "NUM_PARAMETERS",
+    "PROPOSALS",
     "AnnotatedPairs",
     "ChainReport",
     "ChainState",
+    "Correction",
     "Coverage",
     "CoverageCurve",
     "Evaluation",
@@ -44,8 +47,6 @@ __all__ = [
     "GaussianBlocks",
     "Growth",
     "GrowthOptions",
-    "Guided",
-    "Guides",
     "InteractionLikelihood",
     "LiftedSeeds",
     "Match",
@@ -54,15 +55,16 @@ __all__ = [
     "PairChart",
     "PairDensity",
     "PhysicalPrior",
+    "PriorSettings",
     "PriorTerms",
     "Proposed",
-    "Resolved",
     "Scales",
     "SeedQuality",
     "Segment",
     "Speeds",
     "StepInfo",
-    "VelocityBias",
+    "StepSettings",
+    "VelocityBlocks",
     "ViewBank",
     "annotation_speeds",
     "build_bank",
@@ -75,10 +77,10 @@ __all__ = [
     "generator_to_json",
     "grow",
     "invariants",
-    "kernel_from_json",
-    "kernel_to_json",
     "lift_seeds",
     "plain_log_likelihood",
+    "proposal_from_json",
+    "proposal_to_json",
     "run_segment",
     "seed_quality",
     "step",

@@ -23,9 +23,12 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.plausibility import capsule_model
+from pasdedeux.sampling.density import DensityInputs, DensityKind, Reads, TargetSettings
+from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["SHARPNESS", "Agreement", "AgreementTerms", "plain_agreement"]
+__all__ = ["SHARPNESS", "Agreement", "AgreementKind", "AgreementTerms", "plain_agreement"]
 
 Array = npt.NDArray[np.float64]
 
@@ -76,7 +79,7 @@ def _floored(value: float, floor: float) -> float:
 
 
 class Agreement:
-    """Agreement with grown pairs, as a compiled kernel; `plain_agreement` is its oracle.
+    """Agreement with grown pairs, as a compiled kernel.
 
     Args:
         grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; at least one.
@@ -101,6 +104,7 @@ class Agreement:
             if not len(grown):
                 raise InputError("agreement needs a grown pair that is not the seed itself")
         self._log_count = float(np.log(len(grown)))
+        self._grown = grown
         self._hold(*_apart(grown), _limbs_of(grown))
 
     def _hold(self, centred: Array, offset: Array, limbs: Array) -> None:
@@ -118,6 +122,7 @@ class Agreement:
             kept[np.argsort(-self._work[0], kind="stable")[:most]] = True
         fewer = copy(self)
         fewer._hold(*(np.ascontiguousarray(part[kept]) for part in (self._centred, self._offset, self._limbs)))
+        fewer._grown = self._grown[kept]
         return fewer
 
     def terms(self, pair_m: Array) -> AgreementTerms:
@@ -135,8 +140,10 @@ class Agreement:
             np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
             self._log_count,
         )
-        inside = self._model.penetration(pair)[2]
-        return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=-float(inside) / PENETRATION_WIDTH_M)
+        return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=self._contact(pair))
+
+    def _contact(self, pair: Array) -> float:
+        return -float(self._model.penetration(pair)[2]) / PENETRATION_WIDTH_M
 
     def nearest_m(self, pair_m: Array, *, count: int = 10) -> float:
         """Return the mean distance of a pair (2, 17, 3) from the `count` nearest grown ones, metres.
@@ -157,6 +164,12 @@ class Agreement:
         total = SHARPNESS * self.terms(pair_m).total
         return total if total >= at_least else -np.inf
 
+    def plain(self, pair_m: Array) -> float:
+        """Return the log likelihood by its definition, over all grown pairs."""
+        pair = np.ascontiguousarray(pair_m, dtype=np.float64)
+        terms = AgreementTerms(*plain_agreement(pair, self._grown), contact=self._contact(pair))
+        return SHARPNESS * terms.total
+
 
 def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]:
     """Return `pose`, `placement`, `limbs` of a pair (2, 17, 3) by definition, over grown pairs (grown, 2, 17, 3)."""
@@ -176,6 +189,29 @@ def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]
         float(np.logaddexp.reduce(weight + place) - every),
         float((np.logaddexp.reduce(weight[:, None] + point, axis=0) - every).min()),
     )
+
+
+class AgreementKind(DensityKind[Settings]):
+    """Agreement with the grown seeds that are posed most like the seed; its prior is the joint limits alone."""
+
+    name = "agreement"
+    meaning = "agreement with grown seeds"
+    reads = Reads.GROWN_SEEDS
+    settings = Settings
+
+    def likelihood(self, settings: Settings, inputs: DensityInputs) -> Agreement:
+        """Return agreement with grown pairs near a seed.
+
+        Raises:
+            InputError: Nothing has grown.
+        """
+        if inputs.grown_m is None or not len(inputs.grown_m):
+            raise InputError("the density 'agreement' needs grown seeds, and none has grown (seeds.num_grown)")
+        return Agreement(inputs.grown_m, near_m=inputs.seed_m)
+
+    def prior(self, settings: TargetSettings) -> PriorSettings:
+        """Sharpen the prior as the likelihood is, which has the bodies' mutual penetration in it already."""
+        return settings.model_copy(update={"sigma_p_m": settings.sigma_p_m / SHARPNESS**0.5, "alpha": 0.0})
 
 
 def _apart(pairs_m: Array) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.density import Evaluation
-from pasdedeux.sampling.moves import Move
-from pasdedeux.sampling.proposals import Local, Proposed
+from pasdedeux.sampling.proposals.moves import Move
+from pasdedeux.sampling.proposals.proposal import Context, Proposed
 
 __all__ = [
     "ChainState",
@@ -26,8 +26,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 LogDensity = Callable[[Array, float], Evaluation]
-Proposal = Callable[[Array, Local | None, np.random.Generator], Proposed]
-Settle = Callable[[Array], Array]
+Propose = Callable[[Array, Context | None, np.random.Generator], Proposed]
+Gauge = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ChainState:
 
     parameters: Array
     evaluation: Evaluation
-    local: Local | None = None
+    context: Context | None = None
 
 
 @dataclass(frozen=True)
@@ -67,13 +67,13 @@ class Segment:
 
 
 def step(
-    rng: np.random.Generator, state: ChainState, log_density: LogDensity, propose: Proposal
+    rng: np.random.Generator, state: ChainState, log_density: LogDensity, propose: Propose
 ) -> tuple[ChainState, StepInfo]:
     """Take one Metropolis-Hastings step (eq. 10 of Yin et al. 2018).
 
     The level that the proposed point must reach is drawn first, so the density may stop as soon as it is missed.  Where
-    the ratio of the proposal's densities is only known after a dear look round at the proposed point, its bound decides
-    whether that look is worth it; the result is as if it had been known at once.
+    the ratio of the proposal's densities is only known once the proposal was prepared at the proposed point, which is
+    dear, its bound decides whether that is worth it; the result is as if it had been known at once.
 
     Args:
         rng: Source of randomness.
@@ -81,31 +81,31 @@ def step(
         log_density: Target; called with a point and the level below which its value does not matter.
         propose: Proposal.
     """
-    proposed = propose(state.parameters, state.local, rng)
+    proposed = propose(state.parameters, state.context, rng)
     uncorrected = state.evaluation.log_density - rng.standard_exponential()
-    level = uncorrected - proposed.log_correction
+    level = uncorrected - proposed.log_ratio
     refused = state, StepInfo(is_accepted=False, move=proposed.move)
     evaluation = log_density(proposed.parameters, level)
     if not (evaluation.log_density >= level and evaluation.log_density > -np.inf):
         return refused
-    local = None
-    if proposed.resolve is not None:
-        resolved = proposed.resolve()
-        if not evaluation.log_density >= uncorrected - resolved.log_correction:
+    context = None
+    if proposed.correct is not None:
+        correction = proposed.correct()
+        if not evaluation.log_density >= uncorrected - correction.log_ratio:
             return refused
-        local = resolved.local
-    return ChainState(proposed.parameters, evaluation, local), StepInfo(is_accepted=True, move=proposed.move)
+        context = correction.context
+    return ChainState(proposed.parameters, evaluation, context), StepInfo(is_accepted=True, move=proposed.move)
 
 
 def run_segment(
     rng: np.random.Generator,
     state: ChainState,
     log_density: LogDensity,
-    propose: Proposal,
+    propose: Propose,
     *,
     num_draws: int,
     thin: int = 1,
-    settle: Settle | None = None,
+    gauge: Gauge | None = None,
 ) -> tuple[ChainState, Segment]:
     """Run a chain for `num_draws` kept draws of `thin` steps each.
 
@@ -116,8 +116,8 @@ def run_segment(
         propose: Proposal.
         num_draws: Draws kept.
         thin: Steps per kept draw.
-        settle: Moves a kept draw to another representative of the same point (a gauge); the target there is the same,
-            and so is what the proposal must know of it.
+        gauge: Moves a kept draw rigidly to the representative that is stored; the target there is the same, and so is
+            what the proposal must know of it.
 
     Raises:
         InputError: `num_draws` or `thin` is not positive.
@@ -130,8 +130,8 @@ def run_segment(
         for _ in range(thin):
             state, info = step(rng, state, log_density, propose)
             num_accepted[draw] += info.is_accepted
-        if settle is not None and num_accepted[draw]:
-            state = ChainState(settle(state.parameters), state.evaluation, state.local)
+        if gauge is not None and num_accepted[draw]:
+            state = ChainState(gauge(state.parameters), state.evaluation, state.context)
         draws.append(state)
     segment = Segment(
         parameters=np.stack([draw.parameters for draw in draws]),

@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from enum import StrEnum
+from typing import ClassVar, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.errors import InputError
+from pasdedeux.plausibility import JointLimits, LearnedLimits
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import PairChart
-from pasdedeux.sampling.prior import PhysicalPrior, PriorTerms
+from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
+from pasdedeux.settings import Settings
 
-__all__ = ["Evaluation", "Likelihood", "PairDensity"]
+__all__ = [
+    "DensityInputs",
+    "DensityKind",
+    "Evaluation",
+    "ImageKind",
+    "ImageLikelihood",
+    "ImageSettings",
+    "Likelihood",
+    "PairDensity",
+    "PriorOnlyKind",
+    "Reads",
+    "TargetSettings",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -23,6 +41,30 @@ class Likelihood(Protocol):
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Return it for a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
         ...
+
+    def plain(self, pair_m: Array) -> float:
+        """Return the same by its definition, slowly: what tests and benchmarks compare with."""
+        ...
+
+
+@runtime_checkable
+class ImageLikelihood(Likelihood, Protocol):
+    """A likelihood that compares projections of the pair with annotations."""
+
+    def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
+        """Return the entry nearest to the pair (2, 17, 3) under every view, (view,); -1 for a view without any."""
+        ...
+
+
+class TargetSettings(PriorSettings):
+    """What every density is made with: the physical prior, and how far round the seed it reaches."""
+
+    joint_limits: Literal["table", "learned"] = Field(
+        default="table", description="Joint limits: the table's ranges, or also what the prior takes show (see priors)"
+    )
+    truncation: float = Field(
+        default=100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0"
+    )
 
 
 @dataclass(frozen=True)
@@ -51,10 +93,6 @@ class PairDensity:
         prior: Physical prior.
         likelihood: Likelihood; None samples the prior alone.
         truncation: c of eq. 11, above 1; inf leaves the density as it is.
-        log_left_out: Log likelihood of a real pair that is not annotated (`reference`): a second f0, with the seed's
-            prior.  The target is 0 below the lesser f0 / c and flat above c times the greater: from a seed that is
-            annotated worse than real pairs are, a chain may climb to where they are; one that is annotated better may
-            go down to them.  None refers to the seed alone.
 
     Raises:
         InputError: The seed's density is 0, with the term that made it so, or `truncation` is not above 1.
@@ -67,7 +105,6 @@ class PairDensity:
         likelihood: Likelihood | None,
         *,
         truncation: float = 100.0,
-        log_left_out: float | None = None,
     ) -> None:
         if not truncation > 1.0:
             raise InputError(f"the truncation c must be above 1, found {truncation:g}")
@@ -83,10 +120,9 @@ class PairDensity:
         if not np.isfinite(self.log_seed):
             raise InputError(_why_zero(terms, prior, log_likelihood))
         window = float(np.log(truncation))
-        second = self.log_seed if log_left_out is None else terms.log_prior + log_left_out
-        self.log_floor = min(self.log_seed, second) - window
+        self.log_floor = self.log_seed - window
         """Log density below which the target is 0."""
-        self.log_ceiling = max(self.log_seed, second) + window
+        self.log_ceiling = self.log_seed + window
         """Log density above which the target is flat."""
         self.seed_evaluation = Evaluation(self.log_seed, terms.log_prior, log_likelihood)
 
@@ -111,10 +147,11 @@ class PairDensity:
 
 
 def _why_zero(terms: PriorTerms, prior: PhysicalPrior, log_likelihood: float) -> str:
-    if terms.num_invalid > prior.most_invalid:
+    allowed = prior.settings.max_invalid_angles
+    if terms.num_invalid > allowed:
         return (
             f"the seed has density 0: the prior found {terms.num_invalid} joint angles out of range, "
-            f"{terms.num_invalid - prior.most_invalid} more than the {prior.most_invalid} allowed "
+            f"{terms.num_invalid - allowed} more than the {allowed} allowed "
             f"(the nearest valid poses are {100 * terms.limit_distance_m:.1f} cm away)"
         )
     if not np.isfinite(terms.log_prior):
@@ -123,3 +160,123 @@ def _why_zero(terms: PriorTerms, prior: PhysicalPrior, log_likelihood: float) ->
         f"the seed has density 0: the likelihood is {np.exp(log_likelihood):g}, "
         "no view of the bank has an annotation to compare with"
     )
+
+
+class Reads(StrEnum):
+    """What a density reads beside a seed and joint limits; what reads annotations has `ImageSettings`."""
+
+    NOTHING = "nothing"
+    ANNOTATIONS = "annotations and their views"
+    GROWN_SEEDS = "grown seeds"
+
+
+@dataclass(frozen=True)
+class DensityInputs:
+    """What a density may be made from.
+
+    Args:
+        seed_m: The seed (person=2, joint=17, 3), metres.
+        rng: Draws what the density fixes once for its seed.
+        annotated: Annotated pairs with their views; None for a density that does not read them.
+        grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; None for a density that does not read them.
+    """
+
+    seed_m: Array
+    rng: np.random.Generator
+    annotated: GatheredPairs | None = None
+    grown_m: Array | None = None
+
+
+S = TypeVar("S", bound=Settings)
+
+
+class DensityKind(ABC, Generic[S]):
+    """A density that a study may choose by its name.
+
+    Its likelihood is finite on real pairs, at most 1, invariant to rigid motion of the pair, and equal to its plain
+    form.
+    """
+
+    name: ClassVar[str]
+    """Name in `chains.densities`, and of the draws."""
+    meaning: ClassVar[str]
+    """A few words for people."""
+    reads: ClassVar[Reads] = Reads.NOTHING
+    settings: type[S]
+    """Its settings; they stand in the section `chains` beside those of the other kinds."""
+
+    @abstractmethod
+    def likelihood(self, settings: S, inputs: DensityInputs) -> Likelihood | None:
+        """Return the likelihood near one seed; None for the prior alone.
+
+        Raises:
+            InputError: The inputs do not suffice, with what is missing.
+        """
+
+    def prior(self, settings: TargetSettings) -> PriorSettings:
+        """Return the settings of the prior that goes with the likelihood, from those of the study."""
+        return settings
+
+    def target(
+        self,
+        chart: PairChart,
+        limits: JointLimits | LearnedLimits,
+        likelihood: Likelihood | None,
+        settings: TargetSettings,
+    ) -> PairDensity:
+        """Return the density round one seed.
+
+        Raises:
+            InputError: The seed has density 0, with the term that made it so.
+        """
+        prior = PhysicalPrior(chart, limits, self.prior(settings))
+        return PairDensity(chart, prior, likelihood, truncation=settings.truncation)
+
+
+class PriorOnlyKind(DensityKind[Settings]):
+    """The physical prior alone."""
+
+    name = "prior_only"
+    meaning = "the physical prior alone"
+    settings = Settings
+
+    def likelihood(self, settings: Settings, inputs: DensityInputs) -> None:
+        """Return nothing."""
+        return
+
+
+class ImageSettings(Settings):
+    """Which annotations a pair is compared with, and how sharply (Yin et al. 2018, eqs. 6 and 9)."""
+
+    num_views: int = Field(default=20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
+    num_candidates: int = Field(default=500, ge=1, description="Annotations compared with each view, nearest by view")
+    num_hypotheses: int = Field(default=4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
+    sigma_l: float = Field(
+        default=0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)"
+    )
+    sigma_v_rad: float = Field(default=0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
+
+
+I = TypeVar("I", bound=ImageSettings)  # noqa: E741
+
+
+class ImageKind(DensityKind[I]):
+    """A density that compares projections of a pair with annotations: eqs. 6 and 9 with some dissimilarity."""
+
+    reads = Reads.ANNOTATIONS
+
+    def likelihood(self, settings: I, inputs: DensityInputs) -> ImageLikelihood:
+        """Return the likelihood over a bank of views that are drawn once from the view density (eq. 5)."""
+        assert inputs.annotated is not None
+        views = inputs.annotated.view_density(deviation_rad=settings.sigma_v_rad)
+        bank = build_bank(
+            views.sample(inputs.rng, settings.num_views),
+            inputs.annotated.pairs,
+            num_candidates=settings.num_candidates,
+            view_bandwidth_rad=settings.sigma_v_rad,
+        )
+        return self.compare(settings, inputs.annotated.pairs, bank)
+
+    @abstractmethod
+    def compare(self, settings: I, pairs: AnnotatedPairs, bank: ViewBank) -> ImageLikelihood:
+        """Return the likelihood over a bank of views."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["INVARIANT_NAMES", "ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
 
@@ -43,9 +44,13 @@ INVARIANT_NAMES = tuple(f"{person}: {name}" for person in "AB" for name, _ in _L
 )
 """What is watched: limb angles of each person (radians) and distances between their joints (metres)."""
 
-LEAST_ACCEPTANCE = 0.005
+MIN_ACCEPTANCE = 0.005
 """Accepted share of proposals below which a chain counts as stuck."""
-MOST_AT_CEILING = 0.5
+MAX_RHAT = 1.1
+"""R-hat above which chains do not mix (Gelman et al. 2013, section 11.5)."""
+MIN_ESS = 100.0
+"""Effective sample size of a chain below which it does not mix (Vehtari et al. 2021); of few draws half will do."""
+MAX_AT_CEILING = 0.5
 """Share of draws in the flat top of the truncated density above which a chain counts as having left its range."""
 
 
@@ -60,8 +65,7 @@ class ChainReport:
         rhat_max: Greatest R-hat over the invariants and the chains of this seed; NaN when one never moved.
         log_density_mean: Mean log of the target.
         travelled_m: D_C between the seed and the last draw, metres.
-        verdict: ok, stuck or left_range.
-        reason: The verdict in words; empty when ok.
+        verdict: What is thought of the chain: stuck, not mixing, or beyond the range of its seed's density.
     """
 
     num_draws: int
@@ -70,8 +74,7 @@ class ChainReport:
     rhat_max: float
     log_density_mean: float
     travelled_m: float
-    verdict: str
-    reason: str
+    verdict: Verdict
 
 
 def invariants(pair_m: Array) -> Array:
@@ -165,26 +168,42 @@ def diagnose(
                 np.asarray(pair_m[chain, -1], dtype=np.float64).reshape(-1, 3), seed_m.reshape(-1, 3)
             )
         )
-        verdict, reason = "ok", ""
-        if acceptance < LEAST_ACCEPTANCE:
-            verdict = "stuck"
-            reason = f"{acceptance:.2%} of the proposals were accepted, fewer than {LEAST_ACCEPTANCE:.1%}"
-        elif at_ceiling > MOST_AT_CEILING:
-            verdict = "left_range"
-            reason = f"{at_ceiling:.0%} of the draws lie above the seed's density range, where the target is flat"
+        ess = _worst(effective_sample_size(values[chain : chain + 1]), largest=False)
         reports.append(
             ChainReport(
                 num_draws=num_draws,
                 acceptance_rate=acceptance,
-                ess_min=_worst(effective_sample_size(values[chain : chain + 1]), largest=False),
+                ess_min=ess,
                 rhat_max=worst_rhat,
                 log_density_mean=float(log_density[chain].mean()),
                 travelled_m=travelled,
-                verdict=verdict,
-                reason=reason,
+                verdict=_judge(num_draws, acceptance, at_ceiling, ess, worst_rhat),
             )
         )
     return reports
+
+
+def _judge(num_draws: int, acceptance: float, at_ceiling: float, ess: float, worst_rhat: float) -> Verdict:
+    """Say what is thought of a chain; figures that could not be had count as not mixing."""
+    level, reasons = Level.PASS, []
+    if acceptance < MIN_ACCEPTANCE:
+        level = Level.FAIL
+        reasons.append(f"stuck: {acceptance:.2%} of the proposals were accepted, fewer than {MIN_ACCEPTANCE:.1%}")
+    elif not (ess >= min(MIN_ESS, num_draws / 2) and worst_rhat <= MAX_RHAT):
+        level = Level.WARN
+        size = "none can be had" if np.isnan(ess) else f"{ess:.0f} of {num_draws}"
+        reasons.append(f"chains do not mix: effective sample size {size}, R-hat {worst_rhat:.2f}")
+    if at_ceiling > MAX_AT_CEILING:
+        level = max(level, Level.WARN, key=list(Level).index)
+        reasons.append(f"{at_ceiling:.0%} of the draws lie above the seed's density range, where the target is flat")
+    return Verdict(
+        level,
+        "; ".join(reasons),
+        figure="effective sample size",
+        value=ess,
+        baseline=float(num_draws),
+        baseline_name="draws kept",
+    )
 
 
 def _worst(values: Array, *, largest: bool) -> float:

@@ -20,10 +20,11 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import place_bones
-from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
-from pasdedeux.sampling.seeds import SIGMA_P_M, seed_quality
+from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 
@@ -185,7 +186,7 @@ def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: Joint
     images = np.ascontiguousarray(np.broadcast_to(image_m, (len(_SIGNS), *image_m.shape)))
     lengths = np.ascontiguousarray(np.broadcast_to(lengths_m, depth.shape))
     place_bones(images, depth, lengths, _ORDER, _PARENTS, TIGHTNESS, poses)
-    cost = limits.nearest_valid(poses).squared_distance_m2 / (2.0 * SIGMA_P_M**2)
+    cost = -PriorSettings().log_prior(limits.nearest_valid(poses).squared_distance_m2)
     for root, _, end in _LIMBS:
         cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)
     best = int(np.argmin(cost))

@@ -22,8 +22,8 @@ from pasdedeux.cameras import pair_frame
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits
+from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
-from pasdedeux.sampling.likelihood import AnnotatedPairs
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.settings import Settings

@@ -252,8 +252,8 @@ def best_per_view(  # type: ignore[no-untyped-def]
     rough_weights,
     offsets,
     beta_m,
-    least_ratio,
-    own_ratio,
+    min_ratio,
+    min_own_ratio,
     limit,
     margin,
     scale,
@@ -289,9 +289,9 @@ def best_per_view(  # type: ignore[no-untyped-def]
         rough_weights: The weights, float32.
         offsets: Jitter of the triangulation, (n, 2), metres.
         beta_m: Edge length below which weights stop growing, metres.
-        least_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
-        own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the estimate
-            when that over the annotation's is known; 0 never loses any.
+        min_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
+        min_own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the
+            estimate when that over the annotation's is known; 0 never loses any.
         limit: d_I above which nothing matters unless a better one is found, metres.
         margin: How far behind the best view another still matters, metres.
         scale: 2 sigma_l^2, metres.
@@ -343,7 +343,7 @@ def best_per_view(  # type: ignore[no-untyped-def]
     overall = limit
     for view in np.argsort(least):
         matters = overall + margin
-        if first[view] < 0 or least_ratio * least[view] > matters + ESTIMATE_TOLERANCE_M:
+        if first[view] < 0 or min_ratio * least[view] > matters + ESTIMATE_TOLERANCE_M:
             # Views after this one are estimated to be farther.
             break
         x, y = xs[view], ys[view]
@@ -352,7 +352,7 @@ def best_per_view(  # type: ignore[no-untyped-def]
         for is_rest in range(2):
             # The candidate with the least estimate goes first: it is mostly the best, and bounds the rest.
             if is_rest:
-                ceiling = (bound + ESTIMATE_TOLERANCE_M) / max(least_ratio, 1e-9)
+                ceiling = (bound + ESTIMATE_TOLERANCE_M) / max(min_ratio, 1e-9)
                 num_chosen = _choose(estimate[view], candidate_counts[view], first[view], np.float32(ceiling), chosen)
                 touched += _touch(
                     slots[view], chosen, num_chosen, rough_points, rough_starts, rough_ends, rough_weights
@@ -361,7 +361,7 @@ def best_per_view(  # type: ignore[no-untyped-def]
                 chosen[0] = first[view]
                 num_chosen = 1
             for c in chosen[:num_chosen]:
-                if least_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
+                if min_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
                     continue
                 slot = slots[view, c]
                 cosine, sine = turn[view, 0, c], turn[view, 1, c]
@@ -378,7 +378,7 @@ def best_per_view(  # type: ignore[no-untyped-def]
                     rough_weights[slot],
                     squares32,
                 )
-                if rough + 0.5 * own_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
+                if rough + 0.5 * min_own_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
                     continue
                 if num_edges < 0:
                     for k in range(num_points):

@@ -8,33 +8,34 @@ fixed function.  `plain_log_likelihood` is the definition; `InteractionLikelihoo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.cameras import angle_between_directions, project_pair
+from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M, align_plane, edge_weights, plane_residual
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import jitter
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
+from pasdedeux.sampling.density import ImageKind, ImageSettings
 from pasdedeux.sampling.kernels import best_per_view
 
 __all__ = [
-    "AnnotatedPairs",
+    "InteractionKind",
     "InteractionLikelihood",
+    "InteractionSettings",
     "Match",
-    "ViewBank",
-    "build_bank",
+    "log_mean",
     "plain_log_likelihood",
 ]
 
 Array = npt.NDArray[np.float64]
 
-LEAST_CANDIDATES = 20
-"""Annotations a view is compared with even when none is within the view bandwidth."""
-
-LEAST_RATIO, OWN_RATIO = 0.6, 0.52
+MIN_RATIO, MIN_OWN_RATIO = 0.6, 0.52
 """d_I is taken to be at least so many times its estimate, and the side of eq. 8 over the pair's own edges so many times
 half of it: candidates for which that is too much are left.  Over 7,691 evaluations (random pairs among 8,000
 annotations; salsa frames and pairs round them, among 600 and 8,000) not one result differed in a bit from that of
@@ -42,54 +43,6 @@ comparing all; with 0.65 and 0.58 two did."""
 
 _NUM_SPRUNG = 160
 """Annotations, evenly spread, whose nearest neighbours say how far the ends of each edge mostly move apart."""
-
-
-@dataclass(frozen=True)
-class AnnotatedPairs:
-    """Annotated pairs in metres with the views they are seen under; an annotation may come with several views.
-
-    Args:
-        points_m: Image points (entry, person=2, joint=17, 2), metres, x right, y up; all finite.
-        directions: View of each entry in the pair's local frame, unit (a, b, c), (entry, 3).
-        annotation_index: Which annotation an entry is a view hypothesis of, (entry,).
-
-    Raises:
-        InputError: No entry, shapes that do not fit, or a value that is not finite.
-    """
-
-    points_m: Array
-    directions: Array
-    annotation_index: npt.NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        """Check shapes and finiteness."""
-        count = len(self.points_m)
-        if count == 0:
-            raise InputError("no annotated pair is left: the likelihood needs at least one with all joints and a view")
-        if self.points_m.shape != (count, 2, 17, 2) or self.directions.shape != (count, 3):
-            raise InputError(
-                f"annotations {self.points_m.shape} and views {self.directions.shape} do not fit: "
-                "expected (entry, 2, 17, 2) and (entry, 3)"
-            )
-        if len(self.annotation_index) != count:
-            raise InputError(f"{count} annotated pairs but {len(self.annotation_index)} annotation indices")
-        if not (np.isfinite(self.points_m).all() and np.isfinite(self.directions).all()):
-            raise InputError("an annotated pair or its view has a value that is not finite")
-
-
-@dataclass(frozen=True)
-class ViewBank:
-    """The fixed views of one seed and the entries each is compared with.
-
-    Args:
-        directions: Views (m, 3) in the pair's local frame.
-        candidates: Entries compared with each view, nearest view first, (m, most); -1 beyond the valid ones.
-        counts: Number of valid candidates of each view, (m,).
-    """
-
-    directions: Array
-    candidates: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -105,38 +58,6 @@ class Match:
     log_likelihood: float
     dissimilarity_m: Array
     entry: npt.NDArray[np.int64]
-
-
-def build_bank(
-    directions: Array, pairs: AnnotatedPairs, *, num_candidates: int = 500, view_bandwidth_rad: float = 0.5
-) -> ViewBank:
-    """Return the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
-
-    An annotation enters a view once, by its nearest hypothesis.  Annotations farther than the bandwidth are dropped as
-    long as 20 stay.
-
-    Raises:
-        InputError: There is no view or `num_candidates` is not positive.
-    """
-    if len(directions) == 0 or num_candidates < 1:
-        raise InputError(f"a bank needs views and candidates, found {len(directions)} and {num_candidates}")
-    chosen: list[npt.NDArray[np.int64]] = []
-    for direction in directions:
-        angle = angle_between_directions(direction, pairs.directions)
-        order = np.argsort(angle, kind="stable")
-        _, first = np.unique(pairs.annotation_index[order], return_index=True)
-        order = order[np.sort(first)][:num_candidates]
-        num_similar = int(np.searchsorted(angle[order], view_bandwidth_rad, side="right"))
-        chosen.append(order[: max(num_similar, LEAST_CANDIDATES)])
-    most = max(len(own) for own in chosen)
-    candidates = np.full((len(directions), most), -1, dtype=np.int64)
-    for row, own in enumerate(chosen):
-        candidates[row, : len(own)] = own
-    return ViewBank(
-        directions=np.asarray(directions, dtype=np.float64),
-        candidates=candidates,
-        counts=np.array([len(own) for own in chosen], dtype=np.int64),
-    )
 
 
 def plain_log_likelihood(
@@ -171,10 +92,10 @@ def plain_log_likelihood(
         along = np.take_along_axis(difference, end, axis=1) - np.take_along_axis(difference, start, axis=1)
         total += np.sum(table.weights[own] * np.linalg.norm(along, axis=-1), axis=-1)
         best[view], entry[view] = total.min(), own[int(total.argmin())]
-    return Match(log_likelihood=_log_mean(best, sigma_l), dissimilarity_m=best, entry=entry)
+    return Match(log_likelihood=log_mean(best, sigma_l), dissimilarity_m=best, entry=entry)
 
 
-def _log_mean(best: Array, sigma_l: float) -> float:
+def log_mean(best: Array, sigma_l: float) -> float:
     """Return the log of eq. 6 of the least d_I of each view."""
     least = float(best.min())
     if not np.isfinite(least):
@@ -195,8 +116,8 @@ class InteractionLikelihood:
         bank: Views and their candidates.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres (the paper divides d_I, not its square).
         beta_m: Edge length below which weights stop growing, metres.
-        least_ratio: Least ratio of d_I to its estimate that is reckoned with.
-        own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
+        min_ratio: Smallest ratio of d_I to its estimate that is reckoned with.
+        min_own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
         is_exact: Compare all candidates, whatever the estimate: the oracle.
 
     Raises:
@@ -210,14 +131,15 @@ class InteractionLikelihood:
         *,
         sigma_l: float = 0.01,
         beta_m: float = BETA_M,
-        least_ratio: float = LEAST_RATIO,
-        own_ratio: float = OWN_RATIO,
+        min_ratio: float = MIN_RATIO,
+        min_own_ratio: float = MIN_OWN_RATIO,
         is_exact: bool = False,
     ) -> None:
         if not sigma_l > 0.0:
             raise InputError(f"sigma_l must be positive, found {sigma_l}")
         self._beta_m = beta_m
-        self._least_ratio, self._own_ratio = (0.0, 0.0) if is_exact else (least_ratio, own_ratio)
+        self._min_ratio, self._min_own_ratio = (0.0, 0.0) if is_exact else (min_ratio, min_own_ratio)
+        self._pairs, self._bank, self._sigma_l = pairs, bank, sigma_l
         self._directions = np.ascontiguousarray(bank.directions)
         self._counts = bank.counts
         # Only the entries that some view may meet are kept.
@@ -267,6 +189,18 @@ class InteractionLikelihood:
         value = self._search(pair_m, limit, self._margin)
         return value if value >= at_least else -np.inf
 
+    def plain(self, pair_m: Array) -> float:
+        """Return the log likelihood by its definition."""
+        table = self._plain_table
+        match = plain_log_likelihood(
+            pair_m, self._pairs, self._bank, table=table, sigma_l=self._sigma_l, beta_m=self._beta_m
+        )
+        return match.log_likelihood
+
+    @cached_property
+    def _plain_table(self) -> EdgeTable:
+        return edge_table(self._pairs.points_m.reshape(len(self._pairs.points_m), -1, 2), beta_m=self._beta_m)
+
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest in d_I to the pair (2, 17, 3) under every view, (m,), also where it cannot matter.
 
@@ -298,8 +232,8 @@ class InteractionLikelihood:
             *self._rough,
             self._jitter,
             self._beta_m,
-            self._least_ratio,
-            self._own_ratio,
+            self._min_ratio,
+            self._min_own_ratio,
             limit,
             margin,
             self._scale,
@@ -307,6 +241,24 @@ class InteractionLikelihood:
             self._slot,
         )
         return float(value)
+
+
+class InteractionSettings(ImageSettings):
+    """Settings of the likelihood by interaction coordinates."""
+
+    beta_m: float = Field(BETA_M, gt=0, description="Edge length below which weights stop growing (eq. 8), metres")
+
+
+class InteractionKind(ImageKind[InteractionSettings]):
+    """The published density: interaction coordinates of the images (eqs. 6, 8 and 9)."""
+
+    name = "ic"
+    meaning = "interaction coordinates"
+    settings = InteractionSettings
+
+    def compare(self, settings: InteractionSettings, pairs: AnnotatedPairs, bank: ViewBank) -> InteractionLikelihood:
+        """Return the likelihood over a bank of views."""
+        return InteractionLikelihood(pairs, bank, sigma_l=settings.sigma_l, beta_m=settings.beta_m)
 
 
 def _springs(

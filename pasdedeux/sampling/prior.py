@@ -3,15 +3,17 @@
 log prior = -(|theta - theta_valid|^2 + alpha eta^2) / (2 sigma_p^2), over joint positions in metres: the squared
 distance to the nearest poses within joint limits, and the squared sum of penetration depths.  It is -inf when more than
 8 joint angles of the pair are invalid.  Bone lengths stay within 5 % of the seed's and equal on both sides of a body,
-which the paper's terms do not bound.
+which the paper's terms do not bound.  Everything that scores pairs by eq. 2 takes it from here.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.plausibility import (
     MAX_INVALID_ANGLES,
@@ -24,14 +26,61 @@ from pasdedeux.plausibility import (
     pair_penetration,
 )
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["PhysicalPrior", "PriorTerms"]
+__all__ = ["PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
 
 Array = npt.NDArray[np.float64]
 
+Value = TypeVar("Value", float, Array)
+
 _TIE_TOLERANCE = 1e-9
 _NUM_ANGLES = 29
+
+
+class PriorSettings(Settings):
+    """The weights and limits of eq. 2."""
+
+    sigma_p_m: float = Field(default=0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
+    alpha: float = Field(default=10.0, ge=0, description="Weight of the squared penetration (eq. 2)")
+    max_invalid_angles: int = Field(
+        default=MAX_INVALID_ANGLES, ge=0, description="Invalid joint angles beyond which a pair is impossible"
+    )
+    length_tolerance: float = Field(
+        default=0.05, ge=0, lt=0.5, description="Greatest relative change of a bone's length"
+    )
+
+    def violation_m2(self, squared_distance_m2: Value, penetration_m: Value) -> Value:
+        """Return the squared distance to valid poses plus alpha times the squared penetration, square metres."""
+        return squared_distance_m2 + self.alpha * (penetration_m * penetration_m)
+
+    def log_prior(self, violation_m2: Value) -> Value:
+        """Return the log of eq. 2 of a possible pair, up to a constant."""
+        return -violation_m2 / (2.0 * self.sigma_p_m**2)
+
+
+@dataclass(frozen=True)
+class Violations:
+    """How far pairs are from possible ones.
+
+    Args:
+        num_invalid: Joint angles out of range, of both people, (pair,).
+        squared_distance_m2: Squared distance to the nearest poses within joint limits, (pair,).
+        penetration_m: Sums of penetration depths within A, within B and between them, (pair, 3).
+    """
+
+    num_invalid: npt.NDArray[np.int64]
+    squared_distance_m2: Array
+    penetration_m: Array
+
+
+def pair_violations(pairs_m: Array, limits: JointLimits | LearnedLimits) -> Violations:
+    """Return how pairs (pair, person=2, joint=17, 3), metres, violate the prior, each with its own bone lengths."""
+    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
+    nearest = limits.nearest_valid(pairs)
+    squared = nearest.squared_distance_m2.sum(axis=-1)
+    return Violations(nearest.num_invalid.sum(axis=-1), squared, capsule_model(PAIR17).penetration(pairs))
 
 
 @dataclass(frozen=True)
@@ -63,26 +112,16 @@ class PhysicalPrior:
     Args:
         chart: Parameters round the seed; its bone lengths set the capsules' radii.
         limits: Joint limits, the table's or those learned from capture and united with it.
-        sigma_p: Bandwidth, metres.
-        alpha: Weight of the squared penetration.
-        most_invalid: Invalid angles of the pair beyond which it is impossible.
-        length_tolerance: Greatest relative change of a bone.
+        settings: Weights and limits; the defaults when not given.
     """
 
     def __init__(
         self,
         chart: PairChart,
         limits: JointLimits | LearnedLimits,
-        *,
-        sigma_p: float = 0.05,
-        alpha: float = 10.0,
-        most_invalid: int = MAX_INVALID_ANGLES,
-        length_tolerance: float = 0.05,
+        settings: PriorSettings | None = None,
     ) -> None:
-        self.sigma_p = sigma_p
-        self.alpha = alpha
-        self.most_invalid = most_invalid
-        self.length_tolerance = length_tolerance
+        self.settings = settings or PriorSettings()
         self._learned = limits if isinstance(limits, LearnedLimits) else None
         table = limits if isinstance(limits, JointLimits) else limits.table
         self._limits = _ranges(table)
@@ -110,13 +149,13 @@ class PhysicalPrior:
             pair_m, self._radii, self._model.parents, self._model.within, self._model.between, self._sums
         )
         is_possible = (
-            num_invalid <= self.most_invalid
-            and length_change <= self.length_tolerance
+            num_invalid <= self.settings.max_invalid_angles
+            and length_change <= self.settings.length_tolerance
             and is_tied
             and not is_turned_over
         )
         return PriorTerms(
-            log_prior=-(squared + self.alpha * depth * depth) / (2.0 * self.sigma_p**2) if is_possible else -np.inf,
+            log_prior=self.settings.log_prior(self.settings.violation_m2(squared, depth)) if is_possible else -np.inf,
             num_invalid=int(num_invalid),
             limit_distance_m=float(np.sqrt(squared)),
             penetration_m=float(depth),

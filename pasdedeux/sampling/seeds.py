@@ -9,15 +9,13 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, closest_joint_distance
-from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model
-from pasdedeux.skeletons import PAIR17
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.sampling.prior import PriorSettings, pair_violations
 
 __all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
 
 Array = npt.NDArray[np.float64]
 
-SIGMA_P_M = 0.05
-"""Bandwidth of the prior that seeds are scored with, metres (Yin et al. 2018, section 4.1)."""
 CLOSE_SHARE = 0.25
 """Share of a take's frames, those with the smallest gap, that count as close interaction."""
 SOUND_SHARE = 0.5
@@ -34,32 +32,34 @@ class SeedQuality:
         num_invalid: Joint angles out of range, of both people, (pair,).
         violation_m2: Squared distance to valid poses plus alpha times squared penetration, (pair,): eq. 2's exponent.
         gap_m: Distance between the closest joints of the two people, (pair,), metres.
+        prior: The prior they were scored with.
     """
 
     num_invalid: npt.NDArray[np.int64]
     violation_m2: Array
     gap_m: Array
+    prior: PriorSettings
 
     @property
     def log_prior(self) -> Array:
         """Log of eq. 2 (Yin et al. 2018), (pair,), with its own bone lengths; finite for impossible ones too."""
-        return np.asarray(-self.violation_m2 / (2.0 * SIGMA_P_M**2))
+        return self.prior.log_prior(self.violation_m2)
 
     @property
     def is_possible(self) -> npt.NDArray[np.bool_]:
         """Whether the prior of a pair is above 0, (pair,)."""
-        return np.asarray(self.num_invalid <= MAX_INVALID_ANGLES)
+        return np.asarray(self.num_invalid <= self.prior.max_invalid_angles)
 
 
-def seed_quality(pairs_m: Array, limits: JointLimits, *, alpha: float = 10.0) -> SeedQuality:
-    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds."""
-    pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
-    nearest = limits.nearest_valid(pairs)
-    depth = capsule_model(PAIR17).penetration(pairs).sum(axis=-1)
+def seed_quality(pairs_m: Array, limits: JointLimits, prior: PriorSettings | None = None) -> SeedQuality:
+    """Return how fit pairs (pair, person=2, joint=17, 3), metres, are to be seeds; by the default prior or another."""
+    settings = prior or PriorSettings()
+    found = pair_violations(pairs_m, limits)
     return SeedQuality(
-        num_invalid=nearest.num_invalid.sum(axis=-1),
-        violation_m2=nearest.squared_distance_m2.sum(axis=-1) + alpha * depth**2,
-        gap_m=closest_joint_distance(pairs),
+        num_invalid=found.num_invalid,
+        violation_m2=settings.violation_m2(found.squared_distance_m2, found.penetration_m.sum(axis=1)),
+        gap_m=closest_joint_distance(np.asarray(pairs_m, dtype=np.float64)),
+        prior=settings,
     )
 
 
@@ -87,7 +87,7 @@ def choose_seeds(
     if len(pool) < num_seeds:
         raise InputError(
             f"{num_seeds} seeds were asked for, but only {len(pool)} of {len(pairs_m)} frames will do: close to each "
-            f"other, and at most {MAX_INVALID_ANGLES} joint angles out of range ({len(possible)} of them)"
+            f"other, and at most {quality.prior.max_invalid_angles} joint angles out of range ({len(possible)} of them)"
         )
     chosen = [int(pool[np.argmin(quality.violation_m2[pool])])]
     points = np.asarray(pairs_m[pool], dtype=np.float64).reshape(len(pool), -1, 3)

@@ -2,27 +2,29 @@
 
 Scales are learned by stochastic approximation (Robbins and Monro 1951; Andrieu and Thoms 2008, section 4.2): after
 every step the logarithms concerned move by a falling gain times the difference of acceptance from its target.  Draws
-are dropped and the scales frozen, so the chain that is kept has one kernel that leaves its target as it is.
+are dropped and the scales frozen, so the chain that is kept has one proposal that leaves its target as it is.
 """
 
 from __future__ import annotations
 
 import json
+from typing import TypeVar
 
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling.chain import ChainState, LogDensity, Settle, step
-from pasdedeux.sampling.guided import Guided
-from pasdedeux.sampling.proposals import GaussianBlocks, Local, Scales
+from pasdedeux.sampling.chain import ChainState, Gauge, LogDensity, step
+from pasdedeux.sampling.proposals.proposal import Context, Proposal, Scales
 
-__all__ = ["kernel_from_json", "kernel_to_json", "warm_up"]
+__all__ = ["proposal_from_json", "proposal_to_json", "warm_up"]
+
+P = TypeVar("P", bound=Proposal)
 
 TARGET_ACCEPTANCE = 0.234
 """Accepted share that is aimed at: optimal for random walks in many dimensions (Roberts, Gelman and Gilks 1997)."""
 GAIN_EXPONENT = 0.6
 """The n-th update of a scale has the gain n^-0.6: its sum diverges, that of its square does not."""
-MOST_LOG = float(np.log(20.0))
+MAX_LOG = float(np.log(20.0))
 """A scale never becomes more than 20 times larger or smaller than it was set."""
 
 
@@ -30,16 +32,15 @@ def warm_up(
     rng: np.random.Generator,
     state: ChainState,
     log_density: LogDensity,
-    propose: GaussianBlocks | Guided,
+    propose: P,
     *,
     num_steps: int,
     target_acceptance: float = TARGET_ACCEPTANCE,
-    settle: Settle | None = None,
-) -> tuple[ChainState, GaussianBlocks | Guided]:
-    """Run a chain for some steps and give where it arrived, with the proposal whose scales it learned.
+    gauge: Gauge | None = None,
+) -> tuple[ChainState, P]:
+    """Run a chain for some steps; return where it arrived, with the proposal whose scales it learned.
 
-    A step of `few` teaches each of its blocks; any other teaches its own move.  Guided steps teach nothing: how often
-    they are accepted says more about the annotation than about the scales.
+    A step of `few` teaches each of its blocks; any other teaches its own move, and one without a move nothing.
 
     Args:
         rng: Source of randomness; it moves on.
@@ -48,13 +49,16 @@ def warm_up(
         propose: Proposal with the scales to begin with.
         num_steps: Steps; 0 changes nothing.
         target_acceptance: Accepted share aimed at.
-        settle: As for `run_segment`; applied once at the end.
+        gauge: As for `run_segment`; applied once at the end.
 
     Raises:
         InputError: The number of steps is negative, or the target is not between 0 and 1.
     """
     if num_steps < 0 or not 0.0 < target_acceptance < 1.0:
-        raise InputError(f"a warm-up of {num_steps} steps towards an acceptance of {target_acceptance:g} cannot be")
+        raise InputError(
+            f"a warm-up takes 0 steps or more towards an acceptance between 0 and 1, found {num_steps} steps and "
+            f"{target_acceptance:g}"
+        )
     scales = propose.scales
     blocks, moves = scales.log_block.copy(), scales.log_move.copy()
     block_count, move_count = np.zeros(len(blocks)), np.zeros(len(moves))
@@ -71,26 +75,26 @@ def warm_up(
             own = [info.move.index]
             move_count[own] += 1.0
             moves[own] += error * move_count[own] ** -GAIN_EXPONENT
-        blocks, moves = blocks.clip(-MOST_LOG, MOST_LOG), moves.clip(-MOST_LOG, MOST_LOG)
+        blocks, moves = blocks.clip(-MAX_LOG, MAX_LOG), moves.clip(-MAX_LOG, MAX_LOG)
         propose = propose.with_scales(Scales(blocks, moves))
-    if settle is not None and num_steps:
-        state = ChainState(settle(state.parameters), state.evaluation, state.local)
+    if gauge is not None and num_steps:
+        state = ChainState(gauge(state.parameters), state.evaluation, state.context)
     return state, propose
 
 
-def kernel_to_json(scales: Scales, local: Local | None) -> str:
-    """Return what a chain must remember of its kernel, as JSON without loss: learned scales, and what it saw around."""
+def proposal_to_json(scales: Scales, context: Context | None) -> str:
+    """Return what a chain must remember of its proposal, as JSON without loss: learned scales, context of its place."""
     return json.dumps(
         {
             "log_block": scales.log_block.tolist(),
             "log_move": scales.log_move.tolist(),
-            "local": None if local is None else local.tolist(),
+            "context": None if context is None else context.tolist(),
         }
     )
 
 
-def kernel_from_json(text: str) -> tuple[Scales, Local | None]:
-    """Return back what `kernel_to_json` wrote.
+def proposal_from_json(text: str) -> tuple[Scales, Context | None]:
+    """Return what `proposal_to_json` wrote.
 
     Raises:
         InputError: The text is something else.
@@ -98,7 +102,7 @@ def kernel_from_json(text: str) -> tuple[Scales, Local | None]:
     try:
         state = json.loads(text)
         scales = Scales(np.array(state["log_block"], dtype=float), np.array(state["log_move"], dtype=float))
-        local = None if state["local"] is None else np.array(state["local"], dtype=np.int64)
+        context = None if state["context"] is None else np.array(state["context"], dtype=np.int64)
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"not the state of a kernel: {error}") from error
-    return scales, local
+        raise InputError(f"not the state of a proposal: {error}") from error
+    return scales, context

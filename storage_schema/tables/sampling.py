@@ -148,7 +148,7 @@ CHAIN_STATES = Table(
         array("parameters", "State of the chain", axes={"parameter": 108}, dtype=pa.float64()),
         *LOG_TERMS,
         text("generator_state", "State of the random generator, as JSON"),
-        text("kernel_state", "State of the kernel (adapted scales), as JSON"),
+        text("proposal_state", "State of the proposal (learned scales, context of the place), as JSON"),
     ),
 )
 
@@ -165,8 +165,7 @@ CHAIN_INFO = Table(
         float64("log_density_first", "Log density of the seed"),
         float64("log_density_mean", "Mean log density of the draws"),
         float64("travelled_m", "Mean joint distance between the last draw and the seed", unit="m"),
-        VERDICT[0].with_meaning("ok, stuck or left_range"),
-        VERDICT[1],
+        *VERDICT,
         text("note", "What is unusual about the annotations it was sampled with; empty when nothing is"),
     ),
 )

@@ -103,11 +103,13 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
                     count=table.num_rows,
                 )
             )
-        notes += [
-            f"Density {density}, seed {seed}, chain {table['chain'][row]}: "
-            f"{table['verdict'][row]} - {table['reason'][row]}."
-            for row in np.nonzero(table["verdict"] != "ok")[0]
-        ]
+        notable = np.flatnonzero(table["verdict"] != "pass")
+        if len(notable):
+            levels = ", ".join(sorted({str(table["verdict"][row]) for row in notable}))
+            notes.append(
+                f"Density {density}, seed {seed}: {len(notable)} of {table.num_rows} chains, {levels} - "
+                f"{table['reason'][notable[0]]}."
+            )
     return TopicResult(scores=scores, notes=notes)
 
 

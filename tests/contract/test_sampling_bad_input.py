@@ -12,7 +12,7 @@ import pytest
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
-from pasdedeux.sampling import gauge_fix, kernel_from_json
+from pasdedeux.sampling import gauge_fix, proposal_from_json
 from pasdedeux.sampling.parameters import PairChart, block_indices
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
@@ -20,7 +20,7 @@ from tasks import chains
 from tasks.chains import ChainsParameters
 from tests.builders.sampling_store import NUM_FRAMES, QUICK, put_annotations, put_take, run, with_seeds
 
-OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "kernel": "velocity"}
+OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "proposal": "velocity"}
 
 
 def sampled(
@@ -78,14 +78,14 @@ def test_people_numbered_anew_from_frame_to_frame_are_put_back_for_speeds(tmp_pa
 
 
 def test_identical_frames_have_no_speed_and_change_nothing_else(tmp_path: Path) -> None:
-    """All annotations the same, and nothing moves: the velocity-biased kernel is the unbiased one."""
+    """All annotations the same, and nothing moves: the velocity-biased proposal is the unbiased one."""
 
     def spoil(pixels: np.ndarray) -> None:
         pixels[:] = pixels[5, 1]
 
     store, made = sampled(tmp_path, spoil)
     assert note_of(store, made) == ""
-    _, local = kernel_from_json(str(store.read(made[0].ref, "chain_states")["kernel_state"][0]))
+    _, local = proposal_from_json(str(store.read(made[0].ref, "chain_states")["proposal_state"][0]))
     assert local is not None
     assert np.isfinite(np.asarray(store.read(made[0].ref, "draws")["log_density"])).all()
 
@@ -123,9 +123,9 @@ def test_a_chain_that_cannot_move_is_reported_as_stuck(tmp_path: Path) -> None:
     annotations, views = put_annotations(store, "one")
     tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
     given = with_seeds(store, tables, num_seeds=1)
-    far = {"root_rotation_rad": 3.0, "root_position_m": 9.0, "joint_rotation_rad": 3.0, "most_blocks": 34}
+    far = {"root_rotation_rad": 3.0, "root_position_m": 9.0, "joint_rotation_rad": 3.0, "max_blocks": 34}
     planned = chains.plan(given, ChainsParameters(**{**QUICK, **far, "num_chains": 1, "densities": ("ic",)}))
     made = run(planned, chains, store)
     info = store.read(made[-1].ref, "chain_info")
-    assert info["verdict"][0] == "stuck"
-    assert info["reason"][0].startswith("0.00% of the proposals were accepted")
+    assert info["verdict"][0] == "fail"
+    assert info["reason"][0].startswith("stuck: 0.00% of the proposals were accepted")

@@ -9,12 +9,14 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior, kernel_from_json
-from tasks import chain_problem, chains
-from tasks.chains import ChainsParameters
+from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior, proposal_from_json
+from pasdedeux.verdict import Level
+from tasks import chains
+from tasks.chains import ChainsParameters, SegmentParameters
+from tasks.chains.run import chain_problem, forget_evidence
 from tasks.evaluation import STAGE
 from tasks.evaluation.experiments.density import COMBINED, TOPIC
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import (
     QUICK,
     draws_of,
@@ -35,8 +37,8 @@ def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
     assert (
         starts == with_seeds(store, tables, num_seeds=1, num_grown=20, num_starts=5).of("seeds")[-1].facts["starts"][:2]
     )
-    assert [shard.parameters["seed_index"] for shard in planned if shard.name == "summary"] == [0, *starts]
-    of_grown = [shard for shard in planned if shard.parameters["seed_index"] == starts[0]]
+    assert [shard.parameters.seed_index for shard in planned if shard.name == "summary"] == [0, *starts]
+    of_grown = [shard for shard in planned if shard.parameters.seed_index == starts[0]]
     made = run(of_grown, chains, store)
     draws = store.read(made[0].ref, "draws")
     table = store.read(given.of("seeds")[-1].ref, "seeds")
@@ -67,7 +69,7 @@ def test_agreement_without_grown_seeds_is_refused_alone_and_left_out_beside_othe
     with pytest.raises(InputError, match="grown seeds"):
         chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("agreement",)}))
     planned = chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("prior_only", "agreement")}))
-    assert {shard.parameters["density"] for shard in planned} == {"prior_only"}
+    assert {shard.parameters.name for shard in planned} == {"prior_only"}
 
 
 def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any) -> None:
@@ -101,7 +103,11 @@ def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
         info = store.read(manifest.ref, "chain_info")
         assert list(info["num_draws"]) == [8, 8]
         assert ((np.asarray(info["acceptance_rate"]) > 0) & (np.asarray(info["acceptance_rate"]) <= 1)).all()
-        assert set(info["verdict"]) <= {"ok", "stuck", "left_range"}
+        assert set(info["verdict"]) == {"warn"}
+        assert all("chains do not mix" in reason for reason in info["reason"])
+        verdict = verdict_of(manifest)
+        assert verdict is not None
+        assert (verdict.level, verdict.figure, verdict.count) == (Level.WARN, "effective sample size", 2)
 
 
 def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
@@ -109,7 +115,7 @@ def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
     given = with_seeds(store, tables)
     planned = chains.plan(given, ChainsParameters(**QUICK))
     hidden = {manifest.ref for manifest in (*tables["annotations"], *tables["views"]) if manifest.facts["is_held_out"]}
-    assert not any(hidden.intersection(shard.inputs) for shard in planned)
+    assert not any(hidden.intersection(shard.all_inputs) for shard in planned)
     made = run(planned[:1], chains, store)
     assert made[0].facts["takes"] == ["one", "two"]
     assert made[0].facts["num_annotations_skipped"] == 1
@@ -141,12 +147,10 @@ ALL_MOVES = {"few": 2.0, "limb": 1.0, "person": 1.0, "roots": 1.0}
     [
         {"num_warm_up": 0},
         {
-            "kernel": "velocity",
+            "proposal": "velocity",
             "moves": ALL_MOVES,
             "num_warm_up": 6,
-            "guided_share": 0.5,
             "joint_limits": "learned",
-            "reference": "left_out",
         },
     ],
     ids=["plain", "everything"],
@@ -161,11 +165,11 @@ def test_segments_continue_exactly_and_order_of_chains_does_not_matter(inputs: A
     assert first.keys() == second.keys()
     for place, parameters in first.items():
         np.testing.assert_array_equal(parameters, second[place])
-    by_chain = sorted((s for s in short if s.name != "summary"), key=lambda s: (-s.parameters["chain"], s.name))
+    by_chain = sorted((s for s in short if s.name != "summary"), key=lambda s: (-s.parameters.chain, s.name))
     digests = {shard.key: store.find("chains", shard.key).ref.content_digest for shard in by_chain}
     for shard in by_chain:
         store.discard(store.find("chains", shard.key).ref)
-    chain_problem._KEPT.clear()
+    forget_evidence()
     for shard in by_chain:
         assert chains.run_shard(shard, store).content_digest == digests[shard.key]
 
@@ -176,9 +180,10 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
     planned = [s for s in chains.plan(given, ChainsParameters(**QUICK)) if s.name == "chain0-segment0"]
     for shard in planned:
         table = store.read(chains.run_shard(shard, store), "draws")
-        chart = PairChart(np.asarray(store.read(shard.inputs[0], "seeds")["pair17_m"][0]))
-        is_full = shard.parameters["density"] == "ic"
-        likelihood = chain_problem.look_at_annotations(shard, store).likelihood if is_full else None
+        options = shard.options(SegmentParameters)
+        chart = PairChart(np.asarray(store.read(shard.ref("seed"), "seeds")["pair17_m"][0]))
+        likelihood = chain_problem(shard, options, store).evidence.likelihood
+        assert (likelihood is not None) == (options.density == "ic")
         density = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
         for row in range(table.num_rows):
             evaluation = density(np.asarray(table["parameters"][row]))
@@ -192,24 +197,24 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
 def test_warm_up_learns_scales_that_every_later_segment_keeps(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "kernel": "velocity", "moves": ALL_MOVES, "num_warm_up": 20, "num_chains": 1}
+    options = {**QUICK, "proposal": "velocity", "moves": ALL_MOVES, "num_warm_up": 20, "num_chains": 1}
     made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
     states = [store.read(one.ref, "chain_states") for one in made if "chain_states" in one.tables]
     for first, second in zip(states[::2], states[1::2], strict=True):
-        kernels = [kernel_from_json(str(one["kernel_state"][0]))[0] for one in (first, second)]
-        assert np.count_nonzero(kernels[0].log_block) > 10
-        np.testing.assert_array_equal(kernels[0].log_block, kernels[1].log_block)
-        np.testing.assert_array_equal(kernels[0].log_move, kernels[1].log_move)
+        learned = [proposal_from_json(str(one["proposal_state"][0]))[0] for one in (first, second)]
+        assert np.count_nonzero(learned[0].log_block) > 10
+        np.testing.assert_array_equal(learned[0].log_block, learned[1].log_block)
+        np.testing.assert_array_equal(learned[0].log_move, learned[1].log_move)
         assert list(first["num_draws"]) == [4]
 
 
-def test_the_kernel_does_not_enter_the_keys_of_densities_without_annotations(inputs: Any) -> None:
+def test_the_proposal_does_not_enter_the_keys_of_densities_without_annotations(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1)
     options = {**QUICK, "densities": ("prior_only",)}
     keys = [
-        [shard.key for shard in chains.plan(given, ChainsParameters(**options, kernel=kernel))]
-        for kernel in ("unbiased", "velocity")
+        [shard.key for shard in chains.plan(given, ChainsParameters(**options, proposal=proposal))]
+        for proposal in ("unbiased", "velocity")
     ]
     assert keys[0] == keys[1]
 
@@ -250,18 +255,20 @@ def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], message: 
         ChainsParameters(variants=variants)
 
 
-def test_kernels_that_cannot_be_are_refused_before_anything_runs() -> None:
+def test_proposals_that_cannot_be_are_refused_before_anything_runs() -> None:
     with pytest.raises(ValueError, match="every kind of move the weight 0"):
         ChainsParameters(moves={"few": 0.0})
     with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
-        ChainsParameters(kernel="velocity", root_position_m=0.0)
+        ChainsParameters(proposal="velocity", root_position_m=0.0)
+    with pytest.raises(ValueError, match="there is no proposal 'faster'; there are: unbiased, velocity"):
+        ChainsParameters(proposal="faster")
 
 
 def test_no_views_means_no_chains_of_the_full_density(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, {"poses": tables["poses"]}, num_seeds=1)
     planned = chains.plan(given, ChainsParameters(**QUICK))
-    assert {shard.parameters["density"] for shard in planned} == {"prior_only"}
+    assert {shard.parameters.name for shard in planned} == {"prior_only"}
 
 
 def test_a_missing_segment_is_named(inputs: Any) -> None:

@@ -1,4 +1,4 @@
-"""The chain samples what it is told to: known moments, detailed balance, and a broken kernel that is caught.
+"""The chain samples what it is told to: known moments, detailed balance, and a broken proposal that is caught.
 
 Every comparison is gated on the effective sample size: the tolerance is a number of standard errors of that size.
 """
@@ -15,9 +15,9 @@ from pasdedeux.sampling import (
     ChainState,
     Evaluation,
     GaussianBlocks,
-    MoveMixture,
     PairChart,
     Proposed,
+    StepSettings,
     generator_from_json,
     generator_to_json,
     run_segment,
@@ -60,7 +60,7 @@ def log_gamma(x: np.ndarray, at_least: float) -> Evaluation:
 
 
 def symmetric(scale: float) -> Propose:
-    def propose(x: np.ndarray, local: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
         return Proposed(x + scale * rng.standard_normal(x.shape))
 
     return propose
@@ -69,9 +69,9 @@ def symmetric(scale: float) -> Propose:
 def multiplicative(scale: float) -> Propose:
     """An asymmetric proposal: a step of log x; the ratio of the two densities is x' / x."""
 
-    def propose(x: np.ndarray, local: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
         there = x * np.exp(scale * rng.standard_normal(x.shape))
-        return Proposed(there, log_correction=float(np.log(there).sum() - np.log(x).sum()))
+        return Proposed(there, log_ratio=float(np.log(there).sum() - np.log(x).sum()))
 
     return propose
 
@@ -130,14 +130,14 @@ def test_moments_of_analytic_targets(
 def test_an_asymmetric_proposal_without_its_correction_is_caught() -> None:
     right = multiplicative(1.0)
 
-    def broken(x: np.ndarray, local: np.ndarray | None, rng: np.random.Generator) -> Proposed:
-        return Proposed(right(x, local, rng).parameters)
+    def broken(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+        return Proposed(right(x, context, rng).parameters)
 
     assert worst_error(sample(log_gamma, broken, 3.0), (3.0, 12.0)) > 2 * NUM_ERRORS
 
 
-def test_a_drifting_kernel_is_caught() -> None:
-    def drifting(x: np.ndarray, local: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+def test_a_drifting_proposal_is_caught() -> None:
+    def drifting(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
         return Proposed(x + 0.3 + 2.4 * rng.standard_normal(x.shape))
 
     assert worst_error(sample(log_normal, drifting, 0.0), (0.0, 1.0)) > 2 * NUM_ERRORS
@@ -150,7 +150,7 @@ def test_flow_between_states_is_in_detailed_balance() -> None:
     def log_density(x: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(weights[int(x[0])]))
 
-    def propose(x: np.ndarray, local: np.ndarray | None, rng: np.random.Generator) -> Proposed:
+    def propose(x: np.ndarray, context: np.ndarray | None, rng: np.random.Generator) -> Proposed:
         return Proposed((x + rng.choice([-1, 1])) % 5)
 
     rng = np.random.default_rng(3)
@@ -185,7 +185,7 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
     The angle of a uniform rotation has density (1 - cos t) / pi, so its mean is pi / 2 + 2 / pi.
     """
     chart = PairChart(standing_pair())
-    propose = GaussianBlocks(root_rotation_rad=1.5, root_position_m=0.2, mixture=MoveMixture(most_blocks=34))
+    propose = GaussianBlocks(StepSettings(root_rotation_rad=1.5, root_position_m=0.2, max_blocks=34))
 
     def log_density(parameters: np.ndarray, at_least: float) -> Evaluation:
         return Evaluation(float(-0.5 * (parameters[POSITION_INDICES] ** 2).sum() / 0.2**2))

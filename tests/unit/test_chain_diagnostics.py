@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -10,8 +12,9 @@ from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling import PairDensity, PhysicalPrior, diagnose, invariants
-from pasdedeux.sampling.diagnostics import MOST_AT_CEILING
+from pasdedeux.sampling.diagnostics import MAX_AT_CEILING
 from pasdedeux.sampling.parameters import PairChart
+from pasdedeux.verdict import Level
 
 SEED = standing_pair()
 
@@ -30,15 +33,29 @@ def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
 
 
 def test_a_chain_that_lives_in_the_flat_top_left_the_range_of_its_seed() -> None:
-    many = report(np.where(np.arange(20) < 20 * MOST_AT_CEILING + 1, 5.0, 0.0))
-    assert (many.verdict, many.reason[:3]) == ("left_range", "55%")
-    few = report(np.where(np.arange(20) < 20 * MOST_AT_CEILING, 5.0, 0.0))
-    assert (few.verdict, few.reason) == ("ok", "")
+    many = report(np.where(np.arange(200) < 200 * MAX_AT_CEILING + 1, 5.0, 0.0)).verdict
+    assert many.level is Level.WARN
+    assert "50% of the draws lie above the seed's density range" in many.reason
+    few = report(np.where(np.arange(200) < 200 * MAX_AT_CEILING, 5.0, 0.0)).verdict
+    assert (few.level, few.reason) == (Level.PASS, "")
+    assert (few.figure, few.baseline, few.baseline_name) == ("effective sample size", 200.0, "draws kept")
+    assert few.value > 100.0
+
+
+def test_a_chain_that_walks_away_does_not_mix() -> None:
+    """Every draw is a little farther from the seed than the one before: hardly one independent draw."""
+    away = SEED + np.linspace(0.0, 0.3, 500)[:, None, None, None] * np.array([[[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]]])
+    pairs = away + np.random.default_rng(3).normal(scale=1e-3, size=away.shape)
+    (found,) = diagnose(pairs[None], np.zeros((1, 500)), np.ones((1, 500)), thin=1, seed_m=SEED, log_ceiling=5.0)
+    assert found.verdict.level is Level.WARN
+    assert re.match(r"chains do not mix: effective sample size \d of 500, R-hat \d", found.verdict.reason)
+    assert found.verdict.value < 10.0
 
 
 def test_a_chain_that_accepts_nothing_is_stuck_wherever_it_is() -> None:
     found = report(np.full(20, 5.0), num_accepted=0)
-    assert found.verdict == "stuck"
+    assert found.verdict.level is Level.FAIL
+    assert found.verdict.reason.startswith("stuck: 0.00% of the proposals were accepted")
     assert found.acceptance_rate == 0.0
 
 
@@ -60,6 +77,9 @@ def test_what_is_watched_does_not_change_when_the_pair_moves_rigidly() -> None:
 def test_a_seed_that_no_annotation_resembles_is_named_with_its_likelihood() -> None:
     class Nothing:
         def log_likelihood(self, pair_m: np.ndarray, *, at_least: float = -np.inf) -> float:
+            return -np.inf
+
+        def plain(self, pair_m: np.ndarray) -> float:
             return -np.inf
 
     chart = PairChart(SEED)

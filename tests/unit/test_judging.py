@@ -8,13 +8,20 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.combination import Combination
+from pasdedeux.experiments.judging import (
+    Corruption,
+    TermComparer,
+    area_under_curve,
+    camera_axes,
+    corrupt,
+    paired_accuracy,
+)
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model
 from pasdedeux.sampling import build_bank
-from pasdedeux.sampling.combination import Combination
-from pasdedeux.sampling.judging import Corruption, Judge, corrupt, seen_from, separation, told_apart
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 
@@ -61,19 +68,19 @@ def test_pushed_bodies_penetrate_by_what_was_asked_for() -> None:
         assert added[0] - added[1] >= 0.1
 
 
-def test_separation_is_the_chance_of_the_right_order() -> None:
-    assert separation(np.array([2.0, 3.0]), np.array([0.0, 1.0])) == 1.0
-    assert separation(np.zeros(4), np.zeros(3)) == 0.5
-    assert separation(np.array([1.0, 3.0]), np.array([2.0])) == 0.5
+def test_area_under_curve_is_the_chance_of_the_right_order() -> None:
+    assert area_under_curve(np.array([2.0, 3.0]), np.array([0.0, 1.0])) == 1.0
+    assert area_under_curve(np.zeros(4), np.zeros(3)) == 0.5
+    assert area_under_curve(np.array([1.0, 3.0]), np.array([2.0])) == 0.5
     with pytest.raises(InputError, match="real and corrupted"):
-        separation(np.zeros(0), np.zeros(1))
+        area_under_curve(np.zeros(0), np.zeros(1))
 
 
-def test_told_apart_compares_each_with_its_own() -> None:
-    assert told_apart(np.array([1.0, 3.0]), np.array([0.0, 2.0])) == 1.0
-    assert separation(np.array([1.0, 3.0]), np.array([0.0, 2.0])) == 0.75
+def test_paired_accuracy_compares_each_with_its_own() -> None:
+    assert paired_accuracy(np.array([1.0, 3.0]), np.array([0.0, 2.0])) == 1.0
+    assert area_under_curve(np.array([1.0, 3.0]), np.array([0.0, 2.0])) == 0.75
     with pytest.raises(InputError, match="one by one"):
-        told_apart(np.zeros(2), np.zeros(1))
+        paired_accuracy(np.zeros(2), np.zeros(1))
 
 
 def test_terms_prefer_real_pairs_to_mirrored_ones_and_the_best_view_cannot() -> None:
@@ -82,35 +89,35 @@ def test_terms_prefer_real_pairs_to_mirrored_ones_and_the_best_view_cannot() -> 
     bank = build_bank(entries.directions[:4], entries, num_candidates=60)
     grown = PAIRS + rng.normal(scale=0.01, size=PAIRS.shape)
     occupancy = Occupancy.empty().extended(dancers(7, 200))
-    judge = Judge(JointLimits.published(), occupancy, entries, bank, grown)
-    alone = Judge(JointLimits.published(), Occupancy.empty(), entries, bank, PAIRS[:0]).values(PAIRS[:2])
+    comparer = TermComparer(JointLimits.published(), occupancy, entries, bank, grown)
+    alone = TermComparer(JointLimits.published(), Occupancy.empty(), entries, bank, PAIRS[:0]).values(PAIRS[:2])
     assert "agreement" not in alone
     assert (alone["pose_prior"] == 0.0).all()
-    real = judge.values(PAIRS)
-    values = judge.values(corrupt(rng, PAIRS, VIEWS, Corruption.DEPTH_MIRRORED).pairs_m)
+    real = comparer.values(PAIRS)
+    values = comparer.values(corrupt(rng, PAIRS, VIEWS, Corruption.DEPTH_MIRRORED).pairs_m)
     assert set(values) == set(real)
     assert all(np.isfinite(one).all() for one in values.values())
     for term in ("joint_limits", "pose_prior", "grown_D_I", "limbs", "agreement"):
-        assert separation(real[term], values[term]) > 0.9
-    assert separation(real["likelihood"], values["likelihood"]) == pytest.approx(0.5, abs=0.15)
-    pushed = judge.values(corrupt(rng, PAIRS, VIEWS, Corruption.INSIDE_10).pairs_m)
+        assert area_under_curve(real[term], values[term]) > 0.9
+    assert area_under_curve(real["likelihood"], values["likelihood"]) == pytest.approx(0.5, abs=0.15)
+    pushed = comparer.values(corrupt(rng, PAIRS, VIEWS, Corruption.INSIDE_10).pairs_m)
     assert (pushed["contact"] < real["contact"].min()).mean() > 0.9
 
 
-def test_trials_hold_each_pair_beside_its_own_corruption_and_the_odds_of_both() -> None:
+def test_comparisons_hold_each_pair_beside_its_own_corruption_and_the_odds_of_both() -> None:
     rng = np.random.default_rng(5)
     entries = random_annotations(rng, dancers(6, 60), 60)
     bank = build_bank(entries.directions[:2], entries, num_candidates=20)
     grown = PAIRS + rng.normal(scale=0.01, size=PAIRS.shape)
-    judge = Judge(JointLimits.published(), Occupancy.empty(), entries, bank, grown)
+    comparer = TermComparer(JointLimits.published(), Occupancy.empty(), entries, bank, grown)
     few, views = PAIRS[:3], VIEWS[:3]
-    trials = judge.trials(np.random.default_rng(1), few, views)
-    mirrored = trials[Corruption.DEPTH_MIRRORED]
+    comparisons = comparer.comparisons(np.random.default_rng(1), few, views)
+    mirrored = comparisons[Corruption.DEPTH_MIRRORED]
     again = corrupt(np.random.default_rng(1), few, views, Corruption.DEPTH_MIRRORED)
     np.testing.assert_array_equal(mirrored.moved_m, again.moved_m)
-    np.testing.assert_allclose(mirrored.real["agreement"], judge.values(few)["agreement"])
-    np.testing.assert_allclose(mirrored.corrupted["agreement"], judge.values(again.pairs_m)["agreement"])
-    np.testing.assert_allclose(mirrored.real["image_odds"], judge.odds(seen_from(few, views, Corruption.SLID_10)))
+    np.testing.assert_allclose(mirrored.real["agreement"], comparer.values(few)["agreement"])
+    np.testing.assert_allclose(mirrored.corrupted["agreement"], comparer.values(again.pairs_m)["agreement"])
+    np.testing.assert_allclose(mirrored.real["image_odds"], comparer.odds(camera_axes(few, views, Corruption.SLID_10)))
     assert (mirrored.real["image_odds"] > mirrored.corrupted["image_odds"]).all()
     far = mirrored.from_m(float(np.sort(mirrored.moved_m)[1]))
     assert len(far.moved_m) == len(far.real["limbs"]) == len(far.corrupted["image_odds"]) == 2
@@ -123,7 +130,7 @@ def test_a_combination_weighs_what_tells_and_not_what_does_not() -> None:
     fitted = Combination.fitted(tuple(real), [real], [false])
     assert fitted.weights[0] > 1.0 > 5.0 * np.abs(fitted.weights[1:]).max()
     assert fitted.weights[2] == pytest.approx(0.0, abs=1e-6)
-    assert separation(fitted.value(real), fitted.value(false)) > 0.9
+    assert area_under_curve(fitted.value(real), fitted.value(false)) > 0.9
     # No term decides alone, however far it lies.
     far = {name: np.array([fitted.centre[at]]) for at, name in enumerate(fitted.terms)}
     assert fitted.value({**far, "tells": np.array([1e9])})[0] == pytest.approx(4.0 * fitted.weights[0])

@@ -1,4 +1,4 @@
-"""Speeds of annotated pairs, the moves that use them, and the ratio of the kernel's densities."""
+"""Speeds of annotated pairs, the moves that use them, and the ratio of the proposal's densities."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from hypothesis import strategies as st
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
-    GaussianBlocks,
+    PROPOSALS,
     MoveKind,
     MoveMixture,
     Scales,
     Speeds,
-    VelocityBias,
     annotation_speeds,
-    kernel_from_json,
-    kernel_to_json,
+    proposal_from_json,
+    proposal_to_json,
     undo_swaps,
 )
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
-from pasdedeux.sampling.proposal_kernels import _log_ratio
+from pasdedeux.sampling.proposals import ProposalInputs, VelocitySettings
+from pasdedeux.sampling.proposals.kernels import log_normal_ratio
 from pasdedeux.skeletons import PAIR17
 
 ELBOW, WRIST = PAIR17.indices(("left_elbow", "left_wrist"))
@@ -129,7 +129,9 @@ def test_the_bound_on_the_ratio_is_never_exceeded(
     count: int, square: float, here: float, least: float, beyond: float
 ) -> None:
     there = least + beyond
-    assert _log_ratio(count, square, here, there, False) <= _log_ratio(count, square, here, least, True) + 1e-9
+    assert (
+        log_normal_ratio(count, square, here, there, False) <= log_normal_ratio(count, square, here, least, True) + 1e-9
+    )
 
 
 def test_the_ratio_is_that_of_two_normal_densities() -> None:
@@ -141,7 +143,7 @@ def test_the_ratio_is_that_of_two_normal_densities() -> None:
         return float(-0.5 * (x @ x) / deviation**2 - len(x) * np.log(deviation))
 
     expected = log_normal(-step, there) - log_normal(step, here)
-    assert _log_ratio(3, float(noise @ noise), here, there, False) == pytest.approx(expected)
+    assert log_normal_ratio(3, float(noise @ noise), here, there, False) == pytest.approx(expected)
 
 
 def test_every_move_is_drawn_as_often_as_its_weight_says_and_moves_what_it_names() -> None:
@@ -158,24 +160,26 @@ def test_every_move_is_drawn_as_often_as_its_weight_says_and_moves_what_it_names
         MoveMixture(weights={MoveKind.FEW: 0.0})
 
 
-def test_a_kernel_survives_being_written_down() -> None:
+def test_a_proposal_survives_being_written_down() -> None:
     rng = np.random.default_rng(3)
     scales = Scales(rng.normal(size=NUM_BLOCKS), rng.normal(size=MoveMixture.NUM_MOVES))
-    read, local = kernel_from_json(kernel_to_json(scales, np.array([3, -1, 8])))
+    read, context = proposal_from_json(proposal_to_json(scales, np.array([3, -1, 8])))
     np.testing.assert_array_equal(read.log_block, scales.log_block)
     np.testing.assert_array_equal(read.log_move, scales.log_move)
-    assert local is not None
-    assert local.tolist() == [3, -1, 8]
-    assert kernel_from_json(kernel_to_json(scales, None))[1] is None
-    for text in ("{}", "[", '{"log_block": [1], "log_move": [2], "local": null}'):
+    assert context is not None
+    assert context.tolist() == [3, -1, 8]
+    assert proposal_from_json(proposal_to_json(scales, None))[1] is None
+    for text in ("{}", "[", '{"log_block": [1], "log_move": [2], "context": null}'):
         with pytest.raises(InputError):
-            kernel_from_json(text)
+            proposal_from_json(text)
 
 
-def test_the_velocity_biased_kernel_refuses_what_it_cannot_divide_by() -> None:
-    bias = VelocityBias(Speeds(np.zeros((1, NUM_BLOCKS)), np.zeros((1, 2))), lambda _: np.zeros(1, dtype=np.int64))
-    with pytest.raises(InputError, match="needs positive scales"):
-        GaussianBlocks(root_position_m=0.0, bias=bias)
-    propose = GaussianBlocks(bias=bias)
-    with pytest.raises(InputError, match="must look round"):
-        propose(PairChart(standing_pair()).seed_parameters(), None, np.random.default_rng(0))
+def test_the_velocity_biased_proposal_refuses_what_it_cannot_divide_by() -> None:
+    with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
+        VelocitySettings(root_position_m=0.0)
+    speeds = Speeds(np.zeros((1, NUM_BLOCKS)), np.zeros((1, 2)))
+    chart = PairChart(standing_pair())
+    known = ProposalInputs(chart, lambda _: np.zeros(1, dtype=np.int64), speeds)
+    propose = PROPOSALS["velocity"].build(VelocitySettings(), known)
+    with pytest.raises(InputError, match="must be prepared"):
+        propose(chart.seed_parameters(), None, np.random.default_rng(0))

@@ -12,13 +12,19 @@ from scipy.stats import spearmanr
 from pasdedeux.evaluation.figures import grid_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.experiments.combination import Combination
+from pasdedeux.experiments.judging import (
+    Comparison,
+    Corruption,
+    TermComparer,
+    area_under_curve,
+    camera_axes,
+    paired_accuracy,
+)
 from pasdedeux.plausibility import JointLimits, Occupancy
-from pasdedeux.sampling.annotations import GatheredPairs
-from pasdedeux.sampling.combination import Combination
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, build_bank
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth import GrowthOptions, grow
-from pasdedeux.sampling.judging import Corruption, Judge, Trial, seen_from, separation, told_apart
-from pasdedeux.sampling.likelihood import AnnotatedPairs, build_bank
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
@@ -95,9 +101,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     rng = stream(shard.seed, TOPIC.name)
     hidden = np.concatenate([material.takes[name] for name in material.held_out])
     shown = {name: pairs for name, pairs in material.takes.items() if name not in material.held_out}
-    judge = material.judge(rng, None)
-    trials = judge.trials(rng, *material.some(rng, hidden, count))
-    lifted = material.lifted(rng, judge, np.concatenate([*shown.values(), hidden[:0]]), LIFTED_FOR_JUDGED * count)
+    comparer = material.comparer(rng, None)
+    comparisons = comparer.comparisons(rng, *material.some(rng, hidden, count))
+    lifted = material.lifted(rng, comparer, np.concatenate([*shown.values(), hidden[:0]]), LIFTED_FOR_JUDGED * count)
     notes = [
         f"{min(count, len(hidden))} real pairs of {', '.join(material.held_out)}, and corruptions that their own "
         "image does not show; that image counts as annotated, so the best view of both is perfect. `auc`: the chance "
@@ -110,8 +116,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     fitted_on = sorted(rng.permutation(usable)[:NUM_FITTED_TAKES].tolist())
     if fitted_on:
         combination = material.combination(rng, fitted_on, max(count // NUM_FITTED_TAKES, 1))
-        for trial in trials.values():
-            for part in (trial.real, trial.corrupted):
+        for comparison in comparisons.values():
+            for part in (comparison.real, comparison.corrupted):
                 part["combination"] = combination.value(part)
         if lifted is not None:
             lifted.values["combination"] = combination.value(lifted.values)
@@ -123,12 +129,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "`combination` is logistic, of terms divided by their standard deviation over real pairs; it was fitted on "
             f"{', '.join(fitted_on)}, each judged with what grew from the other takes alone."
         )
-    kinds = _with_far_flips(trials)
+    kinds = _with_far_flips(comparisons)
     areas: dict[str, dict[str, float]] = {}
-    for name, trial in kinds.items():
-        for term, real in trial.real.items():
-            false = trial.corrupted[term]
-            area, paired = separation(real, false), told_apart(real, false)
+    for name, comparison in kinds.items():
+        for term, real in comparison.real.items():
+            false = comparison.corrupted[term]
+            area, paired = area_under_curve(real, false), paired_accuracy(real, false)
             areas.setdefault(term, {})[name] = area
             scores.append(Score(f"auc_{name}", term, area, split="held_out", count=len(real)))
             scores.append(Score(f"paired_accuracy_{name}", term, paired, split="held_out", count=len(real)))
@@ -158,13 +164,13 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     )
 
 
-def _with_far_flips(trials: Mapping[Corruption, Trial]) -> dict[str, Trial]:
-    """Return the trials by name, and beside all flips those that move a joint by 20 cm or more."""
+def _with_far_flips(comparisons: Mapping[Corruption, Comparison]) -> dict[str, Comparison]:
+    """Return the comparisons by name, and beside all flips those that move a joint by 20 cm or more."""
     named = {}
-    for kind, trial in trials.items():
-        named[str(kind)] = trial
-        if kind is Corruption.LIMB_FLIPPED and (trial.moved_m >= FAR_M).any():
-            named[f"{kind}_from_20_cm"] = trial.from_m(FAR_M)
+    for kind, comparison in comparisons.items():
+        named[str(kind)] = comparison
+        if kind is Corruption.LIMB_FLIPPED and (comparison.moved_m >= FAR_M).any():
+            named[f"{kind}_from_20_cm"] = comparison.from_m(FAR_M)
     return named
 
 
@@ -189,13 +195,13 @@ class _Material:
     grown: np.ndarray
     grown_take: np.ndarray
 
-    def judge(self, rng: np.random.Generator, without: str | None) -> Judge:
+    def comparer(self, rng: np.random.Generator, without: str | None) -> TermComparer:
         """Return a judge that has seen no annotation of a take, and nothing that grew from one."""
         every = self.gathered.pairs
         is_seen, is_left = self._others(without)
         pairs = AnnotatedPairs(every.points_m[is_seen], every.directions[is_seen], every.annotation_index[is_seen])
         bank = build_bank(self.gathered.view_density().sample(rng, NUM_VIEWS), pairs, num_candidates=NUM_CANDIDATES)
-        return Judge(self.limits, self.occupancy, pairs, bank, self.grown[is_left])
+        return TermComparer(self.limits, self.occupancy, pairs, bank, self.grown[is_left])
 
     def knows_others(self, take: str) -> bool:
         """Whether annotations of other takes are there, and pairs that grew from them."""
@@ -217,11 +223,11 @@ class _Material:
         real: dict[str, list[Mapping[str, np.ndarray]]] = {}
         corrupted: dict[str, list[Mapping[str, np.ndarray]]] = {}
         for take in takes:
-            trials = self.judge(rng, take).trials(rng, *self.some(rng, self.takes[take], count))
-            for kind, trial in trials.items():
+            comparisons = self.comparer(rng, take).comparisons(rng, *self.some(rng, self.takes[take], count))
+            for kind, comparison in comparisons.items():
                 if kind is Corruption.SLID_10:
                     continue
-                far = trial.from_m(FAR_M) if kind is Corruption.LIMB_FLIPPED else trial
+                far = comparison.from_m(FAR_M) if kind is Corruption.LIMB_FLIPPED else comparison
                 if not len(far.moved_m):
                     continue
                 real.setdefault(kind, []).append(far.real)
@@ -230,7 +236,7 @@ class _Material:
             COMBINED, [_joined(real[kind]) for kind in real], [_joined(corrupted[kind]) for kind in real]
         )
 
-    def lifted(self, rng: np.random.Generator, judge: Judge, shown: np.ndarray, count: int) -> _Lifted | None:
+    def lifted(self, rng: np.random.Generator, comparer: TermComparer, shown: np.ndarray, count: int) -> _Lifted | None:
         """Judge pairs that are lifted from a grown one, each from the nearest alone; None where nothing has grown."""
         if not (len(self.grown) and len(shown)):
             return None
@@ -239,8 +245,8 @@ class _Material:
         pairs, directions = growth.pairs_m[::3], self.gathered.pairs.directions[growth.entry[::3]]
         truth = Coverage(pairs)
         truth.add(shown[rng.permutation(len(shown))[:NUM_REAL]])
-        values = judge.values(pairs)
-        values["image_odds"] = judge.odds(seen_from(pairs, directions, Corruption.DEPTH_MIRRORED))
+        values = comparer.values(pairs)
+        values["image_odds"] = comparer.odds(camera_axes(pairs, directions, Corruption.DEPTH_MIRRORED))
         return _Lifted(values, truth.cartesian_m)
 
 

@@ -8,7 +8,7 @@ import numba
 
 from pasdedeux.kinematics.rotation_kernels import multiply, rotvec_from_unitquat, unitquat_from_rotvec
 
-__all__ = ["log_ratio_of_steps", "move_blocks"]
+__all__ = ["log_normal_ratio", "log_ratio_of_steps", "move_blocks"]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -48,7 +48,7 @@ def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, 
 
 
 @numba.njit(cache=True, nogil=True)
-def _log_ratio(count, square, here, there, is_bound):  # type: ignore[no-untyped-def]
+def log_normal_ratio(count, square, here, there, is_bound):  # type: ignore[no-untyped-def]
     """Return log N(-x; 0, there) - log N(x; 0, here) of an x of `count` numbers whose square is here^2 times `square`.
 
     With `is_bound`, the greatest over all deviations from `there` on: it peaks at here^2 square / count.
@@ -80,8 +80,8 @@ def log_ratio_of_steps(blocks, noise, turn, shift, turn_there, shift_there, is_b
         square = noise[at, 0] ** 2 + noise[at, 1] ** 2
         if block % num_joints == 0:
             moved = noise[at, 3] ** 2 + noise[at, 4] ** 2 + noise[at, 5] ** 2
-            total += _log_ratio(3.0, moved, shift[person], shift_there[person], is_bound)
-            total += _log_ratio(3.0, square + noise[at, 2] ** 2, turn[block], turn_there[block], is_bound)
+            total += log_normal_ratio(3.0, moved, shift[person], shift_there[person], is_bound)
+            total += log_normal_ratio(3.0, square + noise[at, 2] ** 2, turn[block], turn_there[block], is_bound)
         else:
-            total += _log_ratio(2.0, square, turn[block], turn_there[block], is_bound)
+            total += log_normal_ratio(2.0, square, turn[block], turn_there[block], is_bound)
     return total

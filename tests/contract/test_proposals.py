@@ -1,7 +1,7 @@
-"""The kernels over pairs sample what they are told to, whatever moves together and however variances depend on place.
+"""Every registered proposal keeps detailed balance: it samples what it is told to, whatever moves together.
 
 Targets are known: positions of the roots skewed, truncated and normal, bones normal.  As in the tests of the chain
-itself, comparisons are gated on the effective sample size.
+itself, comparisons are gated on the effective sample size.  A proposal that states a wrong ratio is caught.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, sta
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import (
+    PROPOSALS,
     ChainState,
+    Correction,
     Evaluation,
-    GaussianBlocks,
     InteractionLikelihood,
     MoveKind,
-    MoveMixture,
     PairChart,
     PairDensity,
     PhysicalPrior,
     Proposed,
-    Resolved,
     Speeds,
-    VelocityBias,
     build_bank,
     gauge_fix,
     invariants,
@@ -36,7 +34,7 @@ from pasdedeux.sampling import (
 )
 from pasdedeux.sampling.diagnostics import effective_sample_size
 from pasdedeux.sampling.parameters import POSITION_INDICES, block_indices
-from pasdedeux.sampling.proposals import Local
+from pasdedeux.sampling.proposals import Context, Proposal, ProposalInputs
 from pasdedeux.skeletons import PAIR17
 
 NUM_ERRORS = 4.5
@@ -46,8 +44,8 @@ X, Y, Z = POSITION_INDICES[0]
 KNEE = block_indices(PAIR17.index("left_knee"))[0]
 SHOULDER = block_indices(17 + PAIR17.index("right_shoulder"))[1]
 BONES = np.array([index for block in range(34) if block % 17 for index in block_indices(block)[:2]])
-ROOTS_ONLY = MoveMixture(weights={MoveKind.ROOTS: 1.0})
-EVERYTHING = MoveMixture(weights={MoveKind.FEW: 4.0, MoveKind.LIMB: 4.0, MoveKind.PERSON: 1.0, MoveKind.ROOTS: 4.0})
+ROOTS_ONLY = {MoveKind.ROOTS: 1.0}
+EVERYTHING = {MoveKind.FEW: 4.0, MoveKind.LIMB: 4.0, MoveKind.PERSON: 1.0, MoveKind.ROOTS: 4.0}
 
 
 def log_target(parameters: np.ndarray, at_least: float) -> Evaluation:
@@ -72,51 +70,53 @@ KNOWN = {X: (3.0, 12.0), Y: moments_of_y(), Z: (0.0, 1.0)}
 KNOWN_BONES = {KNEE: (0.0, 0.25), SHOULDER: (0.0, 0.25)}
 
 
-def bias() -> VelocityBias:
-    """Variances that depend strongly on where the chain is: by x and z of root A, and by a knee."""
-    count = 8
-    turn, shift = np.zeros((count, 34)), np.zeros((count, 2))
+KNEE_TO_NECK = np.linalg.norm(CHART.seed_m[0, PAIR17.index("left_knee")] - CHART.seed_m[0, PAIR17.index("neck")])
+
+
+def speeds() -> Speeds:
+    """Speeds that differ strongly between annotations."""
+    turn, shift = np.zeros((8, 34)), np.zeros((8, 2))
     shift[1] = [3.0, 0.0]
     shift[4] = [0.3, 0.0]
     turn[2] = 0.1
-
-    def nearest(parameters: np.ndarray) -> Local:
-        x, z = parameters[[X, Z]]
-        return np.array([int(x > 2.5), 4 if z > 0.3 else 6, 2 if parameters[KNEE] > 0.1 else 7, -1])
-
-    return VelocityBias(Speeds(turn, shift), nearest)
+    return Speeds(turn, shift)
 
 
-def kernel(mixture: MoveMixture, *, is_biased: bool) -> GaussianBlocks:
-    return GaussianBlocks(
-        root_rotation_rad=0.2,
-        root_position_m=0.3,
-        joint_rotation_rad=0.35,
-        mixture=mixture,
-        bias=bias() if is_biased else None,
-    )
+def nearest(pair_m: np.ndarray) -> Context:
+    """The nearest annotations depend strongly on where the chain is: on x and z of root A, and on a knee."""
+    x, _, z = pair_m[0, PAIR17.root]
+    knee = np.linalg.norm(pair_m[0, PAIR17.index("left_knee")] - pair_m[0, PAIR17.index("neck")])
+    return np.array([int(x > 2.5), 4 if z > 0.3 else 6, 2 if knee > KNEE_TO_NECK else 7, -1])
+
+
+def proposal(name: str, moves: dict[MoveKind, float], **settings: float) -> Proposal:
+    """A registered proposal with large steps, as far as it has such settings."""
+    kind = PROPOSALS[name]
+    wanted = {"root_rotation_rad": 0.2, "root_position_m": 0.3, "joint_rotation_rad": 0.35, "moves": moves, **settings}
+    own = {key: value for key, value in wanted.items() if key in kind.settings.model_fields}
+    return kind.build(kind.settings(**own), ProposalInputs(CHART, nearest, speeds()))
 
 
 @dataclass(frozen=True)
 class WithoutRatio:
-    """The velocity-biased kernel as one would write it who forgets that its densities differ."""
+    """The velocity-biased proposal as one would write it who forgets that its densities differ."""
 
-    right: GaussianBlocks
+    right: Proposal
 
-    def __call__(self, parameters: np.ndarray, local: Local | None, rng: np.random.Generator) -> Proposed:
-        proposed = self.right(parameters, local, rng)
-        assert proposed.resolve is not None
-        there = proposed.resolve().local
-        return replace(proposed, log_correction=0.0, resolve=lambda: Resolved(0.0, there))
+    def __call__(self, parameters: np.ndarray, context: Context | None, rng: np.random.Generator) -> Proposed:
+        proposed = self.right(parameters, context, rng)
+        assert proposed.correct is not None
+        there = proposed.correct().context
+        return replace(proposed, log_ratio=0.0, correct=lambda: Correction(0.0, there))
 
 
-def sample(propose: object, right: GaussianBlocks, *, num_draws: int, thin: int, num_chains: int = 3) -> np.ndarray:
+def sample(propose: object, right: Proposal, *, num_draws: int, thin: int, num_chains: int = 3) -> np.ndarray:
     chains = []
     for chain in range(num_chains):
         rng = np.random.default_rng([17, chain])
         start = CHART.seed_parameters()
         start[[X, Y, Z]] = [3.0, 0.5, 0.0]
-        state = ChainState(start, log_target(start, -np.inf), right.look_round(start))
+        state = ChainState(start, log_target(start, -np.inf), right.prepare(start))
         state, _ = run_segment(rng, state, log_target, propose, num_draws=50, thin=thin)
         _, segment = run_segment(rng, state, log_target, propose, num_draws=num_draws, thin=thin)
         chains.append(segment.parameters)
@@ -134,27 +134,28 @@ def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> flo
     return worst
 
 
-@pytest.mark.parametrize("is_biased", [False, True], ids=["unbiased", "velocity"])
-def test_roots_moved_together_have_the_moments_of_a_skewed_and_a_truncated_target(*, is_biased: bool) -> None:
-    propose = kernel(ROOTS_ONLY, is_biased=is_biased)
+@pytest.mark.parametrize("name", PROPOSALS)
+def test_roots_moved_together_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) -> None:
+    propose = proposal(name, ROOTS_ONLY)
     assert worst_error(sample(propose, propose, num_draws=700, thin=20), KNOWN) < NUM_ERRORS
 
 
-@pytest.mark.parametrize("is_biased", [False, True], ids=["unbiased", "velocity"])
-def test_a_mixture_of_all_moves_has_the_moments_of_its_target(*, is_biased: bool) -> None:
-    propose = kernel(EVERYTHING, is_biased=is_biased)
+@pytest.mark.parametrize("name", PROPOSALS)
+def test_a_mixture_of_all_moves_has_the_moments_of_its_target(name: str) -> None:
+    propose = proposal(name, EVERYTHING)
     draws = sample(propose, propose, num_draws=350, thin=50)
     assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
 
 
-def test_a_velocity_biased_kernel_without_its_ratio_is_caught() -> None:
-    right = kernel(ROOTS_ONLY, is_biased=True)
+def test_a_proposal_that_states_a_wrong_ratio_is_caught() -> None:
+    right = proposal("velocity", ROOTS_ONLY)
     assert worst_error(sample(WithoutRatio(right), right, num_draws=400, thin=20), KNOWN) > 2 * NUM_ERRORS
 
 
-def test_giving_up_early_changes_nothing() -> None:
-    """The bound on the ratio only saves looks round: a target that never stops early gives the same draws."""
-    propose = kernel(EVERYTHING, is_biased=True)
+@pytest.mark.parametrize("name", PROPOSALS)
+def test_giving_up_early_changes_nothing(name: str) -> None:
+    """A bound on the ratio only saves work: a target that never stops early gives the same draws."""
+    propose = proposal(name, EVERYTHING)
 
     def impatient(parameters: np.ndarray, at_least: float) -> Evaluation:
         evaluation = log_target(parameters, at_least)
@@ -162,7 +163,7 @@ def test_giving_up_early_changes_nothing() -> None:
 
     start = CHART.seed_parameters()
     start[[X, Y, Z]] = [3.0, 0.5, 0.0]
-    state = ChainState(start, log_target(start, -np.inf), propose.look_round(start))
+    state = ChainState(start, log_target(start, -np.inf), propose.prepare(start))
     runs = [
         run_segment(np.random.default_rng(3), state, target, propose, num_draws=60, thin=5)[1]
         for target in (log_target, impatient)
@@ -172,11 +173,11 @@ def test_giving_up_early_changes_nothing() -> None:
 
 
 def test_warm_up_finds_scales_with_the_acceptance_asked_for_and_then_the_target_is_still_right() -> None:
-    begun = replace(kernel(EVERYTHING, is_biased=True), joint_rotation_rad=3.0, root_position_m=12.0)
+    begun = proposal("velocity", EVERYTHING, joint_rotation_rad=3.0, root_position_m=12.0)
     start = CHART.seed_parameters()
     start[[X, Y, Z]] = [3.0, 0.5, 0.0]
     rng = np.random.default_rng(5)
-    state = ChainState(start, log_target(start, -np.inf), begun.look_round(start))
+    state = ChainState(start, log_target(start, -np.inf), begun.prepare(start))
     state, learned = warm_up(rng, state, log_target, begun, num_steps=4000, target_acceptance=0.3)
     _, before = run_segment(np.random.default_rng(6), state, log_target, begun, num_draws=200, thin=5)
     _, after = run_segment(np.random.default_rng(6), state, log_target, learned, num_draws=200, thin=5)
@@ -196,19 +197,18 @@ def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_un
     chart = PairChart(gauge_fix(pairs[0]))
     target = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
     turn, shift = (0.08 * rng.random((30, 34))) ** 2, (0.04 * rng.random((30, 2))) ** 2
-    velocity = VelocityBias(Speeds(turn, shift), lambda x: likelihood.nearest(chart.positions_fast(x)))
+    known = ProposalInputs(chart, likelihood.nearest, Speeds(turn, shift))
     watched = []
-    for own, scale in ((None, 0.03), (velocity, 0.015)):
-        propose = GaussianBlocks(
-            root_rotation_rad=scale, root_position_m=scale / 2, joint_rotation_rad=0.1, mixture=ROOTS_ONLY, bias=own
-        )
+    for name, scale in (("unbiased", 0.03), ("velocity", 0.015)):
+        steps = {"root_rotation_rad": scale, "root_position_m": scale / 2, "joint_rotation_rad": 0.1}
+        propose = PROPOSALS[name].build(PROPOSALS[name].settings(**steps, moves=ROOTS_ONLY), known)
         chains = []
         for chain in range(2):
             rng = np.random.default_rng([19, chain])
             start = chart.seed_parameters()
-            state = ChainState(start, target.seed_evaluation, propose.look_round(start))
-            state, _ = run_segment(rng, state, target, propose, num_draws=20, thin=20, settle=chart.gauge_fixed)
-            _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=30, settle=chart.gauge_fixed)
+            state = ChainState(start, target.seed_evaluation, propose.prepare(start))
+            state, _ = run_segment(rng, state, target, propose, num_draws=20, thin=20, gauge=chart.gauge_fixed)
+            _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=30, gauge=chart.gauge_fixed)
             chains.append(invariants(chart.positions(segment.parameters)))
         watched.append(np.stack(chains))
     moving = np.flatnonzero(np.ptp(watched[0], axis=(0, 1)) > 1e-6)

@@ -59,14 +59,14 @@ class MoveMixture:
 
     Args:
         weights: How often each kind is drawn, relative to the others; a kind that is not named is never drawn.
-        most_blocks: Blocks that `few` moves at once, at most: between 1 and so many, chosen uniformly.
+        max_blocks: Blocks that `few` moves at once, between 1 and so many, chosen uniformly.
 
     Raises:
-        InputError: A weight is negative or not finite, all are 0, or `most_blocks` is not between 1 and 34.
+        InputError: A weight is negative or not finite, all are 0, or `max_blocks` is not between 1 and 34.
     """
 
     weights: Mapping[MoveKind, float] = field(default_factory=lambda: {MoveKind.FEW: 1.0})
-    most_blocks: int = 4
+    max_blocks: int = 4
 
     NUM_MOVES = 4 + 2 * len(LIMBS)
     """Moves that scales are kept for, whatever the weights."""
@@ -76,8 +76,8 @@ class MoveMixture:
         values = list(self.weights.values())
         if not all(np.isfinite(value) and value >= 0.0 for value in values) or not sum(values) > 0.0:
             raise InputError(f"weights of moves must not be negative and one must be positive, found {values}")
-        if not 1 <= self.most_blocks <= NUM_BLOCKS:
-            raise InputError(f"between 1 and {NUM_BLOCKS} blocks can move at once, found {self.most_blocks}")
+        if not 1 <= self.max_blocks <= NUM_BLOCKS:
+            raise InputError(f"between 1 and {NUM_BLOCKS} blocks can move at once, found {self.max_blocks}")
         kinds = [MoveKind(kind) for kind in self.weights]
         object.__setattr__(self, "_kinds", kinds)
         object.__setattr__(self, "_limits", np.cumsum(values) / sum(values))
@@ -89,7 +89,7 @@ class MoveMixture:
         """Draw a move."""
         kind = self._kinds[int(np.searchsorted(self._limits, rng.random(), side="right"))]
         if kind is MoveKind.FEW:
-            count = int(rng.integers(1, self.most_blocks + 1))
+            count = int(rng.integers(1, self.max_blocks + 1))
             blocks = rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)
             return Move(0, tuple(int(block) for block in blocks))
         which = int(rng.integers(len(_FIXED[kind])))

@@ -12,7 +12,7 @@ and adds nothing beside the odds.  The mirrored limb moves as smoothly as the tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -21,19 +21,29 @@ from scipy.special import logsumexp
 
 from pasdedeux.cameras import pair_frame, view_rotmat
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.image_odds import LiftDensity
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, capsule_model
 from pasdedeux.sampling.agreement import Agreement
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth_kernels import place_bones
-from pasdedeux.sampling.image_odds import LiftDensity
-from pasdedeux.sampling.likelihood import AnnotatedPairs, InteractionLikelihood, ViewBank
-from pasdedeux.sampling.seeds import SIGMA_P_M
+from pasdedeux.sampling.likelihood import InteractionLikelihood
+from pasdedeux.sampling.prior import PriorSettings, pair_violations
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["Corrupted", "Corruption", "Judge", "Trial", "corrupt", "seen_from", "separation", "told_apart"]
+__all__ = [
+    "Comparison",
+    "Corrupted",
+    "Corruption",
+    "TermComparer",
+    "area_under_curve",
+    "camera_axes",
+    "corrupt",
+    "paired_accuracy",
+]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -97,7 +107,7 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
             into each other along the line between the people, so there that is the view.
         kind: What is done.
     """
-    seen = seen_from(pairs_m, directions, kind)
+    seen = camera_axes(pairs_m, directions, kind)
     rows: Indices = np.arange(len(pairs_m), dtype=np.int64)
     sign = rng.choice([-1.0, 1.0], size=len(seen))
     false = seen.copy()
@@ -125,7 +135,7 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
     return Corrupted(rows=rows, pairs_m=false[rows], seen_m=seen[rows])
 
 
-def seen_from(pairs_m: Array, directions: Array, kind: Corruption) -> Array:
+def camera_axes(pairs_m: Array, directions: Array, kind: Corruption) -> Array:
     """Return pairs (n, person=2, joint=17, 3), metres, in the axes of the camera that a corruption hides from.
 
     Args:
@@ -155,7 +165,7 @@ def _pushed(pair: Array, depth_m: float) -> Array | None:
 
 
 @dataclass(frozen=True)
-class Judge:
+class TermComparer:
     """Everything that terms of a density are made from.
 
     Args:
@@ -164,6 +174,7 @@ class Judge:
         annotated: Annotated pairs.
         bank: Views and the annotations compared with each.
         grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; may be none.
+        prior: Weights of eq. 2.
     """
 
     limits: JointLimits
@@ -171,6 +182,7 @@ class Judge:
     annotated: AnnotatedPairs
     bank: ViewBank
     grown_m: Array
+    prior: PriorSettings = field(default_factory=PriorSettings)
 
     def values(self, pairs_m: Array) -> dict[str, Array]:
         """Return the terms of pairs (n, person=2, joint=17, 3), each (n,), larger where a pair is the likelier.
@@ -189,10 +201,10 @@ class Judge:
           `agreement_and_mean_view`: that and `mean_view` at 1 cm.
         """
         pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
-        distance = self.limits.nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
+        found = pair_violations(pairs, self.limits)
+        distance, inside = found.squared_distance_m2, found.penetration_m
         learned = LearnedLimits(self.limits, self.occupancy).nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
-        inside = capsule_model(PAIR17).penetration(pairs)
-        prior = -(distance + 10.0 * inside.sum(axis=1) ** 2) / (2.0 * SIGMA_P_M**2)
+        prior = self.prior.log_prior(self.prior.violation_m2(distance, inside.sum(axis=1)))
         # So wide that no view is left out as too far behind the best.
         matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)
         views = np.array([[*matcher.match(pair).dissimilarity_m, 0.0] for pair in pairs])
@@ -223,12 +235,12 @@ class Judge:
             terms["grown_near"] = -np.array([agreement.nearest_m(pair) for pair in pairs])
             terms["placement"] = np.array([part.placement for part in parts])
             terms["limbs"] = np.array([part.limbs for part in parts])
-            terms["agreement"] = np.array([part.total for part in parts]) - distance / (2.0 * SIGMA_P_M**2)
+            terms["agreement"] = np.array([part.total for part in parts]) + self.prior.log_prior(distance)
             terms["agreement_and_pose_prior"] = terms["agreement"] + terms["pose_prior"]
             terms["agreement_and_mean_view"] = terms["agreement"] + terms["mean_view"] / _MEAN_VIEW_WIDTH_M
         return {name: np.asarray(values) for name, values in terms.items()}
 
-    def trials(self, rng: np.random.Generator, real_m: Array, directions: Array) -> dict[Corruption, Trial]:
+    def comparisons(self, rng: np.random.Generator, real_m: Array, directions: Array) -> dict[Corruption, Comparison]:
         """Try every kind of corruption on real pairs (n, person=2, joint=17, 3), metres.
 
         With grown pairs there is one term more, `image_odds`: the odds of the pair among the lifts of the image that
@@ -249,19 +261,19 @@ class Judge:
             if len(self.grown_m):
                 is_pushed = kind in _INSIDE_M
                 if is_pushed not in own_odds:
-                    own_odds[is_pushed] = self.odds(seen_from(real_m, directions, kind))
+                    own_odds[is_pushed] = self.odds(camera_axes(real_m, directions, kind))
                 real["image_odds"] = own_odds[is_pushed][corrupted.rows]
                 false["image_odds"] = self.odds(corrupted.pairs_m)
-            found[kind] = Trial(real, false, corrupted.moved_m)
+            found[kind] = Comparison(real, false, corrupted.moved_m)
         return found
 
     def odds(self, seen_m: Array) -> Array:
         """Return the odds of pairs (n, 2, 17, 3), metres, in camera axes, among the lifts of their images, (n,)."""
-        return LiftDensity(Agreement(self.grown_m), self.limits, self.occupancy).odds(seen_m)
+        return LiftDensity(Agreement(self.grown_m), self.limits, self.occupancy, self.prior).odds(seen_m)
 
 
 @dataclass(frozen=True)
-class Trial:
+class Comparison:
     """Terms of real pairs and of their corruptions, row by row.
 
     Args:
@@ -274,14 +286,14 @@ class Trial:
     corrupted: dict[str, Array]
     moved_m: Array
 
-    def from_m(self, least_m: float) -> Trial:
-        """Return the rows in which a joint moved at least as far as `least_m`, metres."""
-        far = self.moved_m >= least_m
+    def from_m(self, min_m: float) -> Comparison:
+        """Return the rows in which a joint moved at least as far as `min_m`, metres."""
+        far = self.moved_m >= min_m
         real, corrupted = ({name: one[far] for name, one in part.items()} for part in (self.real, self.corrupted))
-        return Trial(real, corrupted, self.moved_m[far])
+        return Comparison(real, corrupted, self.moved_m[far])
 
 
-def separation(real: Array, corrupted: Array) -> float:
+def area_under_curve(real: Array, corrupted: Array) -> float:
     """Return the AUC: the chance that a real pair's value (n,) exceeds a corrupted one's (m,); ties count half.
 
     Raises:
@@ -293,7 +305,7 @@ def separation(real: Array, corrupted: Array) -> float:
     return float(above + 0.5 * (real[:, None] == corrupted[None]).mean())
 
 
-def told_apart(real: Array, corrupted: Array) -> float:
+def paired_accuracy(real: Array, corrupted: Array) -> float:
     """Return the share of pairs whose value (n,) exceeds that of their own corruption (n,); ties count half.
 
     Both are lifts of one image: what a chain that starts from a wrong one would have to know.

@@ -9,14 +9,14 @@ no more than the density itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.plausibility import JointLimits, Occupancy
 from pasdedeux.sampling.agreement import Agreement
-from pasdedeux.sampling.seeds import SIGMA_P_M
+from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["LiftDensity", "other_lifts"]
@@ -74,11 +74,13 @@ class LiftDensity:
         agreement: Agreement with grown pairs.
         limits: Ranges of joint angles.
         occupancy: Pose prior learned from capture; an empty one knows nothing.
+        prior: Bandwidth of the joint limits.
     """
 
     agreement: Agreement
     limits: JointLimits
     occupancy: Occupancy
+    prior: PriorSettings = field(default_factory=PriorSettings)
 
     def logs(self, lifts_m: Array) -> Array:
         """Return the log of the density of lifts (n, 2, 17, 3), metres, of one image, up to a constant, (n,).
@@ -92,7 +94,7 @@ class LiftDensity:
         agreed = np.array([one.total - (1.0 - CONTACT_WEIGHT) * one.contact for one in terms])
         bones = self.occupancy.bone_logs(lifts_m).sum(axis=(1, 2))
         beyond = self.limits.nearest_valid(lifts_m).squared_distance_m2.sum(axis=-1)
-        return np.asarray(agreed + BONE_WEIGHT * bones - beyond / (2.0 * SIGMA_P_M**2))
+        return np.asarray(agreed + BONE_WEIGHT * bones + self.prior.log_prior(beyond))
 
     def odds(self, seen_m: Array) -> Array:
         """Return the log of the share of pairs (n, 2, 17, 3), metres, in camera axes, among all lifts of their images.

@@ -12,15 +12,25 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.cameras import angle_between_directions, project_pair
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.measured_kernels import best_cartesian, best_shape, fill_histograms
 from pasdedeux.interaction import align_plane, interaction_dissimilarity, plane_residual, plane_shape_dissimilarity
 from pasdedeux.interaction.shape_context import NUM_SECTORS, NUM_SHELLS
-from pasdedeux.sampling.likelihood import AnnotatedPairs, Match, ViewBank
-from pasdedeux.sampling.measured_kernels import best_cartesian, best_shape, fill_histograms
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
+from pasdedeux.sampling.density import ImageKind, ImageSettings
+from pasdedeux.sampling.likelihood import Match, log_mean
 
-__all__ = ["ImageMeasure", "MeasuredLikelihood", "image_dissimilarity", "matched_scale"]
+__all__ = [
+    "CartesianKind",
+    "ImageMeasure",
+    "MeasuredLikelihood",
+    "ShapeContextKind",
+    "image_dissimilarity",
+    "matched_scale",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -101,7 +111,7 @@ class MeasuredLikelihood:
         self._margin = float(np.log(len(bank.directions) * 1e14)) / self._exponent
         self._num_ranked = num_ranked
         self._is_exact = is_exact
-        self._bank = bank
+        self._pairs, self._bank, self._sigma_l = pairs, bank, sigma_l
         used = np.unique(bank.candidates[bank.candidates >= 0])
         points = pairs.points_m[used].reshape(len(used), -1, 2)
         self._used = used
@@ -141,6 +151,15 @@ class MeasuredLikelihood:
         """Return the log likelihood alone."""
         return self.match(pair_m, at_least=at_least).log_likelihood
 
+    def plain(self, pair_m: Array) -> float:
+        """Return the log likelihood by its definition."""
+        best = np.full(len(self._bank.directions), np.inf)
+        for view, image in enumerate(project_pair(pair_m, self._bank.directions).reshape(len(best), 1, -1, 2)):
+            own = self._bank.candidates[view, : self._bank.counts[view]]
+            fixed = self._pairs.points_m[own].reshape(len(own), -1, 2)
+            best[view] = image_dissimilarity(image, fixed, self.measure).min(initial=np.inf)
+        return log_mean(best * self.scale, self._sigma_l)
+
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
         self._search(pair_m, np.inf, np.inf)
@@ -160,3 +179,37 @@ class MeasuredLikelihood:
         else:
             how = (self._num_ranked, self._is_exact)
             best_shape(images, counts, slots, self._counts, *lanes, *how, limit, margin, *found)
+
+
+class CartesianKind(ImageKind[ImageSettings]):
+    """The likelihood by the mean distance of the joints in the image."""
+
+    name = "cartesian"
+    meaning = "mean joint distance of the images"
+    settings = ImageSettings
+
+    def compare(self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:
+        """Return the likelihood over a bank of views."""
+        return MeasuredLikelihood(pairs, bank, ImageMeasure.CARTESIAN, sigma_l=settings.sigma_l)
+
+
+class ShapeContextSettings(ImageSettings):
+    """Settings of the likelihood by shape context."""
+
+    num_ranked: int = Field(
+        default=64, ge=1, description="Shape contexts of a view compared, nearest by rigid residual"
+    )
+
+
+class ShapeContextKind(ImageKind[ShapeContextSettings]):
+    """The likelihood by the shape-context cost of the images."""
+
+    name = "shape_context"
+    meaning = "shape context of the images"
+    settings = ShapeContextSettings
+
+    def compare(self, settings: ShapeContextSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:
+        """Return the likelihood over a bank of views."""
+        return MeasuredLikelihood(
+            pairs, bank, ImageMeasure.SHAPE_CONTEXT, sigma_l=settings.sigma_l, num_ranked=settings.num_ranked
+        )

@@ -26,7 +26,7 @@ Indices = npt.NDArray[np.int64]
 NEIGHBOUR_FRAMES = 2
 """Frames on each side of an annotation that its speed is taken from."""
 
-LEAST_BONE_M = 0.05
+MIN_BONE_M = 0.05
 """Length below which a foreshortened bone counts as so long: its direction in the image says little, metres."""
 
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
@@ -138,4 +138,4 @@ def _slope(tracks: Array, time: Array) -> Array:
 def _rate(bone: Array, change: Array) -> Array:
     """Return how fast a bone (..., 2) turns in the image plane, radians per frame."""
     across = bone[..., 0] * change[..., 1] - bone[..., 1] * change[..., 0]
-    return np.asarray(across / np.maximum((bone**2).sum(axis=-1), LEAST_BONE_M**2))
+    return np.asarray(across / np.maximum((bone**2).sum(axis=-1), MIN_BONE_M**2))

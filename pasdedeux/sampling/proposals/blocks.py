@@ -1,0 +1,122 @@
+"""Gaussian steps of some blocks at a time: a root, or a joint's bone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, NUM_PER_PERSON
+from pasdedeux.sampling.proposals.kernels import move_blocks
+from pasdedeux.sampling.proposals.moves import MoveKind, MoveMixture
+from pasdedeux.sampling.proposals.proposal import Context, Proposal, ProposalInputs, ProposalKind, Proposed, Scales
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import PAIR17
+
+__all__ = ["GaussianBlocks", "StepSettings", "UnbiasedKind"]
+
+Array = npt.NDArray[np.float64]
+
+
+class StepSettings(Settings):
+    """How far steps go, and what they move together."""
+
+    root_rotation_rad: float = Field(default=0.02, ge=0, description="Step of a root's rotation, radians")
+    root_position_m: float = Field(default=0.005, ge=0, description="Step of a root's position, metres")
+    joint_rotation_rad: float = Field(default=0.04, ge=0, description="Step of a bone's rotation, radians")
+    length_change: float = Field(default=0.005, ge=0, description="Step of a bone's relative length")
+    max_blocks: int = Field(
+        default=4, ge=1, le=NUM_BLOCKS, description="Roots and bones moved by one step of `few`, at most"
+    )
+    moves: dict[MoveKind, Annotated[float, Field(ge=0)]] = Field(
+        default={MoveKind.FEW: 1.0},
+        min_length=1,
+        description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
+    )
+
+    @model_validator(mode="after")
+    def _something_moves(self) -> Self:
+        if not sum(self.moves.values()) > 0.0:
+            raise ValueError("moves gives every kind of move the weight 0; one must be drawn")
+        return self
+
+
+@dataclass(frozen=True)
+class GaussianBlocks:
+    """Symmetric Gaussian steps.
+
+    A root turns by a small rotation in the world (isotropic, so the step does not depend on how the pair stands: it is
+    symmetric for the invariant measure on rotations) and shifts; a bone turns about its two axes and changes its
+    length, together with its counterpart on the other side of the body.
+
+    Args:
+        settings: Standard deviations, and which blocks move together.
+        scales: Learned factors on them.
+    """
+
+    settings: StepSettings = field(default_factory=StepSettings)
+    scales: Scales = field(default_factory=Scales)
+    mixture: MoveMixture = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Make the mixture of moves."""
+        mixture = MoveMixture(weights=self.settings.moves, max_blocks=self.settings.max_blocks)
+        object.__setattr__(self, "mixture", mixture)
+
+    def with_scales(self, scales: Scales) -> Self:
+        """Return the same proposal with other learned factors."""
+        return replace(self, scales=scales)
+
+    def prepare(self, parameters: Array) -> Context | None:
+        """Return nothing: the step is the same everywhere."""
+        return None
+
+    def __call__(self, parameters: Array, context: Context | None, rng: np.random.Generator) -> Proposed:
+        """Propose a step from parameters (108,)."""
+        move = self.mixture.draw(rng)
+        blocks = np.array(move.blocks, dtype=np.int64)
+        noise = rng.standard_normal((len(blocks), 6))
+        return Proposed(self._moved(parameters, blocks, noise, self.scales.of(move), *self._deviations), move=move)
+
+    def _moved(
+        self, parameters: Array, blocks: npt.NDArray[np.int64], noise: Array, factors: Array, turn: Array, shift: Array
+    ) -> Array:
+        """Return the parameters after a step with these deviations of turns (34,) and of the roots' shifts (2,)."""
+        moved = parameters.copy()
+        length_change = self.settings.length_change
+        move_blocks(moved, blocks, factors, noise, turn, shift, length_change, _TIED_LENGTHS, NUM_JOINTS)
+        return moved
+
+    @cached_property
+    def _deviations(self) -> tuple[Array, Array]:
+        """Standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""
+        turn = np.full(NUM_BLOCKS, self.settings.joint_rotation_rad)
+        turn[::NUM_JOINTS] = self.settings.root_rotation_rad
+        return turn, np.full(2, self.settings.root_position_m)
+
+
+class UnbiasedKind(ProposalKind[StepSettings]):
+    """The same steps everywhere."""
+
+    name = "unbiased"
+    settings = StepSettings
+
+    def build(self, settings: StepSettings, inputs: ProposalInputs) -> Proposal:
+        """Return symmetric Gaussian steps."""
+        return GaussianBlocks(settings)
+
+
+def _tied_lengths(block: int) -> tuple[int, int]:
+    """Return the length parameters that change with a block's bone: its own and its counterpart's, -1 for none."""
+    person, joint = divmod(block, NUM_JOINTS)
+    if joint == 0:
+        return -1, -1
+    first, *rest = (NUM_PER_PERSON * person + 5 + 3 * one for one in sorted({joint, PAIR17.mirror[joint]}))
+    return first, rest[0] if rest else -1
+
+
+_TIED_LENGTHS = np.array([_tied_lengths(block) for block in range(NUM_BLOCKS)], dtype=np.int64)

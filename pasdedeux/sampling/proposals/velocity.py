@@ -1,0 +1,104 @@
+"""Steps that are wider where the annotations nearby move (Yin et al. 2018, eq. 12).
+
+The variance of every rotation and shift grows by the mean squared speed of the annotations nearest to the pair's
+projections.  It then depends on where the chain stands, and both densities enter eq. 10.  As the step back is the
+step's own negative (the inverse of a turn), those are the densities of one displacement under the variances here and
+there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import model_validator
+
+from pasdedeux.errors import InputError
+from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS
+from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSettings
+from pasdedeux.sampling.proposals.kernels import log_ratio_of_steps
+from pasdedeux.sampling.proposals.proposal import Context, Correction, Proposal, ProposalInputs, ProposalKind, Proposed
+from pasdedeux.sampling.speeds import Speeds
+
+__all__ = ["VelocityBlocks", "VelocityKind", "VelocitySettings"]
+
+Array = npt.NDArray[np.float64]
+
+
+class VelocitySettings(StepSettings):
+    """Steps as the unbiased ones, none of them 0: their densities are divided by."""
+
+    @model_validator(mode="after")
+    def _steps_are_positive(self) -> VelocitySettings:
+        if not min(self.root_rotation_rad, self.root_position_m, self.joint_rotation_rad) > 0.0:
+            raise ValueError(
+                "proposal = 'velocity' needs positive root_rotation_rad, root_position_m and joint_rotation_rad"
+            )
+        return self
+
+
+def _no_speeds() -> Speeds:
+    return Speeds(np.zeros((0, NUM_BLOCKS)), np.zeros((0, 2)))
+
+
+@dataclass(frozen=True)
+class VelocityBlocks(GaussianBlocks):
+    """Gaussian steps, wider where annotations nearby move.
+
+    Args:
+        settings: Standard deviations without speed (sigma_0 of eq. 12), and which blocks move together.
+        scales: Learned factors.
+        speeds: Squared speeds of the annotated pairs.
+        nearest: Gives, for parameters (108,), the annotated pair nearest to each projection (D* of eq. 12); -1 for
+            none.  The same pair, moved rigidly, must give the same.
+    """
+
+    speeds: Speeds = field(default_factory=_no_speeds)
+    nearest: Callable[[Array], Context] = field(default=lambda _: np.zeros(0, dtype=np.int64), repr=False)
+
+    def prepare(self, parameters: Array) -> Context | None:
+        """Return the annotations nearest to each projection of a point (108,)."""
+        return self.nearest(parameters)
+
+    def __call__(self, parameters: Array, context: Context | None, rng: np.random.Generator) -> Proposed:
+        """Propose a step from parameters (108,); `context` is what `prepare` returns there."""
+        move = self.mixture.draw(rng)
+        blocks = np.array(move.blocks, dtype=np.int64)
+        noise = rng.standard_normal((len(blocks), 6))
+        turn, shift = self._widened(context)
+        proposed = self._moved(parameters, blocks, noise, self.scales.of(move), turn, shift)
+
+        def correct() -> Correction:
+            there = self.prepare(proposed)
+            known = log_ratio_of_steps(blocks, noise, turn, shift, *self._widened(there), False, NUM_JOINTS)
+            return Correction(float(known), there)
+
+        most = log_ratio_of_steps(blocks, noise, turn, shift, *self._deviations, True, NUM_JOINTS)
+        return Proposed(proposed, float(most), correct, move)
+
+    def _widened(self, context: Context | None) -> tuple[Array, Array]:
+        """Return eq. 12's standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""
+        if context is None:
+            raise InputError("the velocity-biased proposal must be prepared at a point before it can leave it")
+        turn, shift = self._deviations
+        turn_squared, shift_squared = self.speeds.mean(context)
+        return np.sqrt(turn**2 + turn_squared), np.sqrt(shift**2 + shift_squared)
+
+
+class VelocityKind(ProposalKind[VelocitySettings]):
+    """Wider steps where the annotations nearby move (eq. 12)."""
+
+    name = "velocity"
+    settings = VelocitySettings
+    reads_annotations = True
+
+    def build(self, settings: VelocitySettings, inputs: ProposalInputs) -> Proposal:
+        """Return velocity-biased steps; the inputs have annotations and their speeds."""
+        nearest, speeds, chart = inputs.nearest, inputs.speeds, inputs.chart
+        assert nearest is not None
+        assert speeds is not None
+        return VelocityBlocks(
+            settings, speeds=speeds, nearest=lambda parameters: nearest(chart.positions_fast(parameters))
+        )

@@ -1,0 +1,20 @@
+"""Stage `chains`: Markov chains over 3D pairs, from every seed and for every density, in segments that continue."""
+
+from tasks.chains.densities import DENSITIES
+from tasks.chains.parameters import ChainsParameters, SegmentParameters, SummaryParameters
+from tasks.chains.plan import VERSION, plan
+from tasks.chains.run import run_shard
+from tasks.stage import Stage
+
+__all__ = ["DENSITIES", "STAGE", "ChainsParameters", "SegmentParameters", "SummaryParameters", "plan", "run_shard"]
+
+STAGE = Stage(
+    name="chains",
+    version=VERSION,
+    reads=("annotations", "views", "seeds", "joint_limits"),
+    writes=("draws", "chain_states", "chain_info"),
+    parameters=ChainsParameters,
+    plan=plan,
+    run_shard=run_shard,
+    meaning="draws of 3D pose pairs from the density that the annotations support",
+)

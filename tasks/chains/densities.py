@@ -1,0 +1,24 @@
+"""The densities that chains can sample.  A new one is one file with a `DensityKind`, and one line here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pasdedeux.experiments.measured_likelihood import CartesianKind, ShapeContextKind
+from pasdedeux.sampling.agreement import AgreementKind
+from pasdedeux.sampling.density import DensityKind, PriorOnlyKind
+from pasdedeux.sampling.likelihood import InteractionKind
+
+__all__ = ["DENSITIES"]
+
+DENSITIES: dict[str, DensityKind[Any]] = {
+    kind.name: kind
+    for kind in (
+        InteractionKind(),
+        CartesianKind(),
+        ShapeContextKind(),
+        AgreementKind(),
+        PriorOnlyKind(),
+    )
+}
+"""The densities by their names in `chains.densities`."""

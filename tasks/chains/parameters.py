@@ -1,0 +1,164 @@
+"""Settings of the stage `chains`, and what its shards are told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, create_model, model_validator
+
+from pasdedeux.sampling.density import DensityKind, TargetSettings
+from pasdedeux.sampling.proposals import PROPOSALS, ProposalKind
+from pasdedeux.settings import Settings
+from tasks.chains.densities import DENSITIES
+from tasks.stage import Parameters
+
+__all__ = ["ChainsParameters", "RunSettings", "SegmentParameters", "SummaryParameters"]
+
+P = TypeVar("P", bound=Parameters)
+
+
+def _one_of(names: Iterable[str], what: str) -> Callable[[str], str]:
+    known = tuple(names)
+
+    def check(name: str) -> str:
+        if name not in known:
+            raise ValueError(f"there is no {what} '{name}'; there are: {', '.join(known)}")
+        return name
+
+    return check
+
+
+DensityName = Annotated[str, AfterValidator(_one_of(DENSITIES, "density"))]
+ProposalName = Annotated[str, AfterValidator(_one_of(PROPOSALS, "proposal"))]
+
+
+class RunSettings(Settings):
+    """How a chain is run."""
+
+    thin: int = Field(default=10, ge=1, description="Steps per kept draw")
+    segment_draws: int = Field(default=250, ge=4, description="Draws of a segment, the unit that is stored and resumed")
+    num_warm_up: int = Field(
+        default=50,
+        ge=0,
+        description="Draws before the first kept one, in which step sizes are learned; they are dropped",
+    )
+    target_acceptance: float = Field(
+        default=0.234, gt=0, lt=1, description="Accepted share that step sizes are learned for"
+    )
+
+
+def _with_settings_of(kinds: Sequence[DensityKind[Any] | ProposalKind[Any]]) -> Callable[[type[P]], type[P]]:
+    """Return what adds the settings of kinds to a section; a name that several kinds have is one setting."""
+
+    def extended(section: type[P]) -> type[P]:
+        fields: dict[str, Any] = {}
+        for kind in kinds:
+            for name, field in kind.settings.model_fields.items():
+                if name not in section.model_fields:
+                    fields.setdefault(name, (field.annotation, field))
+        made = create_model(section.__name__, __base__=section, __module__=section.__module__, **fields)
+        made.__doc__ = section.__doc__
+        return made
+
+    return extended
+
+
+@_with_settings_of([*DENSITIES.values(), *PROPOSALS.values()])
+class ChainsParameters(Parameters, RunSettings, TargetSettings):
+    """What is sampled, how much, and with which steps; with the settings of every density and every proposal."""
+
+    densities: tuple[DensityName, ...] = Field(
+        ("ic", "prior_only"),
+        min_length=1,
+        description="Densities: " + ", ".join(f"{kind.name} ({kind.meaning})" for kind in DENSITIES.values()),
+    )
+    starts: Literal["all", "seeds", "grown"] = Field(
+        "all",
+        description="Where chains start: the seeds and chosen grown ones, or only either of them",
+    )
+    num_chains: int = Field(default=2, ge=1, le=1000, description="Chains of each seed and density")
+    num_draws: int = Field(default=500, ge=1, description="Draws kept of each chain; rounded up to whole segments")
+    proposal: ProposalName = Field(
+        next(iter(PROPOSALS)),
+        description="Steps: unbiased, or velocity, wider where nearby annotations move (eq. 12); the latter for "
+        "densities that read annotations",
+    )
+    variants: dict[str, dict[str, Any]] = Field(
+        {},
+        description="Chains with other settings beside those of `densities`, by name: each has a `density` (default: "
+        "the first) and any other setting of this section",
+    )
+
+    @model_validator(mode="after")
+    def _settings_of_what_is_used(self) -> ChainsParameters:
+        if len(set(self.densities)) != len(self.densities):
+            raise ValueError("chains.densities names a density twice")
+        for density in self.densities:
+            self.settings_of(DENSITIES[density])
+        self.settings_of(PROPOSALS[self.proposal])
+        return self
+
+    @model_validator(mode="after")
+    def _variants_are_settings(self) -> ChainsParameters:
+        for name in self.variants:
+            if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or name in DENSITIES:
+                raise ValueError(f"chains.variants: '{name}' is no name for a variant: small letters, and no density")
+            self.variant(name)
+        return self
+
+    def settings_of(self, kind: DensityKind[Any] | ProposalKind[Any]) -> Settings:
+        """Return the settings of a density or a proposal out of this section.
+
+        Raises:
+            ValueError: They do not go together.
+        """
+        try:
+            return self.part(kind.settings)
+        except ValidationError as error:
+            raise ValueError(f"chains: {error.errors()[0]['msg'].removeprefix('Value error, ')}") from None
+
+    def variant(self, name: str) -> ChainsParameters:
+        """Return the settings of a variant, with its one density.
+
+        Raises:
+            ValueError: One of its settings cannot be.
+        """
+        own = dict(self.variants[name])
+        unknown = sorted(set(own) - set(type(self).model_fields) - {"density"} | set(own) & {"variants", "densities"})
+        if unknown:
+            raise ValueError(f"chains.variants.{name}: there is no setting '{unknown[0]}' of a variant")
+        density = own.pop("density", self.densities[0])
+        given = self.model_dump(exclude={"variants", "densities"})
+        try:
+            return type(self).model_validate({**given, "densities": (density,), **own})
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise ValueError(f"chains.variants.{name}: {place}: {first['msg']}".replace(": : ", ": ")) from None
+
+
+class SegmentParameters(Parameters):
+    """What decides the draws of one segment of a chain, and nothing else: asking for more draws extends."""
+
+    name: str = Field(description="Name that draws are kept under: the density's, or the variant's")
+    density: str
+    seed_index: int
+    chain: int
+    segment: int
+    run: RunSettings
+    target: TargetSettings
+    density_settings: SerializeAsAny[Settings]
+    proposal: str
+    proposal_settings: SerializeAsAny[Settings]
+
+
+class SummaryParameters(Parameters):
+    """What decides the summary of the chains of one density and seed."""
+
+    name: str
+    seed_index: int
+    num_chains: int
+    num_segments: int
+    thin: int

@@ -1,0 +1,351 @@
+"""The way of annotations into draws: annotated pairs, a bank of views of them, a density, a chain, its draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.plausibility import JointLimits, LearnedLimits
+from pasdedeux.sampling import (
+    ChainState,
+    Evaluation,
+    Scales,
+    diagnose,
+    generator_from_json,
+    generator_to_json,
+    proposal_from_json,
+    proposal_to_json,
+    run_segment,
+    warm_up,
+)
+from pasdedeux.sampling.annotations import MIN_CANDIDATES
+from pasdedeux.sampling.density import DensityInputs, ImageLikelihood, ImageSettings, Likelihood, PairDensity, Reads
+from pasdedeux.sampling.parameters import PairChart
+from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs
+from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.settings import Settings
+from pasdedeux.verdict import summarise_verdicts
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.annotated_pairs import gather, gather_tracks
+from tasks.chains.densities import DENSITIES
+from tasks.chains.parameters import SegmentParameters, SummaryParameters
+from tasks.priors import read_limits, read_occupancy
+from tasks.stage import Shard, commit, merge_takes, stream
+
+__all__ = ["ChainProblem", "SeedRow", "chain_problem", "forget_evidence", "read_seed_row", "run_shard"]
+
+Refs = tuple[ArtifactRef, ...]
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Run one segment of a chain, or summarise the chains of a seed."""
+    match shard.parameters:
+        case SegmentParameters() as segment:
+            return _run_segment(shard, segment, store)
+        case SummaryParameters() as summary:
+            return _summarise(shard, summary, store)
+        case other:
+            raise TypeError(f"a shard of chains has parameters of the type {type(other).__name__}")
+
+
+def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> ArtifactRef:
+    """Run a segment of a chain on from where the one before ended, or from the seed."""
+    problem = chain_problem(shard, options, store)
+    target, propose, gauge = problem.target, problem.propose, problem.chart.gauge_fixed
+    if options.segment == 0:
+        rng = stream(shard.seed, "chains", options.name, options.seed_index, options.chain)
+        start = problem.chart.seed_parameters()
+        state, propose = warm_up(
+            rng,
+            ChainState(start, target.seed_evaluation, propose.prepare(start)),
+            target,
+            propose,
+            num_steps=options.run.num_warm_up * options.run.thin,
+            target_acceptance=options.run.target_acceptance,
+            gauge=gauge,
+        )
+    else:
+        rng, state, scales = _resume(shard, store)
+        propose = propose.with_scales(scales)
+    count = options.run.segment_draws
+    state, draws = run_segment(rng, state, target, propose, num_draws=count, thin=options.run.thin, gauge=gauge)
+    identity: dict[str, list[Any]] = {
+        "density": [options.name],
+        "seed_index": [options.seed_index],
+        "chain": [options.chain],
+    }
+    tables: dict[str, dict[str, Any]] = {
+        "draws": {
+            **{name: value * count for name, value in identity.items()},
+            "draw": np.arange(options.segment * count, (options.segment + 1) * count),
+            "pair17_m": problem.chart.positions(draws.parameters),
+            "parameters": draws.parameters,
+            "log_density": draws.log_density,
+            "log_prior": draws.log_prior,
+            "log_likelihood": draws.log_likelihood,
+            "num_accepted": draws.num_accepted,
+            "take_id": [problem.seed.take_id] * count,
+        },
+        "chain_states": {
+            **identity,
+            "segment": [options.segment],
+            "num_draws": [(options.segment + 1) * count],
+            "parameters": state.parameters[None],
+            "log_density": [state.evaluation.log_density],
+            "log_prior": [state.evaluation.log_prior],
+            "log_likelihood": [state.evaluation.log_likelihood],
+            "generator_state": [generator_to_json(rng)],
+            "proposal_state": [proposal_to_json(propose.scales, state.context)],
+        },
+    }
+    facts = {
+        "kind": "draws",
+        "density": options.name,
+        "seed_index": options.seed_index,
+        "chain": options.chain,
+        "segment": options.segment,
+        "num_draws": count,
+        "log_seed": target.log_seed,
+        "log_ceiling": target.log_ceiling,
+        "num_annotations_skipped": problem.evidence.num_skipped,
+        "note": problem.evidence.note(),
+        "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
+    }
+    return commit(shard, store, tables=tables, facts=facts)
+
+
+@dataclass(frozen=True)
+class ChainProblem:
+    """A seed, the target round it, the proposal that is to sample it, and what it was made from."""
+
+    seed: SeedRow
+    chart: PairChart
+    target: PairDensity
+    propose: Proposal
+    evidence: Evidence
+
+
+def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> ChainProblem:
+    """Put together what a segment samples: from seed and evidence to density and proposal.
+
+    Raises:
+        InputError: The seed has density 0, with the term that made it so, or is no pair; names the seed.
+    """
+    seed = read_seed_row(store, shard.ref("seed"), options.seed_index)
+    density, kind = DENSITIES[options.density], PROPOSALS[options.proposal]
+    evidence = _NO_EVIDENCE
+    if density.reads is Reads.ANNOTATIONS:
+        evidence = _image_evidence(
+            store,
+            shard.ref("seed"),
+            shard.refs("annotations"),
+            shard.refs("views"),
+            options.density,
+            options.density_settings,
+            shard.seed,
+            options.seed_index,
+            needs_speeds=kind.reads_annotations,
+        )
+    try:
+        chart = PairChart(seed.pair_m)
+        likelihood = evidence.likelihood
+        if density.reads is not Reads.ANNOTATIONS:
+            rng = stream(shard.seed, "chains", "density", options.seed_index)
+            known = DensityInputs(seed.pair_m, rng, grown_m=_read_grown(store, shard.refs("grown")))
+            likelihood = density.likelihood(options.density_settings, known)
+        target = density.target(chart, _limits(shard, options, store), likelihood, options.target)
+    except InputError as error:
+        raise InputError(f"seed {options.seed_index} ({seed.origin}): {error}") from None
+    nearest = likelihood.nearest if isinstance(likelihood, ImageLikelihood) else None
+    propose = kind.build(options.proposal_settings, ProposalInputs(chart, nearest, evidence.speeds))
+    return ChainProblem(seed, chart, target, propose, evidence)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the annotations say about pairs near one seed; nothing for a density that does not read them."""
+
+    likelihood: Likelihood | None = None
+    speeds: Speeds | None = None
+    num_annotations: int = 0
+    num_skipped: int = 0
+    num_swapped: int = 0
+
+    def note(self) -> str:
+        """Say what is unusual about the annotations; nothing when all is well."""
+        notes = []
+        if 0 < self.num_annotations < MIN_CANDIDATES:
+            notes.append(
+                f"{self.num_annotations} annotations are fewer than the {MIN_CANDIDATES} that a view should be "
+                "compared with: the likelihood says little"
+            )
+        if self.num_skipped:
+            total = self.num_annotations + self.num_skipped
+            notes.append(
+                f"{self.num_skipped} of {total} annotations lack a joint, a person or a view and were left out"
+            )
+        if self.num_swapped:
+            notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")
+        return "; ".join(notes)
+
+
+_NO_EVIDENCE = Evidence()
+
+
+@lru_cache(maxsize=2)
+def _image_evidence(
+    store: Store,
+    seed: ArtifactRef,
+    annotations: Refs,
+    views: Refs,
+    density: str,
+    settings: Settings,
+    study_seed: int,
+    seed_index: int,
+    *,
+    needs_speeds: bool,
+) -> Evidence:
+    """Return what the annotations say about pairs near a seed.
+
+    This reads every annotation; the segments that one worker runs in a row mostly share it.
+    """
+    assert isinstance(settings, ImageSettings)
+    placed = gather(store, annotations=annotations, views=views, num_hypotheses=settings.num_hypotheses)
+    pairs = placed.gathered.pairs
+    rng = stream(study_seed, "chains", "views", seed_index)
+    inputs = DensityInputs(read_seed_row(store, seed, seed_index).pair_m, rng, annotated=placed.gathered)
+    speeds, num_swapped = None, 0
+    if needs_speeds:
+        tracks, was_swapped = undo_swaps(gather_tracks(placed))
+        speeds = annotation_speeds(tracks)
+        num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
+    return Evidence(
+        likelihood=DENSITIES[density].likelihood(settings, inputs),
+        speeds=speeds,
+        num_annotations=len(np.unique(pairs.annotation_index)),
+        num_skipped=placed.gathered.num_skipped,
+        num_swapped=num_swapped,
+    )
+
+
+def forget_evidence() -> None:
+    """Read annotations anew when they are needed next."""
+    _image_evidence.cache_clear()
+
+
+def _read_grown(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
+    """Return the grown pairs (grown, 2, 17, 3) of some artifacts; none without any."""
+    parts = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
+    return np.concatenate([np.zeros((0, 2, 17, 3)), *parts])
+
+
+def _limits(shard: Shard, options: SegmentParameters, store: Store) -> JointLimits | LearnedLimits:
+    """Return the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
+    priors = shard.refs("joint_limits")
+    table = read_limits(store, priors)
+    return table if options.target.joint_limits == "table" else LearnedLimits(table, read_occupancy(store, priors))
+
+
+@dataclass(frozen=True)
+class SeedRow:
+    """A seed as stored: the pair (2, 17, 3), metres, the take it came from, and its origin in words."""
+
+    pair_m: np.ndarray
+    take_id: str | None
+    origin: str
+
+
+def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
+    """Return a seed of an artifact by its index in the study."""
+    names = ["seed_index", "pair17_m", "origin", "take_id", "take_frame", "sequence_id", "sequence_frame", "made_from"]
+    table = store.read(ref, "seeds", columns=names)
+    row = int(np.flatnonzero(np.asarray(table["seed_index"]) == seed_index)[0])
+    take_id, sequence_id, made_from = (table[name][row] for name in ("take_id", "sequence_id", "made_from"))
+    origin = str(table["origin"][row])
+    if take_id is not None:
+        origin = f"take {take_id}, frame {int(table['take_frame'][row])}"
+    elif sequence_id is not None:
+        origin += f" from {sequence_id}, frame {int(table['sequence_frame'][row])}"
+    elif made_from is not None:
+        origin = str(made_from)
+    return SeedRow(
+        pair_m=np.array(table["pair17_m"][row], dtype=np.float64),
+        take_id=None if take_id is None else str(take_id),
+        origin=origin,
+    )
+
+
+def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
+    """Return generator, state and learned scales as the previous segment left them."""
+    table = store.read(_done(shard.after[0], store).ref, "chain_states")
+    evaluation = Evaluation(
+        log_density=float(table["log_density"][0]),
+        log_prior=float(table["log_prior"][0]),
+        log_likelihood=float(table["log_likelihood"][0]),
+    )
+    parameters = np.array(table["parameters"][0], dtype=np.float64)
+    scales, context = proposal_from_json(str(table["proposal_state"][0]))
+    rng = generator_from_json(str(table["generator_state"][0]))
+    return rng, ChainState(parameters, evaluation, context), scales
+
+
+def _done(key: str, store: Store) -> Manifest:
+    manifest = store.find("chains", key)
+    if manifest is None:
+        raise InputError(f"the segment chains@{key[:12]} that this one continues is not in the store")
+    return manifest
+
+
+def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> ArtifactRef:
+    """Diagnose all chains of one density and seed."""
+    done = [_done(key, store) for key in shard.after]
+    columns = ("pair17_m", "log_density", "num_accepted")
+    tables = [store.read(manifest.ref, "draws", columns=list(columns)) for manifest in done]
+    stacked = {
+        name: np.concatenate([table[name] for table in tables]).reshape(
+            options.num_chains, -1, *np.shape(tables[0][name])[1:]
+        )
+        for name in columns
+    }
+    facts = done[0].facts
+    reports = diagnose(
+        stacked["pair17_m"],
+        stacked["log_density"],
+        stacked["num_accepted"],
+        thin=options.thin,
+        seed_m=read_seed_row(store, shard.ref("seed"), options.seed_index).pair_m,
+        log_ceiling=float(facts["log_ceiling"]),
+    )
+    count = options.num_chains
+    info = {
+        "density": [options.name] * count,
+        "seed_index": [options.seed_index] * count,
+        "chain": list(range(count)),
+        "num_draws": [report.num_draws for report in reports],
+        "acceptance_rate": [report.acceptance_rate for report in reports],
+        "ess_min": [report.ess_min for report in reports],
+        "rhat_max": [report.rhat_max for report in reports],
+        "log_density_first": [float(facts["log_seed"])] * count,
+        "log_density_mean": [report.log_density_mean for report in reports],
+        "travelled_m": [report.travelled_m for report in reports],
+        "verdict": [report.verdict.level.value for report in reports],
+        "reason": [report.verdict.reason for report in reports],
+        "note": [str(facts["note"])] * count,
+    }
+    return commit(
+        shard,
+        store,
+        tables={"chain_info": info},
+        facts={
+            "kind": "chain_info",
+            "density": options.name,
+            "seed_index": options.seed_index,
+            "takes": merge_takes(*done),
+        },
+        verdict=summarise_verdicts(report.verdict for report in reports),
+    )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pasdedeux.choreography.anthropometry import CAPSULE_RADII, HEIGHT_LIMITS_M, Body, make_body
-from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Stance
-from pasdedeux.choreography.duets import DUETS, DuetMaker, make_duet
+from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, Stance
+from pasdedeux.choreography.duets import DUETS, Dance, make_duet
 from pasdedeux.choreography.torsos import duet_torso_basis
 
 __all__ = [
@@ -14,8 +14,9 @@ __all__ = [
     "Body",
     "BonePoint",
     "Contact",
+    "Dance",
     "Duet",
-    "DuetMaker",
+    "DuetStyle",
     "Stance",
     "duet_torso_basis",
     "make_body",

@@ -88,6 +88,13 @@ class Body:
         side, _, part = joint_name.partition("_")
         return self.height_m * _FRACTIONS[f"left_{part}" if side == "right" else joint_name][1]
 
+    def trunk_at(self, height_m: float) -> tuple[str, float]:
+        """Return the bone of the upper trunk, and the share of it, that is at a height when the body stands upright."""
+        low, chest, neck = (self.standing_m(joint) for joint in ("spine2", "spine3", "neck"))
+        if height_m > chest:
+            return "neck", (height_m - chest) / (neck - chest)
+        return "spine3", (height_m - low) / (chest - low)
+
 
 def make_body(height_m: float) -> Body:
     """Return a body of a height, with the proportions of Drillis and Contini.

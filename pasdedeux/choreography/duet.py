@@ -7,54 +7,48 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.anthropometry import Body, make_body
 from pasdedeux.choreography.figure import SIDES, Figure
-from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["BonePoint", "Contact", "Duet", "Setting", "Stance", "check_style", "finish"]
+__all__ = ["CLOTH_M", "BonePoint", "Contact", "Duet", "DuetStyle", "Stance", "finish", "wrist_contact"]
 
 Array = npt.NDArray[np.float64]
 
-_LIMITS = {"duration_s": (0.5, 600.0), "rate_hz": (1.0, 1000.0)}
+CLOTH_M = 0.004
+"""Cloth between two bodies that touch."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What every duet takes: length, rate, sizes, and which take of the same dance.
+class DuetStyle(Settings):
+    """What every duet may be told; each duet adds its own."""
 
-    Args:
-        duration_s: Length; frames lie at 0, 1 / rate, ... before it.
-        rate_hz: Frames per second.
-        heights_m: Standing heights of person A and person B.
-        variation: 0 for the dance as written; another number gives another take with slightly other style.
-
-    Raises:
-        InputError: A number is outside its range, or not finite.
-    """
-
-    duration_s: float = 10.0
-    rate_hz: float = 60.0
-    heights_m: tuple[float, float] = (1.82, 1.65)
-    variation: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the ranges."""
-        for name, (low, high) in _LIMITS.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"duet: {name} is {value:g}, allowed are {low:g} to {high:g}")
-        if len(self.heights_m) != 2:
-            raise InputError(f"duet: heights_m has {len(self.heights_m)} values, two people need two")
-        if self.variation < 0:
-            raise InputError(f"duet: variation is {self.variation}, allowed are 0 and up")
+    duration_s: float = Field(10.0, ge=0.5, le=600.0, description="Length, seconds; frames lie at 0, 1 / rate, ...")
+    rate_hz: float = Field(60.0, ge=1.0, le=1000.0, description="Frames per second; any rate samples the same motion")
+    heights_m: tuple[float, float] = Field(
+        (1.82, 1.65), description="Standing heights of person A and person B, metres"
+    )
+    variation: int = Field(
+        0, ge=0, description="0 for the duet as written; another number gives another take with slightly other style"
+    )
 
     @property
     def time_s(self) -> Array:
         """Times of the frames (frame,)."""
         return np.arange(max(1, round(self.duration_s * self.rate_hz))) / self.rate_hz
+
+    @property
+    def mean_m(self) -> float:
+        """Mean height of the two."""
+        return float(np.mean(self.heights_m))
+
+    @property
+    def bodies(self) -> tuple[Body, Body]:
+        """The two bodies."""
+        return make_body(self.heights_m[0]), make_body(self.heights_m[1])
 
     def vary(self, count: int) -> Array:
         """Return `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
@@ -162,27 +156,23 @@ class Duet:
         return np.flatnonzero(holds)
 
 
-def check_style(name: str, style: Mapping[str, tuple[float, float, float]]) -> dict[str, object]:
-    """Return the values of style parameters (value, least, greatest) by name.
-
-    Raises:
-        InputError: A value is outside its range, or not a number.
-    """
-    for key, (value, low, high) in style.items():
-        if not low <= value <= high:
-            raise InputError(f"duet '{name}': {key} is {value:g}, allowed are {low:g} to {high:g}")
-    return {key: value for key, (value, _, _) in style.items()}
-
-
-def finish(
+def wrist_contact(
     name: str,
-    setting: Setting,
-    figures: tuple[Figure, Figure],
-    contacts: list[Contact],
-    parameters: Mapping[str, object],
-) -> Duet:
+    person: int,
+    side: str,
+    bone: str,
+    share: float,
+    distance_m: float,
+    span_s: tuple[float, float] = (0.0, 0.0),
+) -> Contact:
+    """Return the contact of a person's wrist with the partner's bone, a share of the way along it, over a time."""
+    ends = (BonePoint(person, f"{side}_wrist"), BonePoint(1 - person, bone, share))
+    return Contact(name, *ends, *span_s, distance_m)
+
+
+def finish(name: str, style: DuetStyle, figures: tuple[Figure, Figure], contacts: list[Contact]) -> Duet:
     """Make the duet of two solved figures: motions, stances from the feet, contacts that fall into its time."""
-    stop = setting.duration_s
+    stop = style.duration_s
     contacts = [replace(c, start_s=max(0.0, c.start_s), stop_s=min(stop, c.stop_s)) for c in contacts]
     stances = [
         Stance(person=person, foot=side, start_s=max(0.0, plant.land_s), stop_s=min(stop, plant.lift_s))
@@ -193,15 +183,9 @@ def finish(
     ]
     return Duet(
         name=name,
-        motions=(figures[0].motion(setting.rate_hz), figures[1].motion(setting.rate_hz)),
+        motions=(figures[0].motion(style.rate_hz), figures[1].motion(style.rate_hz)),
         bodies=(figures[0].body, figures[1].body),
         contacts=tuple(sorted((c for c in contacts if c.start_s < c.stop_s), key=lambda contact: contact.start_s)),
         stances=tuple(stances),
-        parameters={
-            "duration_s": setting.duration_s,
-            "rate_hz": setting.rate_hz,
-            "heights_m": setting.heights_m,
-            "variation": setting.variation,
-            **parameters,
-        },
+        parameters=style.model_dump(),
     )

@@ -2,57 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from difflib import get_close_matches
-from inspect import signature
-from typing import Protocol
+from typing import Any, Generic, TypeVar
 
-from pasdedeux.choreography.duet import Duet
-from pasdedeux.choreography.hug import make_hug
-from pasdedeux.choreography.judo import make_judo
-from pasdedeux.choreography.push_hands import make_push_hands
-from pasdedeux.choreography.waltz import make_waltz
+from pydantic import ValidationError
+
+from pasdedeux.choreography.duet import Duet, DuetStyle
+from pasdedeux.choreography.hug import HugStyle, make_hug
+from pasdedeux.choreography.judo import JudoStyle, make_judo
+from pasdedeux.choreography.push_hands import PushHandsStyle, make_push_hands
+from pasdedeux.choreography.waltz import WaltzStyle, make_waltz
 from pasdedeux.errors import InputError
 
-__all__ = ["DUETS", "DuetMaker", "make_duet"]
+__all__ = ["DUETS", "Dance", "make_duet"]
+
+S = TypeVar("S", bound=DuetStyle)
 
 
-class DuetMaker(Protocol):
-    """Makes one of the built-in duets; style parameters of its own come as further keywords."""
+@dataclass(frozen=True)
+class Dance(Generic[S]):
+    """A built-in duet: the model of its style, and what makes it."""
 
-    def __call__(
-        self,
-        *,
-        duration_s: float = 10.0,
-        rate_hz: float = 60.0,
-        heights_m: tuple[float, float] = (1.82, 1.65),
-        variation: int = 0,
-    ) -> Duet:
-        """Make the duet."""
-        ...
+    style: type[S]
+    make: Callable[[S], Duet]
 
 
-DUETS: dict[str, DuetMaker] = {"waltz": make_waltz, "hug": make_hug, "judo": make_judo, "push_hands": make_push_hands}
+DUETS: dict[str, Dance[Any]] = {
+    "waltz": Dance(WaltzStyle, make_waltz),
+    "hug": Dance(HugStyle, make_hug),
+    "judo": Dance(JudoStyle, make_judo),
+    "push_hands": Dance(PushHandsStyle, make_push_hands),
+}
 """The built-in duets by name."""
 
 
-def make_duet(
-    name: str,
-    *,
-    duration_s: float = 10.0,
-    rate_hz: float = 60.0,
-    heights_m: tuple[float, float] = (1.82, 1.65),
-    variation: int = 0,
-    **style: float,
-) -> Duet:
+def make_duet(name: str, **style: object) -> Duet:
     """Make a built-in duet by name.
 
     Args:
         name: One of `DUETS`.
-        duration_s: Length in seconds.
-        rate_hz: Frames per second; any rate samples the same motion.
-        heights_m: Standing heights of person A and person B.
-        variation: 0 for the dance as written, another number for another take of it.
-        **style: Style parameters of that duet, see its maker.
+        **style: Values of that duet's style, such as `duration_s`, `rate_hz`, `heights_m`, `variation` and its own.
 
     Raises:
         InputError: The name or a style parameter is unknown (the nearest is named), or a value is not allowed.
@@ -62,13 +53,20 @@ def make_duet(
     """
     if name not in DUETS:
         raise InputError(f"duet '{name}' is not known{_nearest(name, list(DUETS))}; known duets: {', '.join(DUETS)}")
-    known = list(signature(DUETS[name]).parameters)
+    dance = DUETS[name]
+    known = list(dance.style.model_fields)
     for key in style:
         if key not in known:
             raise InputError(
                 f"duet '{name}': parameter '{key}' is not known{_nearest(key, known)}; known: {', '.join(known)}"
             )
-    return DUETS[name](duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation, **style)
+    try:
+        chosen = dance.style.model_validate(style)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError(f"duet '{name}': {place} is {first['input']}: {first['msg']}") from None
+    return dance.make(chosen)
 
 
 def _nearest(name: str, known: list[str]) -> str:

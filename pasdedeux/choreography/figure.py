@@ -118,6 +118,11 @@ class Figure:
         carried = rotate(self.unitquat[:, parent], np.broadcast_to(local, (len(self.positions_m), 3)))
         return np.asarray(self.positions_m[:, parent] + carried)
 
+    def round_bone(self, bone_name: str, fraction: float, radius_m: float, angle_rad: float) -> Array:
+        """Return a point (frame, 3) beside an upright bone, at an angle from its front over its left."""
+        offset = (radius_m * float(np.sin(angle_rad)), 0.0, radius_m * float(np.cos(angle_rad)))
+        return self.on_bone(bone_name, fraction, offset)
+
     def chest_vector(self, left: Array | float, up: Array | float, forward: Array | float) -> Array:
         """Return the world vector (frame, 3) of a direction in the chest's axes."""
         frames = len(self.positions_m)

@@ -6,26 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.choreography.anthropometry import Body, make_body
+from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import mix, moves, window
-from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Setting, check_style, finish
+from pasdedeux.choreography.duet import CLOTH_M, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 
-__all__ = ["make_hug"]
+__all__ = ["HugStyle", "make_hug"]
 
 Array = npt.NDArray[np.float64]
 
 _ARRIVE_S, _HOLD_S, _LEAVE_S = 2.5, 3.3, 3.0
 """When both have arrived; when the arms are closed; how long before the end the arms begin to open."""
-_LEAST_HOLD_S = 1.0
+_MIN_HOLD_S = 1.0
 _ALIKE_LIFT = 1.05
 """How much higher the elbows of the one on top point when both are equally tall."""
 _TRACK = 0.062
 """Distance of each foot from the middle of the body, fraction of height."""
-_GAP_M = 0.004
-"""Cloth between a resting wrist and the body under it."""
 
 
 @dataclass(frozen=True)
@@ -43,54 +42,34 @@ class _Plan:
     over: int
 
 
-def make_hug(
-    *,
-    duration_s: float = 10.0,
-    rate_hz: float = 60.0,
-    heights_m: tuple[float, float] = (1.82, 1.65),
-    variation: int = 0,
-    sway: float = 0.022,
-    sway_s: float = 2.4,
-    approach: float = 0.95,
-) -> Duet:
+class HugStyle(DuetStyle):
+    """Style of the hug; lengths are fractions of the mean height."""
+
+    sway: float = Field(0.022, ge=0.0, le=0.03, description="How far the pelvises go to either side")
+    sway_s: float = Field(2.4, ge=1.6, le=5.0, description="Time of one sway to and fro, seconds")
+    approach: float = Field(0.95, ge=0.7, le=1.0, description="Distance of the two at the beginning")
+
+
+def make_hug(style: HugStyle) -> Duet:
     """Make a hug: the taller one's arms go over the shoulders, the other's round the waist.
 
     Contacts while the arms are closed: the four wrists on the partner's back.  The arms open 3 s before the end; a hug
     of less than 7 s is the beginning of one that lasts longer.
-
-    Args:
-        duration_s: Length.
-        rate_hz: Frames per second.
-        heights_m: Heights of A and B.
-        variation: Another take of the same dance.
-        sway: How far the pelvises go to either side, fraction of mean height; 0 to 0.03.
-        sway_s: Time of one sway to and fro; 1.6 to 5.
-        approach: Distance of the two at the beginning, fraction of mean height; 0.7 to 1.
-
-    Raises:
-        InputError: A number is outside its range.
     """
-    setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
-    parameters = check_style(
-        "hug", {"sway": (sway, 0.0, 0.03), "sway_s": (sway_s, 1.6, 5.0), "approach": (approach, 0.7, 1.0)}
-    )
-    vary = setting.vary(4)
-    time_s = setting.time_s
-    bodies = (make_body(heights_m[0]), make_body(heights_m[1]))
-    mean_m = float(np.mean(heights_m))
+    vary, mean_m, time_s, bodies = style.vary(4), style.mean_m, style.time_s, style.bodies
     plan = _Plan(
-        start_m=approach * (1.0 + 0.08 * float(vary[0])) * mean_m,
+        start_m=style.approach * (1.0 + 0.08 * float(vary[0])) * mean_m,
         embrace_m=0.194 * mean_m,
         aside_m=0.070 * mean_m,
         hold_s=_HOLD_S,
-        open_s=max(duration_s - _LEAVE_S, _HOLD_S + _LEAST_HOLD_S),
-        sway_m=sway * (1.0 - 0.2 * abs(float(vary[1]))) * mean_m,
-        sway_s=sway_s * (1.0 + 0.1 * float(vary[2])),
+        open_s=max(style.duration_s - _LEAVE_S, _HOLD_S + _MIN_HOLD_S),
+        sway_m=style.sway * (1.0 - 0.2 * abs(float(vary[1]))) * mean_m,
+        sway_s=style.sway_s * (1.0 + 0.1 * float(vary[2])),
         phase_rad=np.pi * float(vary[3]),
-        over=0 if heights_m[0] >= heights_m[1] else 1,
+        over=0 if style.heights_m[0] >= style.heights_m[1] else 1,
     )
     figures = (_walk(0, bodies, plan, time_s), _walk(1, bodies, plan, time_s))
-    return finish("hug", setting, figures, _embrace(figures, plan, time_s), parameters)
+    return finish("hug", style, figures, _embrace(figures, plan, time_s))
 
 
 def _walk(person: int, bodies: tuple[Body, Body], plan: _Plan, time_s: Array) -> Figure:
@@ -158,7 +137,7 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
         other = figures[1 - person]
         is_over = plan.over == person
         bone, share, angle = _resting_place(figure.body, other.body, is_over)
-        rest_m = other.body.radius_m(bone) + figure.body.radius_m("left_wrist") + _GAP_M
+        rest_m = other.body.radius_m(bone) + figure.body.radius_m("left_wrist") + CLOTH_M
         height = figure.body.height_m
         # Arms of equal people go over the shoulders; a taller one's may stay lower.
         alike = float(np.clip(1.0 - (height / other.body.height_m - 1.0) / 0.10, 0.0, 1.0))
@@ -169,9 +148,7 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
             swing = 0.05 * height * np.sin(2.0 * np.pi * (time_s - 0.25) / 1.3) * window(time_s, 0.2, 0.8, 1.4, 2.0)
             hang = shoulder + figure.chest_vector(sign * 0.030 * height, -0.305 * height, 0.03 * height - sign * swing)
             # The partner faces us: our left is the right side of the partner.
-            resting = other.on_bone(
-                bone, share, (-sign * rest_m * float(np.sin(angle)), 0.0, rest_m * float(np.cos(angle)))
-            )
+            resting = other.round_bone(bone, share, rest_m, -sign * angle)
             wide = shoulder + figure.chest_vector(
                 sign * 0.15 * height, up * height, (0.19 if is_over else 0.20) * height
             )
@@ -186,8 +163,8 @@ def _embrace(figures: tuple[Figure, Figure], plan: _Plan, time_s: Array) -> list
             pole = mix(figure.chest_vector(sign * 0.35, -0.3, -1.0), pole_high, np.maximum(opened, closed))
             figure.reach_hand(side, target, pole, palm=other.joint("spine3") - target)
             name = f"{'AB'[person]}'s {side} hand on {'AB'[1 - person]}'s back"
-            ends = (BonePoint(person, f"{side}_wrist"), BonePoint(1 - person, bone, share))
-            contacts.append(Contact(name, *ends, plan.hold_s, plan.open_s, rest_m))
+            span_s = (plan.hold_s, plan.open_s)
+            contacts.append(wrist_contact(name, person, side, bone, share, rest_m, span_s))
     return contacts
 
 

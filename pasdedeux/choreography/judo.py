@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.duet import Duet, Setting, check_style, finish
+from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.duet import Duet, DuetStyle, finish
 from pasdedeux.choreography.figure import SIDES, Figure, Trunk, facing, turn
 from pasdedeux.choreography.judo_form import CYCLE_S, HELD_S, IN_S, LEAVE_S, OUT_S, WALK, JudoForm
 from pasdedeux.choreography.judo_grip import grip
-from pasdedeux.choreography.steps import Plant, clear_other_foot, spread_feet, walk_foot
+from pasdedeux.choreography.steps import Plant, walk_feet
 
-__all__ = ["make_judo"]
+__all__ = ["JudoStyle", "make_judo"]
 
 Array = npt.NDArray[np.float64]
 
@@ -22,63 +23,36 @@ _TURNED_TRACK, _TURNED_SHIFT = 0.060, 0.045
 """The same while A is turned in, and how far both feet then stand away from the partner: the hip comes first."""
 
 
-def make_judo(
-    *,
-    duration_s: float = 10.0,
-    rate_hz: float = 60.0,
-    heights_m: tuple[float, float] = (1.82, 1.65),
-    variation: int = 0,
-    apart: float = 0.40,
-    stride: float = 0.13,
-    circle_rad: float = 0.35,
-    turn_rad: float = 1.35,
-) -> Duet:
+class JudoStyle(DuetStyle):
+    """Style of the judo form; lengths are fractions of the mean height.  The form lasts 10 s and is repeated."""
+
+    apart: float = Field(0.40, ge=0.38, le=0.42, description="Distance of the two pelvises in the grip")
+    stride: float = Field(0.13, ge=0.0, le=0.15, description="Length of a walking step")
+    circle_rad: float = Field(0.35, ge=-0.4, le=0.4, description="Turn of the pair in a walking step")
+    turn_rad: float = Field(1.35, ge=1.3, le=1.36, description="How far A turns in")
+
+
+def make_judo(style: JudoStyle) -> Duet:
     """Make a judo form: A turns in, B is taken onto the hip and set back.
 
     A's right arm goes under B's left arm round the waist (uki-goshi); when A is more than 11 % taller, over B's left
     shoulder (koshi-guruma).  Contacts: A's left hand on B's right sleeve and B's right hand on A's left lapel all the
     time; A's right hand on B's left lapel and B's left hand on A's right sleeve, but on the other's back while A is
     turned in.
-
-    Args:
-        duration_s: Length; the form lasts 10 s and is repeated.
-        rate_hz: Frames per second.
-        heights_m: Heights of A and B.
-        variation: Another take of the same form.
-        apart: Distance of the two pelvises in the grip, fraction of mean height; 0.38 to 0.42.
-        stride: Way of a walking step, likewise; 0 to 0.15.
-        circle_rad: Turn of the pair in a walking step; -0.4 to 0.4.
-        turn_rad: How far A turns in; 1.3 to 1.36.
-
-    Raises:
-        InputError: A number is outside its range.
     """
-    setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
-    parameters = check_style(
-        "judo",
-        {
-            "apart": (apart, 0.38, 0.42),
-            "stride": (stride, 0.0, 0.15),
-            "circle_rad": (circle_rad, -0.4, 0.4),
-            "turn_rad": (turn_rad, 1.3, 1.36),
-        },
-    )
-    vary = setting.vary(3)
-    mean_m = float(np.mean(heights_m))
-    bodies = (make_body(heights_m[0]), make_body(heights_m[1]))
+    vary, mean_m, time_s, bodies, heights_m = style.vary(3), style.mean_m, style.time_s, style.bodies, style.heights_m
     form = JudoForm(
-        apart_m=apart * mean_m * (1.0 - 0.25 * (max(heights_m) / min(heights_m) - 1.0)),
-        stride_m=stride * (1.0 - 0.2 * abs(float(vary[0]))) * mean_m,
-        circle_rad=circle_rad * (1.0 + 0.2 * float(vary[1])),
-        turn_rad=turn_rad * (1.0 + 0.02 * float(vary[2])),
+        apart_m=style.apart * mean_m * (1.0 - 0.25 * (max(heights_m) / min(heights_m) - 1.0)),
+        stride_m=style.stride * (1.0 - 0.2 * abs(float(vary[0]))) * mean_m,
+        circle_rad=style.circle_rad * (1.0 + 0.2 * float(vary[1])),
+        turn_rad=style.turn_rad * (1.0 + 0.02 * float(vary[2])),
         hip_m=0.205 * mean_m,
         aside_m=-0.05 * mean_m,
-        num_cycles=max(1, int(np.ceil(duration_s / CYCLE_S))),
+        num_cycles=max(1, int(np.ceil(style.duration_s / CYCLE_S))),
     )
-    time_s = setting.time_s
     stoop_rad = 0.5 * max(0.0, heights_m[1] / heights_m[0] - 1.0)
     figures = (_tori(bodies[0], form, time_s), _uke(bodies[1], form, time_s, stoop_rad))
-    return finish("judo", setting, figures, grip(figures, form, time_s, duration_s), parameters)
+    return finish("judo", style, figures, grip(figures, form, time_s, style.duration_s))
 
 
 def _tori(body: Body, form: JudoForm, time_s: Array) -> Figure:
@@ -119,12 +93,7 @@ def _uke(body: Body, form: JudoForm, time_s: Array, stoop_rad: float) -> Figure:
 
 def _on_feet(person: int, body: Body, form: JudoForm, trunk: Trunk, time_s: Array) -> Figure:
     left, right = (_plants(person, side, body, form) for side in SIDES)
-    left, right = spread_feet(body, left, right)
-    feet = (
-        walk_foot(time_s, body, clear_other_foot(body, left, right), heel=0.8),
-        walk_foot(time_s, body, clear_other_foot(body, right, left), heel=0.8),
-    )
-    return Figure(body=body, trunk=trunk, feet=feet)
+    return Figure(body=body, trunk=trunk, feet=walk_feet(time_s, body, left, right, heel=0.8))
 
 
 def _plants(person: int, side: str, body: Body, form: JudoForm) -> list[Plant]:

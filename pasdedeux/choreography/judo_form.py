@@ -42,7 +42,7 @@ class JudoForm:
 
     Args:
         apart_m: Distance of the pelvises in the grip.
-        stride_m: Way of the pair in a walking step.
+        stride_m: How far the pair goes in a walking step.
         circle_rad: Turn of the pair in a walking step.
         turn_rad: How far A turns in.
         hip_m: Distance of the pelvises when A is turned in.
@@ -72,7 +72,7 @@ class JudoForm:
         return self.every_cycle(time_s, HELD_S - 0.7, HELD_S + 0.2, OUT_S - 0.2, OUT_S + 0.7)
 
     def place(self, person: int, time_s: Array) -> tuple[Array, Array]:
-        """Return where a person's pelvis is (frame, x and z) and which way it looks (frame,)."""
+        """Return where a person's pelvis is (frame, x and z) and its facing (frame,)."""
         walked = [
             (cycle * CYCLE_S + start_s, cycle * CYCLE_S + stop_s, share)
             for cycle in range(self.num_cycles)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.choreography.anthropometry import Body
 from pasdedeux.choreography.curves import mix
-from pasdedeux.choreography.duet import BonePoint, Contact
+from pasdedeux.choreography.duet import CLOTH_M, Contact, wrist_contact
 from pasdedeux.choreography.figure import Figure
 from pasdedeux.choreography.judo_form import BACK_S, CYCLE_S, LET_GO_S, ON_BACK_S, REGRIP_S, JudoForm
 
@@ -26,15 +26,13 @@ _SLEEVE_SHARE = 0.75
 """Where along the upper arm the sleeve is held."""
 _SLEEVE_SIDE = (0.0, 0.6, -0.8)
 """On which side of the upper arm: outside and behind, in its rest axes (along the bone, hinge, bend)."""
-_GAP_M = 0.004
-"""Cloth between hand and body."""
 _OVER_RATIO = 1.11
 """A who is so much taller than B puts the right arm over B's shoulder instead of under the arm."""
 
 
 @dataclass(frozen=True)
 class _Hold:
-    """A hand on the partner's back: where, how its elbow points, and which way it goes there.
+    """A hand on the partner's back: where, how its elbow points, and by which detour it goes there.
 
     `bone`, `share` and `angle_deg` (from the front over the left) tell the place; `pole` and `detour` are left, up and
     forward of B's chest, the detour as a share of B's height.  `haste_s` is how much sooner it is there, and how much
@@ -122,10 +120,8 @@ def _to_back(
 
 def _lapel(body: Body, other: Body) -> tuple[str, float]:
     """Return partner's bone and the share of it where the lapel is held: level with the own shoulder if possible."""
-    low, chest, neck = (other.standing_m(joint) for joint in ("spine2", "spine3", "neck"))
     wanted = body.standing_m("left_shoulder") - 0.03 * body.height_m
-    wanted = float(np.clip(wanted, 0.70 * other.height_m, 0.785 * other.height_m))
-    return ("neck", (wanted - chest) / (neck - chest)) if wanted > chest else ("spine3", (wanted - low) / (chest - low))
+    return other.trunk_at(float(np.clip(wanted, 0.70 * other.height_m, 0.785 * other.height_m)))
 
 
 def _on_trunk(
@@ -133,21 +129,20 @@ def _on_trunk(
 ) -> tuple[Array, Contact]:
     """Return where a wrist rests on the partner's trunk (frame, 3), and the contact without its times."""
     figure, other = figures[person], figures[1 - person]
-    rest_m = max(other.body.radius_m(bone), other.body.radius_m("spine3")) + figure.body.radius_m("left_wrist") + _GAP_M
-    angle = np.radians(angle_deg)
-    point = other.on_bone(bone, share, (rest_m * float(np.sin(angle)), 0.0, rest_m * float(np.cos(angle))))
+    rest_m = (
+        max(other.body.radius_m(bone), other.body.radius_m("spine3")) + figure.body.radius_m("left_wrist") + CLOTH_M
+    )
+    point = other.round_bone(bone, share, rest_m, np.radians(angle_deg))
     text = f"{'AB'[person]}'s {side} hand on {'AB'[1 - person]}'s {name}"
-    ends = (BonePoint(person, f"{side}_wrist"), BonePoint(1 - person, bone, share))
-    return point, Contact(text, *ends, 0.0, 0.0, rest_m)
+    return point, wrist_contact(text, person, side, bone, share, rest_m)
 
 
 def _sleeve(person: int, figures: tuple[Figure, Figure]) -> tuple[Array, Array, Contact]:
     """Return where a left wrist holds the partner's right sleeve, where its palm looks (frame, 3), and the contact."""
     figure, other = figures[person], figures[1 - person]
-    distance_m = other.body.radius_m("left_elbow") + figure.body.radius_m("left_wrist") + _GAP_M
+    distance_m = other.body.radius_m("left_elbow") + figure.body.radius_m("left_wrist") + CLOTH_M
     share = _SLEEVE_SHARE + 0.5 * max(0.0, other.body.height_m / figure.body.height_m - 1.0)
     text = f"{'AB'[person]}'s left hand on {'AB'[1 - person]}'s right sleeve"
-    ends = (BonePoint(person, "left_wrist"), BonePoint(1 - person, "right_elbow", share))
     point = other.on_bone("right_elbow", share, np.array(_SLEEVE_SIDE) * distance_m)
     palm = other.on_bone("right_elbow", share) - point
-    return point, palm, Contact(text, *ends, 0.0, 0.0, distance_m)
+    return point, palm, wrist_contact(text, person, "left", "right_elbow", share, distance_m)

@@ -4,95 +4,65 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.choreography.anthropometry import Body, make_body
-from pasdedeux.choreography.duet import BonePoint, Contact, Duet, Setting, check_style, finish
+from pasdedeux.choreography.anthropometry import Body
+from pasdedeux.choreography.duet import CLOTH_M, BonePoint, Contact, Duet, DuetStyle, finish, wrist_contact
 from pasdedeux.choreography.figure import Figure, Trunk, facing, turn
 from pasdedeux.choreography.steps import FootPath, Plant, walk_foot
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = ["make_push_hands"]
+__all__ = ["PushHandsStyle", "make_push_hands"]
 
 Array = npt.NDArray[np.float64]
 
 _AHEAD, _BEHIND, _ASIDE = 0.165, -0.175, 0.062
 """Where the feet stand from the middle of the stance: front foot, back foot, each to its side; fraction of height."""
 _FRONT_YAW_RAD, _BACK_YAW_RAD = -0.05, 0.75
-_GAP_M = 0.004
-"""Cloth between two arms in touch."""
 
 
-def make_push_hands(
-    *,
-    duration_s: float = 10.0,
-    rate_hz: float = 60.0,
-    heights_m: tuple[float, float] = (1.82, 1.65),
-    variation: int = 0,
-    circle_s: float = 2.6,
-    width: float = 0.050,
-    depth: float = 0.055,
-    shift: float = 0.050,
-    apart: float = 0.385,
-) -> Duet:
+class PushHandsStyle(DuetStyle):
+    """Style of push-hands; lengths are fractions of the mean height."""
+
+    circle_s: float = Field(2.6, ge=1.8, le=6.0, description="Time of one circle, seconds")
+    width: float = Field(0.050, ge=0.0, le=0.06, description="Half width of the circle")
+    depth: float = Field(0.055, ge=0.03, le=0.07, description="Half depth of the circle")
+    shift: float = Field(0.050, ge=0.03, le=0.06, description="How far the pelvis goes forward and back")
+    apart: float = Field(0.385, ge=0.37, le=0.40, description="Distance of the two stances")
+
+
+def make_push_hands(style: PushHandsStyle) -> Duet:
     """Make push-hands: right foot in front, the feet never move, right wrists circle, left hands at the right elbows.
 
     The circle lies level at first, stands upright two circles later, and so on.  Contacts, all the time: right wrist on
     right wrist, A's left wrist at B's right elbow, B's left wrist at A's right elbow.
-
-    Args:
-        duration_s: Length.
-        rate_hz: Frames per second.
-        heights_m: Heights of A and B.
-        variation: Another take of the same dance.
-        circle_s: Time of one circle; 1.8 to 6.
-        width: Half width of the circle, fraction of mean height; 0 to 0.06.
-        depth: Half depth of the circle, likewise; 0.03 to 0.07.
-        shift: How far the pelvis goes forward and back from the middle, likewise; 0.03 to 0.06.
-        apart: Distance of the two stances, likewise; 0.37 to 0.40.
-
-    Raises:
-        InputError: A number is outside its range.
     """
-    setting = Setting(duration_s=duration_s, rate_hz=rate_hz, heights_m=heights_m, variation=variation)
-    parameters = check_style(
-        "push_hands",
-        {
-            "circle_s": (circle_s, 1.8, 6.0),
-            "width": (width, 0.0, 0.06),
-            "depth": (depth, 0.03, 0.07),
-            "shift": (shift, 0.03, 0.06),
-            "apart": (apart, 0.37, 0.40),
-        },
-    )
-    vary = setting.vary(5)
-    time_s = setting.time_s
-    bodies = (make_body(heights_m[0]), make_body(heights_m[1]))
-    mean_m = float(np.mean(heights_m))
-    phase = 2.0 * np.pi * time_s / (circle_s * (1.0 + 0.08 * vary[0])) + np.pi * float(vary[1])
+    vary, mean_m, time_s, bodies = style.vary(5), style.mean_m, style.time_s, style.bodies
+    phase = 2.0 * np.pi * time_s / (style.circle_s * (1.0 + 0.08 * vary[0])) + np.pi * float(vary[1])
     phase = phase + 0.15 * (1.0 + vary[2]) * np.sin(0.37 * phase)
-    push = shift * mean_m * np.cos(phase - 0.35)
+    push = style.shift * mean_m * np.cos(phase - 0.35)
     figures = (
-        _stand(0, bodies[0], apart * mean_m, push, phase, time_s),
-        _stand(1, bodies[1], apart * mean_m, push, phase, time_s),
+        _stand(0, bodies[0], style.apart * mean_m, push, phase, time_s),
+        _stand(1, bodies[1], style.apart * mean_m, push, phase, time_s),
     )
     # The point of touch, nearer to the shorter arm; level circle and upright circle in turn.
     upright = (0.5 - 0.5 * np.cos(0.26 * phase)) * (0.85 + 0.15 * float(vary[3]))
     size = mean_m * (1.0 - 0.1 * abs(float(vary[4])))
-    share = heights_m[0] / sum(heights_m) - 0.5
+    share = style.heights_m[0] / sum(style.heights_m) - 0.5
     chest_m = 0.5 * (bodies[0].standing_m("spine3") + bodies[1].standing_m("spine3"))
     point = np.stack(
         [
-            width * size * np.sin(phase) * (1.0 - 0.6 * upright),
-            chest_m - 0.005 * mean_m + width * size * np.sin(phase) * (0.15 + 0.85 * upright),
-            share * apart * mean_m + depth * size * np.cos(phase),
+            style.width * size * np.sin(phase) * (1.0 - 0.6 * upright),
+            chest_m - 0.005 * mean_m + style.width * size * np.sin(phase) * (0.15 + 0.85 * upright),
+            share * style.apart * mean_m + style.depth * size * np.cos(phase),
         ],
         axis=-1,
     )
-    return finish("push_hands", setting, figures, _touch(figures, point, phase, duration_s), parameters)
+    return finish("push_hands", style, figures, _touch(figures, point, phase, style.duration_s))
 
 
 def _stand(person: int, body: Body, apart_m: float, push: Array, phase: Array, time_s: Array) -> Figure:
-    """Place trunk and feet: A stands at -Z and looks along +Z, B the other way round."""
+    """Place trunk and feet: A stands at -Z and looks along +Z, B opposite."""
     yaw = 0.0 if person == 0 else np.pi
     sign = 1.0 if person == 0 else -1.0
     middle = np.array([0.0, 0.0, -0.5 * sign * apart_m])
@@ -125,7 +95,7 @@ def _foot(time_s: Array, body: Body, middle: Array, yaw: float, aside: float, ah
 def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_s: float) -> list[Contact]:
     """Bring right wrists to the point of touch, then left wrists to the other's right elbow."""
     bodies = tuple(figure.body for figure in figures)
-    wrists_m = bodies[0].radius_m("left_wrist") + bodies[1].radius_m("left_wrist") + _GAP_M
+    wrists_m = bodies[0].radius_m("left_wrist") + bodies[1].radius_m("left_wrist") + CLOTH_M
     tilt = 0.5 * np.sin(phase)
     across = np.stack([np.cos(tilt), np.sin(tilt), 0.0 * tilt], axis=-1)
     contacts = [
@@ -138,7 +108,7 @@ def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_
         )
     for person, figure in enumerate(figures):
         other = figures[1 - person]
-        radius_m = figure.body.radius_m("left_wrist") + other.body.radius_m("left_elbow") + _GAP_M
+        radius_m = figure.body.radius_m("left_wrist") + other.body.radius_m("left_elbow") + CLOTH_M
         elbow = other.joint("right_elbow")
         arm = normalise(elbow - other.joint("right_shoulder"))
         # The outside of the elbow; a much taller partner's arm comes from above and lies higher on it.
@@ -148,6 +118,5 @@ def _touch(figures: tuple[Figure, Figure], point: Array, phase: Array, duration_
         target = elbow + radius_m * side
         figure.reach_hand("left", target, figure.chest_vector(0.8, -1.0, -0.1), palm=elbow - target)
         name = f"{'AB'[person]}'s left hand at {'AB'[1 - person]}'s elbow"
-        ends = (BonePoint(person, "left_wrist"), BonePoint(1 - person, "right_elbow"))
-        contacts.append(Contact(name, *ends, 0.0, duration_s, radius_m))
+        contacts.append(wrist_contact(name, person, "left", "right_elbow", 1.0, radius_m, (0.0, duration_s)))
     return contacts

@@ -14,7 +14,7 @@ from pasdedeux.choreography.curves import blend, bump
 from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["FootPath", "Plant", "clear_other_foot", "spread_feet", "walk_foot"]
+__all__ = ["FootPath", "Plant", "clear_other_foot", "spread_feet", "walk_feet", "walk_foot"]
 
 Array = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _PEEL = 0.22
 
 @dataclass(frozen=True)
 class Plant:
-    """A foot on the floor: the point under the ankle and the way the foot points, from landing to lift-off.
+    """A foot on the floor: the point under the ankle and the direction of the foot, from landing to lift-off.
 
     Args:
         x_m: Ankle, world X.
@@ -32,7 +32,7 @@ class Plant:
         yaw_rad: Direction of the foot about +Y, 0 along +Z.
         land_s: When the foot is flat and still.
         lift_s: When the heel begins to rise.
-        bow_m: How far the swing that ends here bows to the left of the foot's way (negative: to the right).
+        bow_m: How far the swing that ends here bows to the left of the foot's path (negative: to the right).
     """
 
     x_m: float
@@ -81,8 +81,8 @@ def walk_foot(
         forward = float((stop - start) @ [np.sin(before.yaw_rad), 0.0, np.cos(before.yaw_rad)]) / body.height_m
         position += weight[:, None] * (stop - start)
         position[:, 1] += clearance * body.height_m * min(1.0, 0.5 + length) * bump(flight)
-        way = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-9)
-        position += (after.bow_m * bump(weight))[:, None] * np.array([way[2], 0.0, -way[0]])
+        along = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-9)
+        position += (after.bow_m * bump(weight))[:, None] * np.array([along[2], 0.0, -along[0]])
         yaw += weight * (after.yaw_rad - before.yaw_rad)
         pitch += (
             heel * (0.08 + 0.3 * min(length, 0.5) + 0.8 * float(np.clip(forward, 0.0, 0.5))) * bump(fraction, fall=4)
@@ -93,6 +93,17 @@ def walk_foot(
     )
     ankle = position - rotate(unitquat, np.broadcast_to(ankle_to_toe, position.shape))
     return FootPath(ankle_m=ankle, unitquat=unitquat, yaw_rad=yaw, plants=tuple(plants))
+
+
+def walk_feet(
+    time_s: Array, body: Body, left: Sequence[Plant], right: Sequence[Plant], *, heel: float = 1.0
+) -> tuple[FootPath, FootPath]:
+    """Walk both feet from plant to plant, kept apart from each other where they land and where they pass."""
+    left, right = spread_feet(body, left, right)
+    return (
+        walk_foot(time_s, body, clear_other_foot(body, left, right), heel=heel),
+        walk_foot(time_s, body, clear_other_foot(body, right, left), heel=heel),
+    )
 
 
 def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
@@ -147,14 +158,14 @@ def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]
 def _bow(before: Plant, after: Plant, standing: Plant, gap_m: float) -> float:
     """Return the bow that keeps a straight swing off a standing foot; the swing passes on the side where it begins."""
     start, stop = np.array([before.x_m, before.z_m]), np.array([after.x_m, after.z_m])
-    way = stop - start
-    length = float(np.linalg.norm(way))
+    path = stop - start
+    length = float(np.linalg.norm(path))
     if length < 1e-6:
         return 0.0
-    left = np.array([way[1], -way[0]]) / length
+    left = np.array([path[1], -path[0]]) / length
     obstacle = np.array([standing.x_m, standing.z_m])
-    share = float(np.clip((obstacle - start) @ way / length**2, 0.0, 1.0))
-    aside = float((start + share * way - obstacle) @ left)
+    share = float(np.clip((obstacle - start) @ path / length**2, 0.0, 1.0))
+    aside = float((start + share * path - obstacle) @ left)
     # Which side is free: that of the middle of the two plants, seen from the standing foot.
     side = 1.0 if aside >= 0.0 else -1.0
     reach = float(bump(np.array(share)))

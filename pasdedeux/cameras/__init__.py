@@ -13,7 +13,7 @@ from pasdedeux.cameras.frames import (
 from pasdedeux.cameras.orthographic import metres_from_pixels, project_orthographic, view_rotmat
 from pasdedeux.cameras.pinhole import PinholeCamera, Projection
 from pasdedeux.cameras.torso import (
-    LEAST_TORSO_JOINTS,
+    MIN_TORSO_JOINTS,
     TORSO_INDICES,
     TORSO_JOINTS,
     LiftedTorsos,
@@ -45,7 +45,7 @@ from pasdedeux.cameras.virtual_video import (
 
 __all__ = [
     "DEPTH_RULES",
-    "LEAST_TORSO_JOINTS",
+    "MIN_TORSO_JOINTS",
     "TORSO_INDICES",
     "TORSO_JOINTS",
     "VIEW_DEVIATION_RAD",

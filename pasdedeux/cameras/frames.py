@@ -17,7 +17,7 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 
 __all__ = [
-    "LEAST_SINE",
+    "MIN_SINE",
     "LocalFrame",
     "angle_between_directions",
     "angles_of_direction",
@@ -30,7 +30,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-LEAST_SINE = 0.2
+MIN_SINE = 0.2
 """Least sine of the angle between i and j (12 degrees); where they are more parallel, i is turned away from j."""
 
 _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
@@ -86,13 +86,13 @@ def local_frame(roots: Array, backbones: Array) -> LocalFrame:
     spare = spare - np.sum(spare * j, axis=-1, keepdims=True) * j
     helper = np.where(np.linalg.norm(lean, axis=-1, keepdims=True) > 1e-6, lean, spare)
     across = normalise(np.where(sine > 1e-9, across, helper))
-    kept_cosine = np.sign(cosine) * np.sqrt(np.clip(1.0 - np.maximum(sine, LEAST_SINE) ** 2, 0.0, 1.0))
-    i = np.where(sine < LEAST_SINE, kept_cosine * j + LEAST_SINE * across, i)
+    kept_cosine = np.sign(cosine) * np.sqrt(np.clip(1.0 - np.maximum(sine, MIN_SINE) ** 2, 0.0, 1.0))
+    i = np.where(sine < MIN_SINE, kept_cosine * j + MIN_SINE * across, i)
     is_zero = np.linalg.norm(between, axis=-1) < 1e-9
     i = np.where(is_zero[..., None], across, i)
     return LocalFrame(
         axes=np.stack([i, j, np.cross(i, j)], axis=-1),
-        is_degenerate=np.asarray((sine[..., 0] < LEAST_SINE) | is_opposite[..., 0] | is_zero),
+        is_degenerate=np.asarray((sine[..., 0] < MIN_SINE) | is_opposite[..., 0] | is_zero),
     )
 
 

@@ -17,7 +17,7 @@ from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unit
 from pasdedeux.skeletons import PAIR17
 
 __all__ = [
-    "LEAST_TORSO_JOINTS",
+    "MIN_TORSO_JOINTS",
     "TORSO_INDICES",
     "TORSO_JOINTS",
     "LiftedTorsos",
@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 
 TORSO_JOINTS = ("pelvis", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
 TORSO_INDICES = PAIR17.indices(TORSO_JOINTS)
-LEAST_TORSO_JOINTS = 4
+MIN_TORSO_JOINTS = 4
 """A torso with fewer joints seen is not lifted."""
 
 NOISE_SHARE = 0.05
@@ -175,7 +175,7 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
     gram = np.einsum("nj,njc,njd->ncd", weight / total[:, 0], plane[..., :2], plane[..., :2])
     spread = np.linalg.eigvalsh(gram)[:, 0]
     # Joints of the mean torso that lie on one line (within 2 cm) do not fix the turn about that line.
-    is_lifted = (num_seen >= LEAST_TORSO_JOINTS) & (extent > 0) & (spread > 0.02**2)
+    is_lifted = (num_seen >= MIN_TORSO_JOINTS) & (extent > 0) & (spread > 0.02**2)
     rows = np.flatnonzero(is_lifted)
     lifted = _Fit(image[rows] / extent[rows, None, None], weight[rows], basis)
     lifted.start(plane[rows], gram[rows])

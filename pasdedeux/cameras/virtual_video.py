@@ -142,7 +142,7 @@ def frame_take(
     person_height_px: float = PERSON_HEIGHT_PX,
     person_height_m: float = PERSON_HEIGHT_M,
     image_size_px: tuple[int, int] | None = None,
-    least_depth_m: float = 1.0,
+    min_depth_m: float = 1.0,
 ) -> VirtualView:
     """Return a camera that looks at the mean root and sees a person of `person_height_m` about `person_height_px` tall.
 
@@ -150,14 +150,14 @@ def frame_take(
         positions: Every joint of every person and frame to be seen, (*batch, 3), metres.
         roots: Roots of the people, (*batch, 3), metres; their mean is looked at.
         distance_m: Wanted distance from the camera to the mean root; grown where a joint would come nearer than
-            `least_depth_m` to the image plane.  The focal length grows with it, so people keep their size.
+            `min_depth_m` to the image plane.  The focal length grows with it, so people keep their size.
         yaw_rad: Azimuth of the camera.
         pitch_rad: Elevation of the camera.
         person_height_px: Height in the image of an upright person at the mean root, pixels.
         person_height_m: Height of that person, metres.
         image_size_px: Width and height; when not given, the smallest image of at least 1280 x 720 in steps of 16 that
             holds every joint with a margin of 5 % of the person's height.
-        least_depth_m: Least depth of any joint, metres.
+        min_depth_m: Least depth of any joint, metres.
 
     Raises:
         InputError: There are no finite positions or roots.
@@ -171,7 +171,7 @@ def frame_take(
     target = centres.mean(axis=0)
     angles = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad]))
     towards = float(((points - target) @ angles.directions()[0]).max())
-    distance = max(distance_m, towards + least_depth_m)
+    distance = max(distance_m, towards + min_depth_m)
     focal = person_height_px * distance / person_height_m
 
     def camera(size: tuple[int, int]) -> PinholeCamera:

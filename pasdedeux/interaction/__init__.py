@@ -12,7 +12,7 @@ from pasdedeux.interaction.dissimilarity import (
 )
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table, edge_table_3d
-from pasdedeux.interaction.shape_context import ShapeCoverage, pair_shape_dissimilarity, plane_shape_dissimilarity
+from pasdedeux.interaction.shape_context import ShapeCoverage, plane_shape_dissimilarity
 
 __all__ = [
     "BETA_M",
@@ -27,7 +27,6 @@ __all__ = [
     "edge_vectors",
     "edge_weights",
     "interaction_dissimilarity",
-    "pair_shape_dissimilarity",
     "plane_residual",
     "plane_shape_dissimilarity",
 ]

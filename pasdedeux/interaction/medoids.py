@@ -15,7 +15,7 @@ __all__ = ["choose_medoids", "dissimilarity_matrix"]
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
-_MOST_ROUNDS = 30
+_MAX_ROUNDS = 30
 
 
 def dissimilarity_matrix(points: Array, *, beta_m: float = BETA_M) -> Array:
@@ -49,7 +49,7 @@ def choose_medoids(matrix: Array, count: int) -> Indices:
         distance[chosen] = -1.0
         chosen.append(int(np.argmax(distance)))
     medoids = np.array(chosen, dtype=np.int64)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         group = np.argmin(matrix[medoids], axis=0)
         group[medoids] = np.arange(count)
         moved = medoids.copy()

@@ -61,23 +61,19 @@ def pair_table(pairs_m: Array) -> PairTable:
     return PairTable(points, table, ring)
 
 
-def lower_minima(
-    truth: PairTable, others: PairTable, first_index: int, best: Array, which: npt.NDArray[np.int64]
-) -> None:
+def lower_minima(truth: PairTable, others: PairTable, best: Array) -> None:
     """Lower the running minima of D_I and D_C of each truth to what `others` reach.
 
     Args:
         truth: The pairs that minima are kept for.
         others: The pairs that may be nearer.
-        first_index: Index of the first of `others` in the whole set.
         best: Running minima (2, truth), D_I then D_C, metres; changed in place.
-        which: Which other reached them (2, truth), integers; changed in place.
     """
     mine, theirs = truth.edges, others.edges
     _lower_minima(
         *(truth.points_m, mine.edges, mine.weights, mine.counts, truth.ring),
         *(others.points_m, theirs.edges, theirs.weights, theirs.counts, others.ring),
-        *(first_index, best, which),
+        best,
     )
 
 
@@ -121,9 +117,7 @@ def _lower_minima(  # type: ignore[no-untyped-def]
     weights,
     counts,
     ring,
-    first_index,
     best,
-    which,
 ):
     num_points = truth.shape[1]
     key, m, q, rotmat = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty((3, 3))
@@ -134,16 +128,14 @@ def _lower_minima(  # type: ignore[no-untyped-def]
         for column in range(others.shape[0]):
             best_turn(others[column], truth[row], key, m, q, rotmat)
             total = _difference(rotmat, others[column], truth[row], difference) / num_points
-            if total < best[1, row]:
-                best[1, row], which[1, row] = total, first_index + column
+            best[1, row] = min(best[1, row], total)
             for k in range(x.shape[0]):
                 at = k % num_points
                 x[k], y[k], z[k] = difference[at, 0], difference[at, 1], difference[at, 2]
             if _estimate(x, y, z, own_ring[row], ring[column]) * (1.0 - _ESTIMATE_SLACK) < best[0, row]:
                 total = _side_sum(difference, own_edges[row], own_counts[row], own_weights[row])
                 total += _side_sum(difference, edges[column], counts[column], weights[column])
-                if total < best[0, row]:
-                    best[0, row], which[0, row] = total, first_index + column
+                best[0, row] = min(best[0, row], total)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,7 +154,7 @@ def _fill_distances(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-def]
-    """Write the difference of the turned points to the fixed ones; gives the sum of its lengths."""
+    """Write the difference of the turned points to the fixed ones; return the sum of its lengths."""
     total = 0.0
     for k in range(moving.shape[0]):
         u, v, w = turned_gap(rotmat, moving, fixed, k)

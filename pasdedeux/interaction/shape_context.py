@@ -26,8 +26,7 @@ __all__ = [
     "NUM_SECTORS",
     "NUM_SHELLS",
     "ShapeCoverage",
-    "nearest_shape_update",
-    "pair_shape_dissimilarity",
+    "lower_shape_minima",
     "plane_shape_dissimilarity",
     "shape_bins",
 ]
@@ -46,14 +45,6 @@ def plane_shape_dissimilarity(moving: Array, fixed: Array) -> Array:
     """Return the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
     aligned, fixed = np.broadcast_arrays(align_plane(moving, fixed), fixed)
     return _mean_cost(_plane_bins(aligned), _plane_bins(fixed), NUM_SHELLS * NUM_SECTORS)
-
-
-def pair_shape_dissimilarity(first_m: Array, second_m: Array) -> Array:
-    """Return D_S (*batch,) between pairs (*batch, person=2, joint=17, 3), metres: the oracle of `ShapeCoverage`.
-
-    Rigid motion does not change it: each pair is seen in its own local frame.
-    """
-    return _mean_cost(shape_bins(first_m), shape_bins(second_m), _NUM_PAIR_BINS)
 
 
 def shape_bins(pairs_m: Array) -> Bins:
@@ -81,7 +72,7 @@ def shape_bins(pairs_m: Array) -> Bins:
 
 
 class ShapeCoverage:
-    """Least D_S of real pairs to pairs that arrive in batches: memory does not grow with their number.
+    """Smallest D_S of real pairs to pairs that arrive in batches: memory does not grow with their number.
 
     Args:
         truth_m: Real pairs (truth, person=2, joint=17, 3), metres; at least one.
@@ -98,29 +89,23 @@ class ShapeCoverage:
         rows = np.arange(bins.shape[0])[:, None, None]
         np.add.at(self._counts, (rows, np.arange(bins.shape[1])[:, None], bins), 1)
         self._best = np.full(len(bins), np.inf)
-        self._which = np.full(len(bins), -1, dtype=np.int64)
         self.num_draws = 0
 
     def add(self, draws_m: Array) -> None:
         """Take more pairs (draw, person=2, joint=17, 3), metres, into account."""
         for start in range(0, len(draws_m), _CHUNK):
             bins = np.sort(shape_bins(draws_m[start : start + _CHUNK]), axis=-1)
-            nearest_shape_update(self._counts, bins, self.num_draws, self._best, self._which)
+            lower_shape_minima(self._counts, bins, self._best)
             self.num_draws += len(bins)
 
     @property
     def shape(self) -> Array:
-        """Least D_S of each real pair to any pair so far, (truth,); inf before the first."""
+        """Smallest D_S of each real pair to any pair so far, (truth,); inf before the first."""
         return self._best.copy()
-
-    @property
-    def nearest_by_shape(self) -> npt.NDArray[np.int64]:
-        """Index of the pair nearest to each real pair by D_S, (truth,); -1 before the first."""
-        return self._which.copy()
 
 
 @numba.njit(cache=True, nogil=True)
-def nearest_shape_update(counts, bins, first_index, best, which):  # type: ignore[no-untyped-def]
+def lower_shape_minima(counts, bins, best):  # type: ignore[no-untyped-def]
     """Lower the running minima of D_S of each truth to what others reach.
 
     With shares a and b, half the sum of (a - b)^2 / (a + b) is 1 - 2 sum of a b / (a + b): only shared bins count.
@@ -128,9 +113,7 @@ def nearest_shape_update(counts, bins, first_index, best, which):  # type: ignor
     Args:
         counts: Joints in each bin, (truth, joint, bin), uint8.
         bins: Bins of the others, sorted, (other, joint, joint - 1).
-        first_index: Index of the first of the others in the whole set.
         best: Running minima (truth,); changed in place.
-        which: Which other reached them (truth,); changed in place.
     """
     num_joints, num_seen = bins.shape[1], bins.shape[2]
     shared = np.zeros((num_seen + 1, num_seen + 1))
@@ -162,7 +145,7 @@ def nearest_shape_update(counts, bins, first_index, best, which):  # type: ignor
                 if cost >= limit:
                     break
             if cost < limit:
-                best[row], which[row] = cost / num_joints, first_index + column
+                best[row] = cost / num_joints
 
 
 def _others(points: Array) -> Array:

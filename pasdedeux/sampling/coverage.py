@@ -59,7 +59,6 @@ class Coverage:
             raise InputError("coverage needs at least one real pair")
         self._truth = pair_table(truth_m)
         self._best = np.full((2, len(self._truth)), np.inf)
-        self._which = np.full((2, len(self._truth)), -1, dtype=np.int64)
         self.num_draws = 0
 
     def add(self, draws_m: Array) -> None:
@@ -70,7 +69,7 @@ class Coverage:
         """
         for start in range(0, len(draws_m), _CHUNK):
             part = pair_table(draws_m[start : start + _CHUNK])
-            lower_minima(self._truth, part, self.num_draws, self._best, self._which)
+            lower_minima(self._truth, part, self._best)
             self.num_draws += len(part)
 
     @property
@@ -82,16 +81,6 @@ class Coverage:
     def cartesian_m(self) -> Array:
         """Smallest D_C of each real pair to any draw so far, (truth,), metres; inf before the first."""
         return self._best[1].copy()
-
-    @property
-    def nearest_by_interaction(self) -> npt.NDArray[np.int64]:
-        """Index of the draw nearest to each real pair by D_I, (truth,); -1 before the first."""
-        return self._which[0].copy()
-
-    @property
-    def nearest_by_cartesian(self) -> npt.NDArray[np.int64]:
-        """Index of the draw nearest to each real pair by D_C, (truth,); -1 before the first."""
-        return self._which[1].copy()
 
 
 def coverage_curve(truth_m: Array, draws_m: Array, num_draws: Sequence[int]) -> CoverageCurve:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from pasdedeux.cameras.frames import LEAST_SINE
+from pasdedeux.cameras.frames import MIN_SINE
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["pair_axes", "project"]
@@ -52,7 +52,7 @@ def pair_axes(points, axes):  # type: ignore[no-untyped-def]
     cosine = ix * jx + iy * jy + iz * jz
     ux, uy, uz = ix - cosine * jx, iy - cosine * jy, iz - cosine * jz
     sine = np.sqrt(ux * ux + uy * uy + uz * uz)
-    if sine < LEAST_SINE or gap < 1e-9:
+    if sine < MIN_SINE or gap < 1e-9:
         if sine <= 1e-9:
             along = ax * jx + ay * jy + az * jz
             ux, uy, uz = ax - along * jx, ay - along * jy, az - along * jz
@@ -70,12 +70,12 @@ def pair_axes(points, axes):  # type: ignore[no-untyped-def]
         if gap < 1e-9:
             ix, iy, iz = ux, uy, uz
         else:
-            kept = np.sqrt(1.0 - LEAST_SINE * LEAST_SINE)
+            kept = np.sqrt(1.0 - MIN_SINE * MIN_SINE)
             if cosine < 0.0:
                 kept = -kept
-            ix = kept * jx + LEAST_SINE * ux
-            iy = kept * jy + LEAST_SINE * uy
-            iz = kept * jz + LEAST_SINE * uz
+            ix = kept * jx + MIN_SINE * ux
+            iy = kept * jy + MIN_SINE * uy
+            iz = kept * jz + MIN_SINE * uz
     axes[0, 0], axes[1, 0], axes[2, 0] = ix, iy, iz
     axes[0, 1], axes[1, 1], axes[2, 1] = jx, jy, jz
     axes[0, 2], axes[1, 2], axes[2, 2] = iy * jz - iz * jy, iz * jx - ix * jz, ix * jy - iy * jx

@@ -12,8 +12,8 @@ from pasdedeux.evaluation.coverage import coverage_figure, real_frame_levels, re
 from pasdedeux.evaluation.embedding import PairMap, map_figure
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.interaction.nearest import interaction_distances
-from pasdedeux.interaction.shape_context import pair_shape_dissimilarity
 from pasdedeux.sampling.coverage import coverage_curve
+from tests.builders.oracles_interaction import pair_shape_dissimilarity
 
 PAIRS = random_pairs(np.random.default_rng(0), 24, spread_rad=0.3)
 

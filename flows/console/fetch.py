@@ -149,13 +149,13 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
     """Say what is wrong with a file, nothing if it can be read."""
-    from pasdedeux.formats import count_amc_frames, read_asf  # scipy comes with it, which `--help` must not wait for
+    from pasdedeux.formats import read_amc, read_asf  # scipy comes with it, which `--help` must not wait for
 
     try:
         if skeleton is None:
             read_asf(data)
         else:
-            count_amc_frames(data, read_asf(skeleton.read_bytes()))
+            read_amc(data, read_asf(skeleton.read_bytes()))
     except InputError as error:
         return str(error)
     return None

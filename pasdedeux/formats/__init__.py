@@ -3,8 +3,8 @@
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.annotation_npz import read_annotation_npz
-from pasdedeux.formats.asf_amc import AsfSkeleton, count_amc_frames, read_amc, read_asf
-from pasdedeux.formats.bvh import BvhHeader, read_bvh, read_bvh_header
+from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.bvh import read_bvh, read_bvh_header
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.coco import read_coco
 from pasdedeux.formats.file_format import AnnotationFormat, FileFormat, FileStart, MotionFormat, MotionHead
@@ -28,8 +28,7 @@ from pasdedeux.formats.positions_npz import read_positions_npz
 from pasdedeux.formats.registry import (
     ANNOTATION_FORMATS,
     MOTION_FORMATS,
-    find_annotation_format,
-    find_motion_format,
+    find_format,
     is_companion,
     read_annotations,
     recognise_format,
@@ -44,9 +43,7 @@ __all__ = [
     "UP_AXES",
     "AnnotatedFrames",
     "AnnotationFormat",
-    "AsfSkeleton",
     "AxisGuess",
-    "BvhHeader",
     "FileFormat",
     "FileStart",
     "MotionFormat",
@@ -59,11 +56,9 @@ __all__ = [
     "check_anatomy",
     "check_layout",
     "common_up_axis",
-    "count_amc_frames",
     "derive_working_poses",
     "exact_motion",
-    "find_annotation_format",
-    "find_motion_format",
+    "find_format",
     "guess_motion",
     "guess_unit",
     "guess_up_axis",

@@ -16,13 +16,13 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.euler import identity_unitquat, unitquat_from_euler
-from pasdedeux.formats.file_format import FileStart, MotionFormat, MotionHead
+from pasdedeux.formats.file_format import FileStart, MotionFormat
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.kinematics.rotations import conjugate, multiply
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["AsfAmc", "AsfSkeleton", "count_amc_frames", "read_amc", "read_asf"]
+__all__ = ["AsfAmc", "AsfSkeleton", "read_amc", "read_asf"]
 
 Array = npt.NDArray[np.float64]
 
@@ -130,15 +130,6 @@ def read_asf(data: bytes | str) -> AsfSkeleton:
     )
 
 
-def count_amc_frames(data: bytes | str, asf: AsfSkeleton) -> int:
-    """Return the number of frames of an AMC file after checking its structure, without the pose arithmetic.
-
-    Raises:
-        FormatError: As `read_amc`.
-    """
-    return len(_parse_amc(data, asf)[0])
-
-
 def read_amc(data: bytes | str, asf: AsfSkeleton) -> SourceMotion:
     """Read an AMC file over its skeleton.  AMC states no frame rate: `rate_hz` is None (CMU: 120 Hz, salsa 60 Hz).
 
@@ -196,13 +187,6 @@ class AsfAmc(MotionFormat):
     def read(self, data: bytes, companion: bytes = b"") -> SourceMotion:
         """Read everything."""
         return read_amc(data, read_asf(companion))
-
-    def read_head(self, data: bytes, companion: bytes = b"") -> MotionHead:
-        """Read the skeleton, and check the frames without the arithmetic of their rotations."""
-        asf = read_asf(companion)
-        num_frames = count_amc_frames(data, asf)
-        rest = SourceMotion.at_rest(asf.skeleton, asf.rest_offsets, metres_per_unit=asf.metres_per_unit)
-        return MotionHead(rest=rest, num_frames=num_frames)
 
 
 def _has_section(start: FileStart, names: str) -> bool:

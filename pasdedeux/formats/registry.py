@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
@@ -20,12 +21,13 @@ from pasdedeux.formats.rotation_rows import RotationRows
 __all__ = [
     "ANNOTATION_FORMATS",
     "MOTION_FORMATS",
-    "find_annotation_format",
-    "find_motion_format",
+    "find_format",
     "is_companion",
     "read_annotations",
     "recognise_format",
 ]
+
+F = TypeVar("F", MotionFormat, AnnotationFormat)
 
 MOTION_FORMATS: Mapping[str, MotionFormat] = {
     known.name: known
@@ -72,28 +74,24 @@ def is_companion(data: bytes) -> bool:
     return any(one.is_companion(start) for one in MOTION_FORMATS.values())
 
 
-def find_motion_format(name: str, data: bytes) -> MotionFormat:
-    """Return the format of this name, or for "auto" the one that a motion file's content tells.
+def find_format(known: Mapping[str, F], name: str, data: bytes) -> F:
+    """Return the format of this name, or for "auto" the one that a file's content tells.
+
+    Args:
+        known: `MOTION_FORMATS` or `ANNOTATION_FORMATS`: what the file must be.
+        name: Name of one of them, or "auto".
+        data: The file.
 
     Raises:
-        FormatError: The file is of no format, or holds no motion.
+        FormatError: The file is of no format, or of none of these.
     """
-    found = recognise_format(data) if name == "auto" else MOTION_FORMATS[name]
-    if not isinstance(found, MotionFormat):
-        raise FormatError(f"this is a file of the kind '{found.name}', not a motion of one person")
-    return found
-
-
-def find_annotation_format(name: str, data: bytes) -> AnnotationFormat:
-    """Return the format of this name, or for "auto" the one that the content of a file of 2D poses tells.
-
-    Raises:
-        FormatError: The file is of no format, or holds no 2D poses.
-    """
-    found = recognise_format(data) if name == "auto" else ANNOTATION_FORMATS[name]
-    if not isinstance(found, AnnotationFormat):
-        raise FormatError(f"this is a file of the kind '{found.name}', not one of 2D poses")
-    return found
+    if name != "auto":
+        return known[name]
+    found = recognise_format(data).name
+    if found not in known:
+        what = "a motion of one person" if known is MOTION_FORMATS else "one of 2D poses"
+        raise FormatError(f"this is a file of the kind '{found}', not {what}")
+    return known[found]
 
 
 def read_annotations(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, find_annotation_format, read_annotations
+from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, find_format, read_annotations
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
@@ -47,7 +47,7 @@ def find_annotations(options: AnnotationOptions, *, is_held_out: bool) -> tuple[
             paths = [options.path]
             data = load_file(options.path).data
             try:
-                name = find_annotation_format(options.format, data).name
+                name = find_format(ANNOTATION_FORMATS, options.format, data).name
             except InputError as error:
                 raise type(error)(f"{options.path.name}: {error}") from None
         files = tuple(load_file(path).file for path in paths)

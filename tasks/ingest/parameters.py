@@ -18,7 +18,6 @@ __all__ = [
     "AnnotationOptions",
     "AnnotationParameters",
     "CommonOptions",
-    "Credit",
     "DuetOptions",
     "DuetParameters",
     "IngestParameters",
@@ -304,23 +303,6 @@ class IngestParameters(Parameters):
         return take_id not in self.held_out if self.prior is None else take_id in self.prior
 
 
-class Credit(Parameters):
-    """Licence and credit of a source."""
-
-    name: str
-    licence: str
-    credit: str
-
-    @classmethod
-    def of(cls, source: SourceCredit) -> Self:
-        """Return what a manifest's line says."""
-        return cls(name=source.name, licence=source.licence, credit=source.credit)
-
-    def to_source(self) -> SourceCredit:
-        """Return the line as manifests have it."""
-        return SourceCredit(name=self.name, licence=self.licence, credit=self.credit)
-
-
 class _OfTake(Parameters):
     """What the shards of every take are told, whatever it is made from."""
 
@@ -328,7 +310,7 @@ class _OfTake(Parameters):
     rate_hz: float
     is_held_out: bool
     is_prior: bool
-    source: Credit
+    source: SourceCredit
 
 
 class DuetParameters(_OfTake):

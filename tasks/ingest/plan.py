@@ -10,7 +10,6 @@ from pasdedeux.errors import InputError
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
-    Credit,
     DuetOptions,
     DuetParameters,
     IngestParameters,
@@ -138,7 +137,7 @@ def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> S
         rate_hz=parameters.rate_hz,
         is_held_out=take_id in parameters.held_out,
         is_prior=parameters.is_prior(take_id),
-        source=Credit.of(DUET_CREDIT),
+        source=DUET_CREDIT,
         duet=duet.model_copy(update={"id": None}),
     )
     return _shard(seed, take_id, "take", told)
@@ -165,7 +164,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
         rate_hz=parameters.rate_hz,
         is_held_out=take.id in parameters.held_out,
         is_prior=parameters.is_prior(take.id),
-        source=Credit.of(credit_of(people[0].layout, take.licence, take.credit)),
+        source=credit_of(people[0].layout, take.licence, take.credit),
         num_frames=num_frames,
         floor=take.floor,
         persons=tuple(

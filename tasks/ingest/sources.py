@@ -16,7 +16,7 @@ from pasdedeux.formats import (
     MotionHead,
     UnitGuess,
     check_layout,
-    find_motion_format,
+    find_format,
     guess_unit,
 )
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
@@ -144,7 +144,7 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
     """
     loaded = load_file(path)
     try:
-        kind = find_motion_format(take.format, loaded.data)
+        kind = find_format(MOTION_FORMATS, take.format, loaded.data)
         companion = find_companion(path, kind, person.skeleton)
         head = _head(kind.name, loaded.file, companion)
         layout_name = person.layout or take.layout

@@ -167,7 +167,7 @@ def _commit(
             "is_held_out": parameters.is_held_out,
             "is_prior": parameters.is_prior,
         },
-        sources=[parameters.source.to_source()],
+        sources=[parameters.source],
         verdict=verdict,
     )
 

@@ -17,8 +17,7 @@ from pasdedeux.formats import (
     FileFormat,
     FileStart,
     check_anatomy,
-    find_annotation_format,
-    find_motion_format,
+    find_format,
     is_companion,
     recognise_format,
 )
@@ -64,9 +63,9 @@ def test_a_file_of_no_format_is_told_what_formats_are_recognised_by() -> None:
 
 def test_a_motion_is_no_source_of_2d_poses_and_the_other_way_round() -> None:
     with pytest.raises(FormatError, match="'bvh', not one of 2D poses"):
-        find_annotation_format("auto", GOOD["bvh"])
+        find_format(ANNOTATION_FORMATS, "auto", GOOD["bvh"])
     with pytest.raises(FormatError, match="'coco', not a motion of one person"):
-        find_motion_format("auto", GOOD["coco"])
+        find_format(MOTION_FORMATS, "auto", GOOD["coco"])
 
 
 @pytest.mark.parametrize("name", MOTION_FORMATS)

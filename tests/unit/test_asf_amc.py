@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats import count_amc_frames, read_amc, read_asf, read_bvh
+from pasdedeux.formats import read_amc, read_asf, read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17
@@ -78,7 +78,7 @@ def test_radians_are_read_as_radians() -> None:
 
 def test_an_amc_file_states_no_rate() -> None:
     assert read_amc(AMC, read_asf(ASF)).rate_hz is None
-    assert count_amc_frames(AMC, read_asf(ASF)) == 2
+    assert read_amc(AMC, read_asf(ASF)).num_frames == 2
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,96 @@
+"""Joint mappings of a study, as the docs show them: an entry of a known layout changed, a layout written in full."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.source_samples import bvh_text
+
+TAKE = """
+virtual_video = {{ num_videos = 0, num_random_views = 0 }}
+
+[[takes]]
+id = "dance"
+files = ["{path}"]
+{layout}
+"""
+CHANGED = """
+[mappings.body22.pair17]
+head = { head = 0.5, neck = 0.5 }
+"""
+HIPS = "{ j_left_hip = 0.5, j_right_hip = 0.5 }"
+SHOULDERS = "{ j_left_shoulder = 0.5, j_right_shoulder = 0.5 }"
+NOT_OF_BODY22 = {"spine": '"j_spine1"', "chest": '"j_spine3"'}
+
+
+def table(skeleton: str, joints: tuple[str, ...], **others: str) -> str:
+    """Return a full table: each joint is the one of its name with j_ in front, but for the others."""
+    entries = {joint: f'"j_{joint}"' for joint in joints} | others
+    return "\n".join([f"[mappings.rig.{skeleton}]", *(f"{joint} = {entry}" for joint, entry in entries.items())])
+
+
+WRITTEN = "\n\n".join(
+    [
+        table("pair17", PAIR17.joint_names, pelvis=HIPS, **NOT_OF_BODY22),
+        table("op14", OP14.joint_names, neck=SHOULDERS),
+        table("body22", BODY22.joint_names),
+    ]
+)
+
+
+def poses_of(folder: Path, bvh: str, mappings: str, layout: str = "") -> Any:
+    """Ingest one take and return its poses."""
+    path = folder / "a.bvh"
+    path.write_text(bvh)
+    section = tomllib.loads(TAKE.format(path=path, layout=layout) + mappings)
+    (shard,) = STAGE.plan(StageInputs(manifests={}, seed=0), IngestParameters.model_validate(section))
+    store = Store(folder / "store")
+    return store.read(STAGE.run_shard(shard, store), "poses")
+
+
+def rig_text() -> str:
+    """Return the figure with names that no layout knows."""
+    return bvh_text().replace("ROOT ", "ROOT j_").replace("JOINT ", "JOINT j_")
+
+
+def test_an_entry_of_a_known_layout_is_changed_and_the_rest_stays(tmp_path: Path) -> None:
+    poses = poses_of(tmp_path, bvh_text(), CHANGED)
+    body22, pair17 = np.asarray(poses["body22_m"]), np.asarray(poses["pair17_m"])
+    middle = body22[:, BODY22.indices(["head", "neck"])].mean(axis=1)
+    np.testing.assert_allclose(pair17[:, PAIR17.index("head")], middle, atol=1e-6)
+    plain = poses_of(tmp_path, bvh_text(), "")
+    others = [joint for joint in range(PAIR17.num_joints) if joint != PAIR17.index("head")]
+    np.testing.assert_array_equal(pair17[:, others], np.asarray(plain["pair17_m"])[:, others])
+    np.testing.assert_array_equal(poses["op14_m"], plain["op14_m"])
+
+
+def test_a_layout_that_is_written_in_full_reads_joints_of_any_name(tmp_path: Path) -> None:
+    poses = poses_of(tmp_path, rig_text(), WRITTEN, 'layout = "rig"')
+    plain = poses_of(tmp_path, bvh_text(), "")
+    np.testing.assert_array_equal(poses["body22_m"], plain["body22_m"])
+    hips = np.asarray(plain["body22_m"])[:, BODY22.indices(["left_hip", "right_hip"])].mean(axis=1)
+    np.testing.assert_allclose(np.asarray(poses["pair17_m"])[:, PAIR17.index("pelvis")], hips, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ('"j_spine1"', '"j_spine9"', "'j_spine9'"),
+        ('[mappings.rig.op14]\nhead = "j_head"\n', "[mappings.rig.op14]\n", "head"),
+        ("j_left_hip = 0.5", "j_left_hip = 0.7", "pelvis"),
+    ],
+)
+def test_a_mapping_that_is_wrong_is_refused_with_the_name(tmp_path: Path, old: str, new: str, sentence: str) -> None:
+    assert old in WRITTEN
+    with pytest.raises(InputError, match=rf"take dance: a.bvh: .*{sentence}"):
+        poses_of(tmp_path, rig_text(), WRITTEN.replace(old, new, 1), 'layout = "rig"')

@@ -18,6 +18,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
+from pasdedeux.spread import evenly_spread
 
 __all__ = ["Reconstructed", "motion_sheet", "pair_scores", "reconstruction_scores", "reconstruction_sheet"]
 
@@ -127,7 +128,7 @@ def motion_sheet(title: str, people: Sequence[Mapping[int, Array]], *, num_momen
         num_moments: Moments drawn, evenly spread over the frames that have anybody.
     """
     frames = sorted({frame for person in people for frame in person})
-    chosen = np.unique(np.linspace(0, len(frames) - 1, num_moments).round().astype(int))
+    chosen = evenly_spread(len(frames), num_moments)
     panels = []
     for frame in (frames[index] for index in chosen):
         seen = [(index, person[frame]) for index, person in enumerate(people) if frame in person]
@@ -142,7 +143,7 @@ def motion_sheet(title: str, people: Sequence[Mapping[int, Array]], *, num_momen
 
 def reconstruction_sheet(person: Reconstructed, method: str, *, num_moments: int = 7) -> bytes:
     """Draw moments of a reconstruction over the grey truth, both centred on the mid-hip; PNG bytes."""
-    frames = np.unique(np.linspace(0, len(person.truth_m) - 1, num_moments).round().astype(int))
+    frames = evenly_spread(len(person.truth_m), num_moments)
     panels = []
     for frame in frames:
         truth, found = (

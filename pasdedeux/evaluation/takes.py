@@ -9,6 +9,7 @@ from pasdedeux.evaluation.drawing import PERSON_COLOURS, Panel, Pose, pair_panel
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.skeletons import BODY22
+from pasdedeux.spread import evenly_spread
 
 __all__ = ["take_scores", "take_sheet"]
 
@@ -46,7 +47,7 @@ def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
 
 def take_sheet(take_id: str, people_m: Array, rate_hz: float, *, num_moments: int = 7) -> bytes:
     """Draw evenly spaced moments of a take, (frame, person, 22, 3), seen along -Z and from the side; PNG bytes."""
-    frames = np.unique(np.linspace(0, len(people_m) - 1, min(num_moments, len(people_m))).round().astype(int))
+    frames = evenly_spread(len(people_m), num_moments)
     panels = []
     for frame in frames:
         title = f"{frame / rate_hz:.1f} s"

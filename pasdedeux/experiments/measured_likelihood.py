@@ -22,6 +22,7 @@ from pasdedeux.interaction.shape_context import NUM_SECTORS, NUM_SHELLS
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.density import ImageKind, ImageSettings
 from pasdedeux.sampling.likelihood import Match, log_mean
+from pasdedeux.spread import evenly_spread
 
 __all__ = [
     "CartesianKind",
@@ -63,7 +64,7 @@ def matched_scale(pairs: AnnotatedPairs, measure: ImageMeasure) -> float:
     """
     points = pairs.points_m.reshape(len(pairs.points_m), -1, 2)
     interaction, own = [], []
-    for row in np.unique(np.linspace(0, len(points) - 1, _NUM_MATCHED).round().astype(int)):
+    for row in evenly_spread(len(points), _NUM_MATCHED):
         is_near = angle_between_directions(pairs.directions[row], pairs.directions) < 0.5
         others = np.flatnonzero(is_near & (pairs.annotation_index != pairs.annotation_index[row]))
         if not len(others):

@@ -17,7 +17,7 @@ __all__ = ["SeedQuality", "choose_seeds", "seed_quality"]
 Array = npt.NDArray[np.float64]
 
 CLOSE_SHARE = 0.25
-"""Share of a take's frames, those with the smallest gap, that count as close interaction."""
+"""Share of a take's frames, those with the closest people, that count as close interaction."""
 SOUND_SHARE = 0.5
 """Share of the close frames, those with the smallest violation of the prior, that may become seeds."""
 MIN_POOL = 16
@@ -31,13 +31,13 @@ class SeedQuality:
     Args:
         num_invalid: Joint angles out of range, of both people, (pair,).
         violation_m2: Squared distance to valid poses plus alpha times squared penetration, (pair,): eq. 2's exponent.
-        gap_m: Distance between the closest joints of the two people, (pair,), metres.
+        closest_m: Distance between the closest joints of the two people, (pair,), metres.
         prior: The prior they were scored with.
     """
 
     num_invalid: npt.NDArray[np.int64]
     violation_m2: Array
-    gap_m: Array
+    closest_m: Array
     prior: PriorSettings
 
     @property
@@ -58,7 +58,7 @@ def seed_quality(pairs_m: Array, limits: JointLimits, prior: PriorSettings | Non
     return SeedQuality(
         num_invalid=found.num_invalid,
         violation_m2=settings.violation_m2(found.squared_distance_m2, found.penetration_m.sum(axis=1)),
-        gap_m=closest_joint_distance(np.asarray(pairs_m, dtype=np.float64)),
+        closest_m=closest_joint_distance(np.asarray(pairs_m, dtype=np.float64)),
         prior=settings,
     )
 
@@ -70,7 +70,7 @@ def choose_seeds(
 
     Asking for more seeds keeps the first ones.
 
-    Of each take's frames with positive prior those with the smallest gap are kept, of these the ones that violate the
+    Of each take's frames with positive prior those with the closest people are kept, of these the ones that violate the
     prior least; the first seed is the soundest of all, each next one the frame farthest in D_C from all chosen, taking
     turns over the takes.
 
@@ -81,7 +81,7 @@ def choose_seeds(
     pools = []
     for take in np.unique(take_index[possible]):
         own = possible[take_index[possible] == take]
-        close = _smallest(own, quality.gap_m, max(int(CLOSE_SHARE * len(own)), 2 * MIN_POOL))
+        close = _smallest(own, quality.closest_m, max(int(CLOSE_SHARE * len(own)), 2 * MIN_POOL))
         pools.append(_smallest(close, quality.violation_m2, max(int(SOUND_SHARE * len(close)), MIN_POOL)))
     pool = np.concatenate(pools) if pools else possible
     if len(pool) < num_seeds:

@@ -15,6 +15,7 @@ from pasdedeux.evaluation.lifted_pairs import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, join_draws, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
@@ -115,7 +116,7 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     pictures, captions = {}, {}
     for split, places in sorted(examples.items()):
         chosen = [places[place] for place in sorted(places)]
-        spread = np.unique(np.linspace(0, len(chosen) - 1, _NUM_EXAMPLES + 2).round().astype(int))[1:-1]
+        spread = evenly_spread(len(chosen), _NUM_EXAMPLES + 2)[1:-1]
         rows_shown = [
             {name: chosen[at][name] for name in ("truth", *_SHEET_METHODS) if name in chosen[at]} for at in spread
         ]

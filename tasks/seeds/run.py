@@ -192,9 +192,7 @@ def _growth_verdict(growth: Growth, options: GrownSeeds) -> Verdict:
             f"{count} of {possible} pairs grew: {growth.num_refused} lifted pairs broke the joint limits, and "
             f"{growth.num_left} annotations lie farther than {options.farthest_m} m from everything lifted"
         )
-    return Verdict(
-        level, reason, figure="grown pairs", value=count, baseline=possible, baseline_name="asked of annotations there"
-    )
+    return Verdict(level, reason, figure="grown pairs", value=count, baseline=possible, baseline_name="asked for")
 
 
 def _done(key: str, store: Store) -> Manifest:

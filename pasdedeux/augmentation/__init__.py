@@ -7,9 +7,8 @@ from pasdedeux.augmentation.energy import descend, fit_terms, total_energy
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
 from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.quality import FrameLimits, FrameQuality, Quality, QualityLimits
-from pasdedeux.augmentation.rotations import variant_rotations
 from pasdedeux.augmentation.settings import AugmentationSettings
-from pasdedeux.augmentation.source import Source, reference_motion
+from pasdedeux.augmentation.source import Source, reference_motion, variant_rotations
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import (
     LIMB_GROUPS,

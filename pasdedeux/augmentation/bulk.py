@@ -16,14 +16,14 @@ import numpy.typing as npt
 from pasdedeux.augmentation.bulk_kernels import (
     add_stencils,
     assemble,
-    assemble_near,
+    assemble_pairs,
     project_edges,
     project_near,
 )
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS, points_of
-from pasdedeux.augmentation.spans import aim_spans, assemble_spans, span_vectors
+from pasdedeux.augmentation.spans import aim_spans, span_vectors
 from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.kinematics import bone_directions, place_bones
 from pasdedeux.skeletons import BODY22
@@ -94,6 +94,7 @@ class BulkSolver:
         self._near_penalties: AnyFloat = near_penalties.astype(dtype)
         self._constants: AnyFloat = np.array([_RELAXATION, _CLEARANCE_PENALTY]).astype(dtype)
         self._span_lengths: AnyFloat = problem.spans.lengths_m.astype(dtype)
+        self._span_shares: AnyFloat = problem.spans.shares.astype(dtype)
         self._span_weights: AnyFloat = problem.spans.weights.astype(dtype)
         self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
         self._dtype = dtype
@@ -134,8 +135,8 @@ class BulkSolver:
             if iteration > 0:
                 aim_spans(state.offsets, between, spans.points, self._span_lengths, self._span_weights, span_aim)
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
-            assemble_near(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
-            assemble_spans(span_aim, spans.points, self._span_weights, state.offsets)
+            assemble_pairs(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
+            assemble_pairs(span_aim, spans.points, self._span_shares, self._span_weights, state.offsets)
             for group, axes in enumerate(_AXES):
                 solve(self._factors[group], state.offsets.reshape(3, blocks, 2 * NUM_POINTS, count), axes)
             self._project(state, squared, is_first=False)

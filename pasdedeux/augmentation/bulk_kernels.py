@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["add_stencils", "assemble", "assemble_near", "project_edges", "project_near"]
+__all__ = ["add_stencils", "assemble", "assemble_pairs", "project_edges", "project_near"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
@@ -159,14 +159,14 @@ def project_near(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def assemble_near(
+def assemble_pairs(
     aim: AnyFloat,
     points: Indices,
     shares: AnyFloat,
     penalties: AnyFloat,
     rhs: AnyFloat,
 ) -> None:
-    """Add penalty B^T (z - u) to `rhs`."""
+    """Add penalty B^T a to `rhs` for aims a (3, T, M, variant): z - u of near bones, D u less r's vector of spans."""
     frames, num_pairs, count = aim.shape[1:]
     for axis in range(3):
         for t in range(frames):
@@ -174,7 +174,7 @@ def assemble_near(
                 penalty = penalties[t, e]
                 if penalty <= 0:
                     continue
-                for k in range(4):
+                for k in range(points.shape[2]):
                     point, factor = points[t, e, k], penalty * shares[t, e, k]
                     for v in range(count):
                         rhs[axis, t, point, v] += factor * aim[axis, t, e, v]

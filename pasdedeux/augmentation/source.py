@@ -10,11 +10,19 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import joint_pair_distances
-from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
+from pasdedeux.interaction.contacts import closest_joint_distance
+from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["NUM_POINTS", "Source", "complete_scales", "points_of", "reference_motion", "scaled_lengths"]
+__all__ = [
+    "NUM_POINTS",
+    "Source",
+    "complete_scales",
+    "points_of",
+    "reference_motion",
+    "scaled_lengths",
+    "variant_rotations",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -88,7 +96,7 @@ class Source:
     @cached_property
     def closest_m(self) -> float:
         """Smallest distance between joints of the two people over the take, metres."""
-        return float(joint_pair_distances(self.positions_m).min())
+        return float(closest_joint_distance(self.positions_m).min())
 
     @cached_property
     def flat_ankle_m(self) -> Array:
@@ -147,3 +155,29 @@ def scaled_lengths(source: Source, bone_scale: Array) -> Array:
     lengths = source.lengths_m * bone_scale
     lengths[..., BODY22.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), NUM_POINTS))
+
+
+def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:
+    """Return local rotations (T, 2, 22, 4) that play a variant on its own scaled skeleton.
+
+    Joints with several children (pelvis, upper spine) take the rotation that fits all of them best, so a hip or collar
+    may miss by what the girdle bends; every other bone is met exactly.
+
+    Args:
+        rest_m: body22 of each person in the source's rest pose (2, 22, 3), metres.
+        bone_scale: Scales of the variant (2, 22).
+        positions_m: The variant (T, 2, 22, 3), metres.
+        source_world_unitquat: World rotations of the source from its rest pose (T, 2, 22, 4), whose twist is kept.
+
+    Raises:
+        InputError: The rest pose does not have two people of 22 joints.
+    """
+    if rest_m.shape != (2, BODY22.num_joints, 3):
+        raise InputError(f"rest poses have shape {rest_m.shape}, expected (2, {BODY22.num_joints}, 3)")
+    offsets = rest_m - rest_m[:, [max(parent, 0) for parent in BODY22.parents]]
+    rest = place_bones(BODY22, rest_m[:, BODY22.root], offsets, bone_scale)
+    people = [
+        local_rotations(BODY22, rest[person], positions_m[:, person], source_world_unitquat[:, person])
+        for person in (0, 1)
+    ]
+    return np.stack(people, axis=1)

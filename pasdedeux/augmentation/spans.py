@@ -21,13 +21,12 @@ from pasdedeux.fitting import Term
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["SpanTerm", "Spans", "aim_spans", "assemble_spans", "find_spans", "span_vectors"]
+__all__ = ["SpanTerm", "Spans", "aim_spans", "find_spans", "span_vectors"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_SHARES = (1.0, -1.0)
 _SHORTEST_M = 1e-6
 
 
@@ -46,6 +45,11 @@ class Spans:
     vectors_m: Array
     lengths_m: Array
     weights: Array
+
+    @property
+    def shares(self) -> Array:
+        """What both joints contribute to a pair's vector (T, M, 2): 1 and -1."""
+        return np.broadcast_to(np.array([1.0, -1.0]), self.points.shape)
 
 
 def find_spans(source: Source, weights: Array, added_m: Array) -> Spans:
@@ -106,14 +110,13 @@ class SpanTerm(Term):
         units, lengths = self._units(positions_m)
         pull = (self.spans.weights * (lengths - self.spans.lengths_m))[..., None] * units
         frames = np.arange(len(positions_m))[:, None]
-        for end, sign in enumerate(_SHARES):
+        for end, sign in enumerate((1.0, -1.0)):
             np.add.at(normal.gradient, (frames, self.spans.points[..., end]), sign * pull)
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
         units, _ = self._units(positions_m)
-        shares = np.broadcast_to(np.array(_SHARES), self.spans.points.shape)
-        normal.stencils.append((self.spans.points, np.array(shares), self.spans.weights, units))
+        normal.stencils.append((self.spans.points, np.array(self.spans.shares), self.spans.weights, units))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -143,23 +146,3 @@ def aim_spans(
                 given, aims = reference[axis, t, e], aim[axis, t, e]
                 for v in range(count):
                     aims[v] = aims[v] * scale[v] - given[v]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def assemble_spans(aim: AnyFloat, points: Indices, weights: AnyFloat, rhs: AnyFloat) -> None:
-    """Add w (D u less r's vector) to `rhs` at A's joint, and take it away at B's."""
-    frames, num_pairs, count = aim.shape[1:]
-    pull = np.empty(count, aim.dtype)
-    for axis in range(3):
-        for t in range(frames):
-            for e in range(num_pairs):
-                weight = weights[t, e]
-                if weight <= 0:
-                    continue
-                aims, one, other = aim[axis, t, e], rhs[axis, t, points[t, e, 0]], rhs[axis, t, points[t, e, 1]]
-                for v in range(count):
-                    pull[v] = weight * aims[v]
-                for v in range(count):
-                    one[v] += pull[v]
-                for v in range(count):
-                    other[v] -= pull[v]

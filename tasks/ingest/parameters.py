@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from pasdedeux.choreography import DUETS, DuetStyle
 from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import SourceCredit
@@ -31,7 +32,7 @@ __all__ = [
 ]
 
 _ID = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
-BUILT_IN_DUETS = ("waltz", "hug", "judo", "push_hands")
+BUILT_IN_DUETS = tuple(DUETS)
 MappingTable = dict[str, str | dict[str, float]]
 Mappings = dict[str, dict[Literal["pair17", "op14", "body22"], MappingTable]]
 
@@ -146,19 +147,13 @@ class PairOptions(CommonOptions):
         return text
 
 
-class DuetOptions(Parameters):
+class DuetOptions(DuetStyle, Parameters):
     """A built-in duet."""
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(
         default=None, pattern=_ID, max_length=100, description="Name of the take; the duet's name by default"
     )
-    duration_s: float = Field(default=10.0, gt=0, le=600, description="Length in seconds")
-    rate_hz: float = Field(default=60.0, gt=0, le=1000, description="Frame rate at which the duet is made")
-    heights_m: tuple[float, float] = Field(
-        default=(1.82, 1.65), description="Standing heights of person A and person B"
-    )
-    variation: int = Field(default=0, ge=0, description="Another number is another take of the same dance")
     style: dict[str, float] = Field(default={}, description="Further parameters of that duet")
 
     @property

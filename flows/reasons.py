@@ -58,7 +58,7 @@ def why_not_fresh(
     if old is None:
         return False, f"new: {_listed(settings)}" if settings else "new"
     if old.key == shard.key:
-        return False, "its files are gone or not whole"
+        return False, "its files are missing or incomplete"
     words = []
     if old.version != shard.version:
         words.append(f"stage version {old.version} -> {shard.version}")

@@ -74,7 +74,7 @@ def load_study(
     environment: Mapping[str, str] | None = None,
     folder: Path | None = None,
 ) -> tuple[Study, Graph]:
-    """Read a study that ships (by name) or a file (by path), with its overrides; give it with the graph of its stages.
+    """Return a study that ships (by name) or a file (by path), with its overrides, and the graph of its stages.
 
     What is said first wins: `settings` ("a.b=c"), the environment (`PASDEDEUX_SET__A__B=c`), the file, what it extends,
     the defaults.  Tables are merged, lists replaced.  Relative paths are relative to the file that says them; those of

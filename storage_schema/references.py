@@ -205,7 +205,9 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     latest = read_latest(store, reference.study)
     if latest is None:
         there = ", ".join(latest_studies(store)) or "none"
-        raise UnknownReference(f"study '{reference.study}' has not run in the store {store.root}; have run: {there}")
+        raise UnknownReference(
+            f"study '{reference.study}' has not run in the store {store.root}; studies that have: {there}"
+        )
     refs = [ref for stage in latest.stages for ref in latest.refs(stage, reference.partition)]
     if not refs:
         partitions = sorted({shard.partition for shards in latest.stages.values() for shard in shards})
@@ -218,7 +220,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     for ref in refs:
         if ref not in whole and (ref.stage in stages or not stages):
             raise MissingArtifact(
-                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' is not whole in the store "
+                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' is incomplete in the store "
                 f"{store.root}; run the study again"
             )
     return list(whole)

@@ -181,7 +181,7 @@ class Store(StoreReader):
         clean_leftovers(self.staging_root)
 
     def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
-        """Return the staged folder its name in one rename; gives the artifact that stands there in the end."""
+        """Rename the staged folder to its place; returns the artifact that is there in the end."""
         target = self.folder(ref.stage, ref.key)
         make_folder(target.parent)
         while True:

@@ -142,7 +142,7 @@ class StoreReader:
 
         Raises:
             MissingArtifact: There is none.
-            CorruptArtifact: It cannot be read, or speaks of another artifact.
+            CorruptArtifact: It cannot be read, or belongs to another artifact.
             NewerSchema: It was written by a newer program.
         """
         path = self.folder(stage, key) / MANIFEST_NAME
@@ -154,7 +154,9 @@ class StoreReader:
             raise CorruptArtifact(f"{path} cannot be read: {error}") from error
         manifest = Manifest.from_json(text, where=str(path))
         if (manifest.ref.stage, manifest.ref.key) != (stage, key):
-            raise CorruptArtifact(f"{path} speaks of another artifact: {manifest.ref.stage}@{manifest.ref.key[:12]}")
+            raise CorruptArtifact(
+                f"{path} is the manifest of another artifact: {manifest.ref.stage}@{manifest.ref.key[:12]}"
+            )
         return manifest
 
     def _is_whole(self, manifest: Manifest) -> bool:

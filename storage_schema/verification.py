@@ -134,5 +134,5 @@ def _check_datasets(store: Store) -> Iterator[Problem]:
         for ref in dataset.refs:
             manifest = store.find(ref.stage, ref.key)
             if manifest is None or manifest.ref != ref:
-                detail = f"dataset {dataset.label} names this artifact and it is not whole in the store"
+                detail = f"dataset {dataset.label} names this artifact, which is missing or incomplete in the store"
                 yield Problem(ProblemKind.MISSING, ref.stage, ref.key, MANIFEST_NAME, detail)

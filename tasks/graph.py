@@ -95,7 +95,7 @@ class Graph:
 
 
 def load_graph() -> Graph:
-    """Import every stage of this package (a module with a `STAGE`) and give their graph."""
+    """Import every stage of this package (a module with a `STAGE`) and return their graph."""
     found: list[Stage] = []
     for module in pkgutil.iter_modules(tasks.__path__):
         if module.name in _NOT_STAGES or module.name.startswith("_"):

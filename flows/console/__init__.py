@@ -21,6 +21,6 @@ def main(arguments: Sequence[str] | None = None, *, graph: Graph | None = None) 
     try:
         from flows.console.app import run_command_line
     except KeyboardInterrupt:  # the first second goes into imports
-        sys.stderr.write("interrupted; the same command goes on from here\n")
+        sys.stderr.write("interrupted; the same command continues the work\n")
         raise SystemExit(130) from None
     raise SystemExit(run_command_line(arguments, graph=graph))

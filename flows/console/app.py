@@ -63,7 +63,7 @@ def run_command_line(arguments: Sequence[str] | None = None, *, graph: Graph | N
     if code == _INTERRUPTED:
         # Prefect's calls that were cut off are no news, and are told of when they are collected, after this.
         warnings.filterwarnings("ignore", message="coroutine .* was never awaited", category=RuntimeWarning)
-        typer.echo("interrupted; the same command goes on from here", err=True)
+        typer.echo("interrupted; the same command continues the work", err=True)
     return code if isinstance(code, int) else _DONE  # a command that raised `typer.Exit` gives its code
 
 
@@ -85,7 +85,7 @@ def _sentence(error: BaseException) -> str:
         return str(error)
     if type(error).__module__.startswith("flows."):
         return str(error)
-    return f"{type(error).__name__}: {error} (run `pasdedeux --debug ...` for the whole story)"
+    return f"{type(error).__name__}: {error} (run `pasdedeux --debug ...` for the traceback)"
 
 
 class _Commands(typer.core.TyperGroup):

@@ -14,7 +14,7 @@ from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_dat
 
 __all__ = ["register"]
 
-_CREATE = """Return what the last run of a study built a name and a version that never change.
+_CREATE = """Give what the last run of a study built a name and a version, which never change their meaning.
 
 \b
   pasdedeux dataset create salsa --study cmu_salsa
@@ -50,7 +50,7 @@ def create(
     refs, card = _built(opened, study, stages or [])
     same = [known for known in list_datasets(opened) if known.name == name and list(known.refs) == refs]
     if same and version is None:
-        dataset, words = same[-1], "is this already"
+        dataset, words = same[-1], "exists already with this content"
     else:
         dataset, words = create_dataset(opened, name, refs, version=version, note=note, attachments=card), "made"
     if as_json:
@@ -68,7 +68,7 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
     for dataset in found:
         typer.echo(f"{dataset.label}  {len(dataset.refs)} artifacts  {dataset.created_at}  {dataset.note}".rstrip())
     if not found:
-        typer.echo(f"store {store}: no dataset was made here yet")
+        typer.echo(f"store {store}: no datasets yet")
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:

@@ -29,8 +29,8 @@ _PACKAGES = (
     "distributed",
     "pydantic",
 )
-_LEAST_MEMORY_BYTES = 2 * _GIB
-_LEAST_DISK_BYTES = _GIB
+_MIN_MEMORY_BYTES = 2 * _GIB
+_MIN_DISK_BYTES = _GIB
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,7 @@ class Finding:
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("doctor", help="Look whether everything a run needs is there; exit code 1 when something is not.")(
-        doctor
-    )
+    app.command("doctor", help="Check that everything a run needs is there; exit code 1 when something is not.")(doctor)
 
 
 def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
@@ -87,7 +85,7 @@ def _memory() -> Finding:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (ValueError, OSError):
         return Finding("memory", "unknown")
-    return Finding("memory", f"{total / _GIB:.1f} GB; 2 GB per worker is planned for", total >= _LEAST_MEMORY_BYTES)
+    return Finding("memory", f"{total / _GIB:.1f} GB; 2 GB per worker is planned for", total >= _MIN_MEMORY_BYTES)
 
 
 def _store(store: Path) -> Finding:
@@ -97,7 +95,7 @@ def _store(store: Path) -> Finding:
     free = shutil.disk_usage(folder).free
     if not os.access(folder, os.W_OK):
         return Finding("store", f"{store} cannot be written to", is_ok=False)
-    return Finding("store", f"{store} can be written to, {free / _GIB:.1f} GB free", free >= _LEAST_DISK_BYTES)
+    return Finding("store", f"{store} can be written to, {free / _GIB:.1f} GB free", free >= _MIN_DISK_BYTES)
 
 
 def _kernel_cache() -> Finding:

@@ -98,7 +98,7 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
             return study, sections
     raise PlanError(
         f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store.root}: "
-        f"with what settings should it go on?  Export it (pasdedeux export draws@{chosen.key[:12]}#{chosen.row} "
+        f"its settings are not known.  Export it (pasdedeux export draws@{chosen.key[:12]}#{chosen.row} "
         "--format json) and name the file in a study under seeds.files"
     )
 

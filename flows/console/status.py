@@ -17,7 +17,7 @@ from storage_schema import verify as verify_store
 
 __all__ = ["register"]
 
-_STATUS = "Say what lies in a store: the studies built in it, how good that is, its runs and its size."
+_STATUS = "Show what is in a store: the studies built in it, their verdicts, its runs and its size."
 _VERIFY = "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."
 
 
@@ -28,14 +28,14 @@ def register(app: typer.Typer) -> None:
 
 
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
-    """Say what lies in a store: the studies built in it, its runs and its size."""
+    """Show what is in a store."""
     opened = open_store(store)
     described = _describe(opened)
     if as_json:
         print_json(described)
         return
     if not described["studies"]:
-        typer.echo(f"store {store}: no study was built here yet")
+        typer.echo(f"store {store}: no study was built in it yet")
     for study in described["studies"]:
         typer.echo(f"study {study['study']}, last run {study['run_id']}")
         rows = [

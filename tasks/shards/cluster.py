@@ -54,7 +54,7 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
     """Return a client of the named scheduler, or of a local cluster that ends with this block or with this process.
 
     Raises:
-        ClusterError: The scheduler does not answer, or a worker has not got this code or this store.
+        ClusterError: The scheduler does not answer, or a worker does not have this code or this store.
     """
     import dask
     from distributed import LocalCluster
@@ -112,7 +112,7 @@ def _client_of(scheduler: Any) -> Client:
             continue
         except (OSError, TimeoutError, ValueError) as error:
             raise ClusterError(f"no Dask scheduler answers at {scheduler}: {in_one_line(error)}") from None
-    raise ClusterError(f"the Dask scheduler at {scheduler} does not greet as one does")
+    raise ClusterError(f"what answers at {scheduler} is not a Dask scheduler")
 
 
 def peak_memory_bytes(client: Client | None) -> int:
@@ -142,7 +142,7 @@ def worker_environment() -> dict[str, str]:
 
 
 def _tether() -> Any:
-    """Return Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
+    """Return a Dask worker plugin by which every worker, a restarted one too, dies with the process that started it."""
     from distributed import WorkerPlugin
 
     class Tether(WorkerPlugin):
@@ -168,7 +168,7 @@ def _no_ctrl_c_for_children() -> Iterator[None]:
 
 
 def _hush_dask() -> None:
-    """Let Dask's loggers speak of nothing: what a person needs to know comes as an error of ours."""
+    """Silence Dask's loggers: what a person needs to know comes as an error of ours."""
     for name in list(logging.root.manager.loggerDict):
         if name.split(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -190,18 +190,20 @@ def _kill_workers(cluster: Any) -> None:
 
 
 def _check_workers(client: Client, address: str, store_root: str) -> None:
-    """Refuse a cluster without workers, without this code, or that does not see the store."""
+    """Refuse a cluster without workers, without this code, or without access to the store."""
     if not client.scheduler_info(n_workers=-1)["workers"]:
         raise ClusterError(f"the Dask scheduler at {address} has no workers")
     try:
-        sights: Mapping[str, bool] = client.run(_sees, store_root)
+        can_write: Mapping[str, bool] = client.run(_can_write, store_root)
     except (ImportError, AttributeError) as error:
         raise ClusterError(
-            f"the workers at {address} have not got this version of pasdedeux: {in_one_line(error)}"
+            f"the workers at {address} do not have this version of pasdedeux: {in_one_line(error)}"
         ) from None
-    blind = sorted(worker for worker, is_seen in sights.items() if not is_seen)
-    if blind:
-        raise ClusterError(f"worker {blind[0]} does not see the store {store_root}; it must be on a shared file system")
+    without = sorted(worker for worker, can in can_write.items() if not can)
+    if without:
+        raise ClusterError(
+            f"worker {without[0]} cannot write to the store {store_root}; it must be on a shared file system"
+        )
 
 
 def _peak_memory_bytes() -> int:
@@ -209,5 +211,5 @@ def _peak_memory_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def _sees(store_root: str) -> bool:
+def _can_write(store_root: str) -> bool:
     return os.access(store_root, os.W_OK)

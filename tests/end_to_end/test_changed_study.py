@@ -126,7 +126,7 @@ def test_lost_files_are_made_again_with_the_same_bytes(
     (store / "views" / manifest.ref.key[:2] / manifest.ref.key / "views.parquet").unlink()
     found = call_in_process(capsys, "plan", small.study, "--store", store, "--json").json
     (views,) = [stage for stage in found["stages"] if stage["stage"] == "views"]
-    assert reasons(views) == {"missing: its files are gone or not whole"}
+    assert reasons(views) == {"missing: its files are missing or incomplete"}
     computed = build_here(small.study, store)
     assert {name: count for name, count in computed.items() if count} == {"views": 1}
     assert digests(store) == digests(small.store)

@@ -328,7 +328,7 @@ def test_a_dataset_is_made_named_and_read(
     assert (made.json["name"], made.json["version"]) == ("duets", "1")
     assert made.json["num_artifacts"] == len(list(Store(store).artifacts()))
     assert (Path(made.json["folder"]) / "card.md").is_file()
-    assert "is this already" in call_in_process(capsys, *arguments).out
+    assert "exists already" in call_in_process(capsys, *arguments).out
     again, first = (open_table(name, store) for name in ("draws:duets@1", "draws:small"))
     np.testing.assert_array_equal(again["pair17_m"], first["pair17_m"])
     assert call_in_process(capsys, "verify", "--store", store).code == 0

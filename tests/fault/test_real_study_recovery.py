@@ -61,7 +61,7 @@ def test_ctrl_c_and_then_a_killed_worker_cost_nothing_that_was_committed(
     left = run.interrupt()
     answer = run.finish(limit_s=60)
     assert answer.code == 130, answer
-    assert answer.err.rstrip().endswith("interrupted; the same command goes on from here")
+    assert answer.err.rstrip().endswith("interrupted; the same command continues the work")
     assert "Traceback" not in answer.err
     wait_until_gone(left)
     kept = committed(store)

@@ -105,7 +105,7 @@ def test_ctrl_c_ends_everything_and_the_next_run_goes_on(
     first.interrupt()
     code, _, err = first.finish()
     assert code == 130
-    assert "interrupted; the same command goes on from here" in err
+    assert "interrupted; the same command continues the work" in err
     assert "Traceback" not in err
     wait_until_gone(left)
     gate.unlink()

@@ -179,7 +179,7 @@ def test_a_dataset_is_made_once_and_named_again(built: tuple[str, str], capsys: 
     store = built[1]
     assert call("dataset", "create", "first", "--study", "toy", "--store", store) == 0
     assert call("dataset", "create", "first", "--study", "toy", "--store", store) == 0
-    assert "first@1 is this already" in capsys.readouterr().out
+    assert "first@1 exists already" in capsys.readouterr().out
     assert call("dataset", "create", "first", "--study", "toy", "--version", "1", "--store", store) == 2
     assert call("show", "scores:first@1", "--store", store) == 0
     assert call("dataset", "list", "--store", store) == 0

@@ -113,7 +113,7 @@ def test_lost_files_are_missing_and_only_they_are_rebuilt(study: Path, store: Pa
     Store(store).discard(latest.refs("bend")[2])
     plan = plan_toys(study, store)
     assert states(plan)["bend"] == "5 fresh, 1 missing"
-    assert reasons(plan, "bend") == {"its files are gone or not whole"}
+    assert reasons(plan, "bend") == {"its files are missing or incomplete"}
     assert run_toys(study, store).num_computed == 1
     assert digests(store) == before
 

@@ -143,7 +143,7 @@ def test_an_artifact_can_be_opened_without_naming_its_only_table(store: Store, r
 
 
 def test_what_a_reference_does_not_find_is_said_with_what_is_there(store: Store, refs: list[ArtifactRef]) -> None:
-    with pytest.raises(UnknownReference, match=r"study 'salsa' has not run .* have run: duets"):
+    with pytest.raises(UnknownReference, match=r"study 'salsa' has not run .* studies that have: duets"):
         resolve("poses:salsa", store)
     with pytest.raises(UnknownReference, match="study 'duets' has no partition 'judo'; it has: all, hug, waltz"):
         resolve("poses:duets/judo", store)
@@ -169,7 +169,7 @@ def test_a_prefix_of_two_keys_is_refused_with_both(store: Store) -> None:
 
 def test_a_recorded_artifact_that_is_gone_is_said(store: Store, refs: list[ArtifactRef]) -> None:
     store.discard(refs[1])
-    with pytest.raises(MissingArtifact, match=r"ingest@.* of study 'duets' is not whole .* run the study again"):
+    with pytest.raises(MissingArtifact, match=r"ingest@.* of study 'duets' is incomplete .* run the study again"):
         open_table("poses:duets/waltz", store)
 
 

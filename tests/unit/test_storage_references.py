@@ -179,7 +179,7 @@ def test_a_table_is_read_whatever_other_stages_have_lost(store: Store, refs: lis
     record_latest(store, "both", "run-1", records)
     store.discard(lost)
     assert resolve("poses:both", store) == [refs[0]]
-    with pytest.raises(MissingArtifact, match="chains@ffffffffffff of study 'both' is not whole"):
+    with pytest.raises(MissingArtifact, match="chains@ffffffffffff of study 'both' is incomplete"):
         resolve("draws:both", store)
 
 

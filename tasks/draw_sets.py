@@ -10,7 +10,7 @@ import numpy as np
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import StageInputs
 
-__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_draw_sets"]
+__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets"]
 
 GROWN = "grown_seeds"
 """Name under which grown seeds stand beside the densities."""
@@ -46,6 +46,16 @@ def draw_manifests(inputs: StageInputs) -> list[Manifest]:
 
 def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawSet]:
     """Return the draws of each density, all seeds and chains, and the grown seeds, by name in order."""
+    return {name: _join(name, parts) for name, parts in _read_parts(store, refs).items()}
+
+
+def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
+    """Return all draws of all densities, and the grown seeds, as one set."""
+    return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
+
+
+def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tuple[str, np.ndarray]]]:
+    """Return reference and pairs of every artifact with draws, by density in order."""
     found: dict[str, list[tuple[str, np.ndarray]]] = {}
     for ref in refs:
         table = "seeds" if "seeds" in store.manifest(ref).tables else "draws"
@@ -53,10 +63,10 @@ def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawS
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
             found.setdefault(name, []).append((f"{table}@{ref.key[:16]}", pairs))
-    return {name: join_draws(name, found[name]) for name in sorted(found)}
+    return dict(sorted(found.items()))
 
 
-def join_draws(name: str, parts: Sequence[tuple[str, np.ndarray]]) -> DrawSet:
+def _join(name: str, parts: Sequence[tuple[str, np.ndarray]]) -> DrawSet:
     """Return the draws of several artifacts, each with its reference, as one set."""
     counts = [len(pairs) for _, pairs in parts]
     return DrawSet(

@@ -15,9 +15,10 @@ from pasdedeux.evaluation.lifted_pairs import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import ArtifactRef, Store
-from tasks.draw_sets import GROWN, draw_manifests, join_draws, read_draw_sets
+from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs, stream
@@ -137,12 +138,12 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
     for ref in draw_refs:
         refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
     sets = read_draw_sets(store, draw_refs)
-    draws = join_draws("all", [(name, found.pairs_m) for name, found in sets.items()])
+    nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
     # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
     generator = stream(shard.seed, TOPIC.name, "completed")
-    grown = sets[GROWN].pairs_m if GROWN in sets else draws.pairs_m[:0]
+    grown = sets[GROWN].pairs_m if GROWN in sets else nothing
     sampled = [found.pairs_m for name, found in sets.items() if name != GROWN]
-    others = np.concatenate(sampled) if sampled else draws.pairs_m[:0]
+    others = np.concatenate(sampled) if sampled else nothing
     pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MOST_DRAWS]]])
     scores: list[Score] = []
     for split in ("learned", "held_out"):

@@ -39,7 +39,7 @@ def _shard(
             annotations=[annotated],
             views=[views],
             draws=draws,
-            priors=inputs.of("joint_limits") if parameters.baselines else (),
+            joint_limits=inputs.of("joint_limits") if parameters.baselines else (),
             torso_basis=bases if parameters.baselines else (),
         ),
         seed=inputs.seed,

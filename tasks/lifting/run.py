@@ -28,7 +28,7 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, first_two, read_people
-from tasks.draw_sets import DrawSet, join_draws, read_draw_sets
+from tasks.draw_sets import DrawSet, read_all_draws
 from tasks.lifting.parameters import LiftingShard
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
@@ -120,9 +120,7 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
 @lru_cache(maxsize=1)
 def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet, DrawIndex]:
     """Return the draws and their index; the shards that one worker runs in a row share them."""
-    sets = read_draw_sets(store, refs).values()
-    parts = [(ref, one.pairs_m[one.artifacts == number]) for one in sets for number, ref in enumerate(one.refs)]
-    draws = join_draws("all", parts)
+    draws = read_all_draws(store, refs)
     return draws, DrawIndex(draws.pairs_m)
 
 
@@ -200,7 +198,7 @@ def _baselines(
     whole = [one.image_m for one in every.values() if one.is_seen.all()]
     if not options.baselines or not whole:
         return []
-    limits = read_limits(store, shard.refs("priors"))
+    limits = read_limits(store, shard.refs("joint_limits"))
     basis = read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations")))
     lengths = apparent_bone_lengths(np.stack(whole))
     rows = []

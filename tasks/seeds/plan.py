@@ -35,11 +35,11 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         return shards
     if parameters.num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
-        refs = named_refs(priors=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
+        refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
         shards.append(_shard(inputs, "lifted", "lifted", parameters.part(LiftedSeeds, first_index=len(shards)), refs))
     if parameters.num_grown and shards:
         first = len(shards) + max(parameters.num_lifted - 1, 0)
-        refs = named_refs(priors=inputs.of("joint_limits"), annotations=annotated, views=views)
+        refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views)
         after = tuple(shard.key for shard in shards)
         options = parameters.part(GrownSeeds, first_index=first)
         shards.append(_shard(inputs, "grown", "grown", options, refs, after=after))
@@ -65,7 +65,7 @@ def start_indices(manifest: Manifest) -> list[int]:
 def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per named frame, or as many as are to be chosen."""
     takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
-    priors = inputs.of("joint_limits")
+    limits = inputs.of("joint_limits")
     wanted: list[FrameSeed | ChosenSeed] = []
     poses: list[list[Manifest]] = []
     for index, frame in enumerate(parameters.frames):
@@ -76,7 +76,7 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
         wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
         poses += [list(takes.values())] * parameters.num_seeds
     return [
-        _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, priors=priors))
+        _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, joint_limits=limits))
         for one, own in zip(wanted, poses, strict=True)
     ]
 
@@ -102,8 +102,8 @@ def _from_file(inputs: StageInputs, index: int, file: SeedFile) -> Shard:
             f"seeds.files: {file.path.name} was made from take '{seen[0]}', which this study holds out: "
             "nothing that is learned may have seen it"
         )
-    priors = named_refs(priors=inputs.of("joint_limits"))
-    return _shard(inputs, f"seed{index}", "file", loaded.parameters, priors, files=loaded.files)
+    limits = named_refs(joint_limits=inputs.of("joint_limits"))
+    return _shard(inputs, f"seed{index}", "file", loaded.parameters, limits, files=loaded.files)
 
 
 def _shard(

@@ -74,7 +74,7 @@ def _commit_one(
     **known: Any,
 ) -> ArtifactRef:
     """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
-    quality = seed_quality(pair_m[None], read_limits(store, shard.refs("priors")))
+    quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")))
     verdict = Verdict(Level.PASS)
     if not quality.is_possible[0]:
         reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {MAX_INVALID_ANGLES} may be"
@@ -132,7 +132,7 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
     placed = _annotated(shard, store)
     seeds = lift_seeds(
         placed.gathered.pairs,
-        read_limits(store, shard.refs("priors")),
+        read_limits(store, shard.refs("joint_limits")),
         read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
         num_seeds=options.num_lifted,
         max_annotations=options.max_annotations,
@@ -154,7 +154,7 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     before = [_done(key, store) for key in shard.after]
     roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
     placed = _annotated(shard, store)
-    limits = read_limits(store, shard.refs("priors"))
+    limits = read_limits(store, shard.refs("joint_limits"))
     growth = grow(roots, placed.gathered.pairs, limits, num_grown=options.num_grown, options=options)
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
@@ -213,7 +213,7 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
         frame_of.append(frames)
         take_ids.append(str(facts["take_id"]))
     every, takes = np.concatenate(pairs), np.concatenate(take_of)
-    quality = seed_quality(every, read_limits(store, shard.refs("priors")))
+    quality = seed_quality(every, read_limits(store, shard.refs("joint_limits")))
     chosen = choose_seeds(every, takes, quality, options.seed_index + 1)[options.seed_index]
     return every[chosen], take_ids[int(takes[chosen])], int(np.concatenate(frame_of)[chosen])
 

@@ -105,7 +105,7 @@ def test_lifted_seeds_never_see_a_torso_basis_of_their_own_takes(inputs: Any) ->
     (learned,) = run(priors.plan(StageInputs({"poses": [prior_take]}, seed=1), PriorsParameters()), priors, store)
     asked = SeedsParameters(num_seeds=0, num_lifted=2)
     (shard,) = seeds.plan(StageInputs({**tables, "joint_limits": [learned], "torso_basis": [learned]}, seed=1), asked)
-    assert (shard.refs("priors"), shard.refs("torso_basis")) == ((learned.ref,), ())
+    assert (shard.refs("joint_limits"), shard.refs("torso_basis")) == ((learned.ref,), ())
     # The same joint limits from an artifact that holds no basis at all.
     limits = store.read(learned.ref, "joint_limits")
     alone = {"joint_limits": {name: limits[name] for name in limits.column_names}}

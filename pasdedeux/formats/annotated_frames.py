@@ -145,8 +145,8 @@ def _stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
     """
     names = get_keypoint_layout(layout).keypoint_names[: keypoints_px.shape[1]]
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
-    is_seen = is_seen[is_seen.sum(axis=1) >= 6]
-    seen = keypoints_px[(np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)).sum(axis=1) >= 6]
+    is_enough = is_seen.sum(axis=1) >= 6
+    is_seen, seen = is_seen[is_enough], keypoints_px[is_enough]
     if len(seen) == 0:
         return float("nan")
     highest = np.where(is_seen[..., None], seen, -np.inf).max(axis=1)

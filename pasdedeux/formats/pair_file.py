@@ -36,8 +36,8 @@ _NUMBER = r"\s*(-?[\d.]+(?:e[-+]?\d+)?)\s*"
 _TRIPLE = re.compile(rf"\[{_NUMBER},{_NUMBER},{_NUMBER}\]")
 """Three numbers, which are written on one line."""
 
-LEAST_BONE_M = 1e-3
-MOST_BONE_M = 2.0
+MIN_BONE_M = 1e-3
+MAX_BONE_M = 2.0
 """Bones outside these lengths are no person's: mostly another unit, metres."""
 
 
@@ -177,12 +177,12 @@ def _joints(name: str, joints: Any) -> Array:
 
 def _check_bones(pair: Array) -> None:
     lengths = bone_lengths(PAIR17, pair)[:, 1:]
-    is_wrong = ~((lengths >= LEAST_BONE_M) & (lengths <= MOST_BONE_M))
+    is_wrong = ~((lengths >= MIN_BONE_M) & (lengths <= MAX_BONE_M))
     if is_wrong.any():
         person, bone = (int(index) for index in np.argwhere(is_wrong)[0])
         raise FormatError(
             f"person {_PERSONS[person]}: the bone to '{PAIR17.joint_names[bone + 1]}' is {lengths[person, bone]:.3g} m "
-            f"long; allowed are {LEAST_BONE_M:g} to {MOST_BONE_M:g} m"
+            f"long; allowed are {MIN_BONE_M:g} to {MAX_BONE_M:g} m"
         )
 
 

@@ -155,50 +155,33 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
             people.append(find_person(path, take, person, parameters.mappings))
         except InputError as error:
             raise type(error)(f"take {take.id}: {error}") from None
-    starts = [(take.frames[0] if take.frames else 0) + person.first_frame for person in options]
-    num_frames = _common_length(take, people, starts)
-    order = [1, 0] if take.swap_persons and len(people) == 2 else list(range(len(people)))
-    layouts = {person.layout for person in people}
+    num_frames = _common_length(take, people)
+    source = credit_of(people[0].told.layout, take.licence, take.credit)
+    if take.swap_persons:
+        people.reverse()
+    layouts = {person.told.layout for person in people}
     told = TakeParameters(
         take_id=take.id,
         rate_hz=parameters.rate_hz,
         is_held_out=take.id in parameters.held_out,
         is_prior=parameters.is_prior(take.id),
-        source=credit_of(people[0].layout, take.licence, take.credit),
+        source=source,
         num_frames=num_frames,
         floor=take.floor,
-        persons=tuple(
-            PersonParameters(
-                source_name=people[i].name,
-                motion_sha256=people[i].motion.sha256,
-                companion_sha256=getattr(people[i].companion, "sha256", ""),
-                format=people[i].format,
-                layout=people[i].layout,
-                rate_hz=people[i].rate_hz,
-                metres_per_unit=people[i].unit.metres_per_unit,
-                unit_confidence=people[i].unit.confidence,
-                up_axis=people[i].up_axis,
-                first_frame=starts[i],
-                translation_m=options[i].translation_m,
-                yaw_deg=options[i].yaw_deg,
-            )
-            for i in order
-        ),
+        persons=tuple(person.told for person in people),
         mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
     )
-    files = [file for i in order for file in (people[i].motion, people[i].companion) if file is not None]
-    return _shard(seed, take.id, "take", told, files)
+    return _shard(seed, take.id, "take", told, [file for person in people for file in person.files])
 
 
-def _common_length(take: TakeOptions, people: list[PersonSource], starts: list[int]) -> int:
+def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
     """Return the number of source frames that all people of a take have, or refuse a pair that does not fit."""
-    rates = {person.rate_hz for person in people}
-    if len(rates) > 1:
-        found = " and ".join(f"{person.rate_hz:g}" for person in people)
+    if len({person.told.rate_hz for person in people}) > 1:
+        found = " and ".join(f"{person.told.rate_hz:g}" for person in people)
         raise InputError(f"take {take.id}: its files have different frame rates, {found} Hz; set rate_hz")
     lengths = []
-    for person, start in zip(people, starts, strict=True):
-        name = person.name
+    for person in people:
+        name, start = person.told.source_name, person.told.first_frame
         wanted = take.frames[1] - take.frames[0] if take.frames else person.num_frames - start
         if start >= person.num_frames or (take.frames and start + wanted > person.num_frames):
             stop = f" to {start + wanted}" if take.frames else ""
@@ -207,7 +190,7 @@ def _common_length(take: TakeOptions, people: list[PersonSource], starts: list[i
             )
         lengths.append(wanted)
     if len(set(lengths)) > 1 and take.on_unequal == "refuse":
-        names = " and ".join(f"{p.name} {n}" for p, n in zip(people, lengths, strict=True))
+        names = " and ".join(f"{p.told.source_name} {n}" for p, n in zip(people, lengths, strict=True))
         raise InputError(
             f"take {take.id}: its files have unequal lengths ({names} frames); "
             'set on_unequal = "trim" to keep what both have'

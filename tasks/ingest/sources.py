@@ -22,7 +22,7 @@ from pasdedeux.formats import (
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source
-from tasks.ingest.parameters import CommonOptions, PersonOptions, UpAxis
+from tasks.ingest.parameters import CommonOptions, PersonOptions, PersonParameters
 from tasks.stage import SourceFile
 
 __all__ = [
@@ -55,32 +55,17 @@ class LoadedFile:
 
 @dataclass(frozen=True)
 class PersonSource:
-    """One person's file after the checks: what the shard will need, and how long it is.
+    """One person's file after the checks.
 
     Args:
-        motion: The motion file.
-        companion: The file beside it that its format needs, None where none is.
-        format: Name of its format.
-        layout: Name of the layout.
-        rate_hz: True rate of the file.
-        unit: Length of its unit, and how sure that is.
-        up_axis: x, y, z or auto (told from the motion).
-        num_frames: Frames in the file.
+        told: What the shard will be told of it: every choice is made.
+        files: The motion file, then the file beside it that its format needs.
+        num_frames: Frames in the motion file.
     """
 
-    motion: SourceFile
-    companion: SourceFile | None
-    format: str
-    layout: str
-    rate_hz: float
-    unit: UnitGuess
-    up_axis: UpAxis
+    told: PersonParameters
+    files: tuple[SourceFile, ...]
     num_frames: int
-
-    @property
-    def name(self) -> str:
-        """Name of the motion file."""
-        return Path(self.motion.path).name
 
 
 def load_file(path: Path) -> LoadedFile:
@@ -160,16 +145,21 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
         check_layout(head.rest.to_motion(metres_per_unit=unit.metres_per_unit, rate_hz=rate), layout)
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
-    return PersonSource(
-        motion=loaded.file,
-        companion=companion,
+    told = PersonParameters(
+        source_name=path.name,
+        motion_sha256=loaded.file.sha256,
+        companion_sha256=companion.sha256 if companion else "",
         format=kind.name,
         layout=layout_name if layout_name != "auto" else layout.name,
         rate_hz=rate,
-        unit=unit,
+        metres_per_unit=unit.metres_per_unit,
+        unit_confidence=unit.confidence,
         up_axis=person.up_axis or take.up_axis,
-        num_frames=head.num_frames,
+        first_frame=(take.frames[0] if take.frames else 0) + person.first_frame,
+        translation_m=person.translation_m,
+        yaw_deg=person.yaw_deg,
     )
+    return PersonSource(told, (loaded.file, companion) if companion else (loaded.file,), head.num_frames)
 
 
 def find_companion(path: Path, kind: MotionFormat, named: Path | None = None) -> SourceFile | None:

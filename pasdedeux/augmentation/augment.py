@@ -52,7 +52,7 @@ class Variant:
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
         energy: Energy of the motion.
         energy_fk: Energy of plain forward kinematics, which is never lower.
-        solver: `bulk`, `descent`, `bulk+descent`, or `plain_fk` when both failed.
+        solver: `bulk`, `bulk+descent`, or `plain_fk` when both failed.
         num_iterations: Iterations of the solver.
         verdict: Whether it is good, and why not.
     """

@@ -40,9 +40,8 @@ class AugmentationSettings(Settings):
         (0.2, 0.3), description="Contact distance: full weight up to, none from; metres"
     )
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time, seconds; 0 as published")
-    solver: Literal["bulk", "polished", "descent"] = Field(
-        "bulk",
-        description="bulk (with descent as fallback), polished (every variant ends with descent) or descent alone",
+    solver: Literal["bulk", "polished"] = Field(
+        "bulk", description="bulk (with guaranteed descent as fallback), or polished (every variant ends with descent)"
     )
     num_iterations: int = Field(24, ge=1, description="Iterations of the bulk solver, the same for all variants")
     window_s: float = Field(

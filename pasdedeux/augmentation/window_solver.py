@@ -21,7 +21,7 @@ __all__ = ["FALLBACK", "POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
 
 Array = npt.NDArray[np.float64]
 
-SOLVERS = ("bulk", "descent", "bulk+descent", "plain_fk")
+SOLVERS = ("bulk", "bulk+descent", "plain_fk")
 """Names of what may have given a variant; of several windows the last of these is told."""
 
 _FALLBACK_RESIDUAL_M = 5e-4
@@ -63,7 +63,7 @@ class WindowSolver:
     def __init__(self, source: Source, settings: AugmentationSettings, user_contacts: Sequence[UserContact]) -> None:
         self.settings = settings
         self.problem = build_problem(source, settings, user_contacts=user_contacts)
-        self._bulk = None if settings.solver == "descent" else BulkSolver(self.problem)
+        self._bulk = BulkSolver(self.problem)
 
     def solve(self, bone_scale: Array, before: Array | None = None) -> SolvedWindow:
         """Solve variants (variant, 2, 22); what one gets does not depend on the others, to the last bit.
@@ -80,29 +80,26 @@ class WindowSolver:
         positions = np.array(targets.reference)
         energy_fk, squared_residual = self._measure(terms, targets, positions)
         energy = np.array(energy_fk)
-        solvers, iterations = ["descent"] * count, [0] * count
-        is_done = np.zeros(count, dtype=bool)
-        if self._bulk is not None:
-            result = self._bulk.solve(targets)
-            with np.errstate(invalid="ignore", over="ignore"):
-                found_energy, found_residual = self._measure(terms, targets, result.positions)
-            is_better = np.isfinite(found_energy) & (found_energy <= energy_fk)
-            for mine, found in (
-                (positions, result.positions),
-                (energy, found_energy),
-                (squared_residual, found_residual),
-            ):
-                mine[is_better] = found[is_better]
-            is_done = is_better & (result.residual_m <= _FALLBACK_RESIDUAL_M) & (settings.solver != "polished")
-            if before is not None:
-                is_done &= _farthest(positions, before) <= _SEAM_M
-            solvers = ["bulk" if good else "bulk+descent" for good in is_done]
-            iterations = [settings.num_iterations] * count
+        result = self._bulk.solve(targets)
+        with np.errstate(invalid="ignore", over="ignore"):
+            found_energy, found_residual = self._measure(terms, targets, result.positions)
+        is_better = np.isfinite(found_energy) & (found_energy <= energy_fk)
+        for mine, found in (
+            (positions, result.positions),
+            (energy, found_energy),
+            (squared_residual, found_residual),
+        ):
+            mine[is_better] = found[is_better]
+        is_done = is_better & (result.residual_m <= _FALLBACK_RESIDUAL_M) & (settings.solver != "polished")
+        if before is not None:
+            is_done &= _farthest(positions, before) <= _SEAM_M
+        solvers = ["bulk" if good else "bulk+descent" for good in is_done]
+        iterations = [settings.num_iterations] * count
+        fit = POLISH if settings.solver == "polished" else FALLBACK
         for index in map(int, np.flatnonzero(~is_done)):
             start, held = positions[index], list[Term]()
             if before is not None:
                 start, held = _tied(positions[index], before[index])
-            fit = POLISH if settings.solver == "polished" else FALLBACK
             descent = descend(targets, index, [*terms[index], *held], start, fit)
             if np.isfinite(descent.positions_m).all():
                 positions[index] = descent.positions_m

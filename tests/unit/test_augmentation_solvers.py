@@ -140,8 +140,8 @@ def test_a_take_in_one_plane_is_solved_and_its_frames_are_counted() -> None:
     assert augmenter.num_joggled == 6
 
 
-@pytest.mark.parametrize("solver", ["bulk", "descent"])
-def test_scale_one_gives_the_source_back(solver: Literal["bulk", "descent"]) -> None:
+@pytest.mark.parametrize("solver", ["bulk", "polished"])
+def test_scale_one_gives_the_source_back(solver: Literal["bulk", "polished"]) -> None:
     source = Source(swaying_pair(10), 30.0)
     (variant,) = Augmenter(source, AugmentationSettings(solver=solver)).solve(uniform_variations([1.0], ["A"]))
     np.testing.assert_allclose(variant.positions_m, source.positions_m, atol=1e-6)

@@ -12,17 +12,11 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat
 from pasdedeux.skeletons.working import WORKING_SKELETONS
-from storage_schema import TABLES, Column, Reference, TableData, iter_rows
+from storage_schema import TABLES, Column, TableData, iter_rows
 
 
 class CsvTable(ExportFormat):
     """A fixed array takes a column for each number, named by its axes; one of varying length is JSON."""
-
-    writes = "all tables"
-
-    def can_write(self, reference: Reference) -> bool:
-        """Return True."""
-        return True
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write the table."""

@@ -37,11 +37,11 @@ class ExportFormat(ABC):
         writes: What it can write, in words, after "allowed are".
     """
 
-    writes: ClassVar[str]
+    writes: ClassVar[str] = "all tables"
 
-    @abstractmethod
     def can_write(self, reference: Reference) -> bool:
-        """Tell whether it can hold what a reference names."""
+        """Tell whether it can hold what a reference names; everything unless a format says otherwise."""
+        return True
 
     @abstractmethod
     def write(self, export: Export, out: Path) -> Iterable[Path]:

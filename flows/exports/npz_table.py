@@ -9,17 +9,11 @@ from typing import Any
 import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat
-from storage_schema import Reference, open_table
+from storage_schema import open_table
 
 
 class NpzTable(ExportFormat):
     """Every column as an array; one of varying length as its values end to end and the rows' offsets."""
-
-    writes = "all tables"
-
-    def can_write(self, reference: Reference) -> bool:
-        """Return True."""
-        return True
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write the table."""

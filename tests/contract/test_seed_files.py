@@ -156,7 +156,7 @@ def test_a_draw_becomes_the_seed_of_new_chains(
         plan = make_plan(study, graph, opened, selection)
         execute(run, begin(run, plan), plan, serial)
 
-    monkeypatch.setattr("flows.console.restart.build_and_tell", build)
+    monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")
     refused = call_in_process(capsys, "restart", f"draws:edited#{row}", *options, "--set", "chains.bad=1")
     assert refused.code == 2

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field
 
 from pasdedeux.augmentation.contacts import FEET, contact_class, joint_radii_m, stance_weights
 from pasdedeux.augmentation.source import NUM_POINTS, Source
-from pasdedeux.interaction.contacts import joint_pair_distances
+from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model
 from pasdedeux.settings import Settings
@@ -29,9 +29,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
-
-_CONTACT_M = 0.2
-"""Joints of two people closer than this in the source are in contact (DESIGN.md section 6)."""
 
 _STANDS = 0.5
 """A foot joint stands where its fading stance weight is above this."""
@@ -191,7 +188,7 @@ class QualityMeter:
         half = BODY22.num_joints
         self._num_frames = len(points)
         distances = joint_pair_distances(source.positions_m)
-        self._frames, self._first, self._second = np.nonzero(distances < _CONTACT_M)
+        self._frames, self._first, self._second = np.nonzero(distances < CONTACT_M)
         self._class = contact_class()[self._first, self._second]
         self._distance = distances[self._frames, self._first, self._second]
         if girth != (1.0, 1.0):

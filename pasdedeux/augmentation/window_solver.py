@@ -15,6 +15,7 @@ from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
+from pasdedeux.augmentation.windows import quintic
 from pasdedeux.fitting import FitSettings, PointTerm, Term
 
 __all__ = ["FALLBACK", "POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
@@ -142,7 +143,7 @@ def _tied(points: Array, before: Array) -> tuple[Array, list[Term]]:
     shared = len(before)
     t = np.clip((np.arange(shared) + 0.5) / shared * 3.0 - 2.0, 0.0, 1.0)
     hold = np.zeros((len(points), 1, 1))
-    hold[:shared, 0, 0] = 1.0 - t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+    hold[:shared, 0, 0] = 1.0 - quintic(t)
     aims = np.array(points)
     aims[:shared] = before
     return points + hold * (aims - points), [PointTerm(aims, _SEAM_WEIGHT * hold)]

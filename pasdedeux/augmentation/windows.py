@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["OVERLAP_S", "Window", "blend_weights", "plan_windows"]
+__all__ = ["OVERLAP_S", "Window", "blend_weights", "plan_windows", "quintic"]
 
 Array = npt.NDArray[np.float64]
 
@@ -45,16 +45,21 @@ def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s
     return [Window(int(start), int(start) + size) for start in starts]
 
 
+def quintic(t: Array) -> Array:
+    """Return 6t^5 - 15t^4 + 10t^3: from 0 at 0 to 1 at 1, where velocity and acceleration are 0."""
+    return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
+
+
 def blend_weights(windows: list[Window]) -> list[Array]:
     """Return the share of each window in each of its frames; over all windows they add up to 1 in every frame.
 
-    Shares rise by a quintic (6t^5 - 15t^4 + 10t^3), whose velocity and acceleration start and end at 0.
+    Shares rise by a quintic.
     """
     shares = [np.ones(window.stop - window.start) for window in windows]
     for index, (before, after) in enumerate(pairwise(windows)):
         overlap = before.stop - after.start
         t = np.clip((np.arange(overlap) + 0.5) / overlap * 3.0 - 1.0, 0.0, 1.0)
-        rise = t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+        rise = quintic(t)
         shares[index][-overlap:] *= 1.0 - rise
         shares[index + 1][:overlap] *= rise
     return shares

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 
@@ -25,7 +26,6 @@ __all__ = ["ModelErrors", "key_joint_pairs", "model_errors", "model_figure", "mo
 Array = npt.NDArray[np.float64]
 Pairs = npt.NDArray[np.int64]
 
-_CONTACT_M = 0.2
 _CM = 100.0
 _MM = 1000.0
 _METRICS = {"E_r": ("e_r_cm", "cm"), "E_b": ("e_b_mm", "mm"), "JPD": ("jpd_cm", "cm")}
@@ -50,8 +50,8 @@ def key_joint_pairs(source_m: Array, *, max_pairs: int = 3) -> Pairs:
         source_m: The take (T, 2, 22, 3), metres.
         max_pairs: How many are given at most.
     """
-    distance = np.linalg.norm(source_m[:, 0, :, None] - source_m[:, 1, None], axis=-1)
-    share = (distance < _CONTACT_M).mean(axis=0)
+    distance = joint_pair_distances(source_m)
+    share = (distance < CONTACT_M).mean(axis=0)
     order = np.lexsort((distance.mean(axis=0).ravel(), -share.ravel()))[:max_pairs]
     chosen = [index for index in order if share.ravel()[index] > 0]
     return np.array([divmod(int(index), BODY22.num_joints) for index in chosen], dtype=np.int64).reshape(-1, 2)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
@@ -40,9 +41,6 @@ QUALITY_COLUMNS = {
     "invalid_angles": "",
 }
 """Columns of a variant's quality that are scored, with their units."""
-
-_CONTACT_M = 0.2
-"""Joints of the two people under this distance in the source are drawn as contacts (DESIGN: source distance 0.2 m)."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +150,5 @@ def variant_sheet(take_id: str, source_m: Array, variants_m: Mapping[str, Array]
 
 
 def _contacts(pair_m: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    distance = np.linalg.norm(pair_m[0, :, None] - pair_m[1, None], axis=-1)
-    first, second = np.nonzero(distance < _CONTACT_M)
+    first, second = np.nonzero(joint_pair_distances(pair_m) < CONTACT_M)
     return first, second

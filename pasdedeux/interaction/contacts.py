@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["closest_joint_distance", "joint_pair_distances"]
+__all__ = ["CONTACT_M", "closest_joint_distance", "joint_pair_distances"]
 
 Array = npt.NDArray[np.float64]
+
+CONTACT_M = 0.2
+"""Joints of two people closer than this are in contact where variants are measured."""
 
 
 def joint_pair_distances(pair_m: Array) -> Array:

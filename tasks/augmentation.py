@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
@@ -147,8 +146,6 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
             for variant in augmenter.solve(batch):
                 verdicts.append(variant.verdict)
                 _write(writer, take_id, take, variant)
-        counted = Counter(verdict.level for verdict in verdicts)
-        writer.facts["verdicts"] = {level.value: counted[level] for level in Level}
         summary = summarise_verdicts(verdicts)
         assert summary is not None
         writer.facts[VERDICT_FACT] = summary.to_json()

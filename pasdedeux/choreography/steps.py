@@ -155,7 +155,7 @@ def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]
     return result
 
 
-def _bow(before: Plant, after: Plant, standing: Plant, gap_m: float) -> float:
+def _bow(before: Plant, after: Plant, standing: Plant, clear_m: float) -> float:
     """Return the bow that keeps a straight swing off a standing foot; the swing passes on the side where it begins."""
     start, stop = np.array([before.x_m, before.z_m]), np.array([after.x_m, after.z_m])
     path = stop - start
@@ -169,7 +169,7 @@ def _bow(before: Plant, after: Plant, standing: Plant, gap_m: float) -> float:
     # Which side is free: that of the middle of the two plants, seen from the standing foot.
     side = 1.0 if aside >= 0.0 else -1.0
     reach = float(bump(np.array(share)))
-    missing = gap_m - abs(aside)
+    missing = clear_m - abs(aside)
     if missing <= 0.0 or reach < 0.2:
         return 0.0
-    return side * min(missing / reach, 2.0 * gap_m)
+    return side * min(missing / reach, 2.0 * clear_m)

@@ -73,20 +73,16 @@ class LiftedTorsos:
     Args:
         torso_m: Joints in camera axes (x right, y up, z towards the camera), pelvis at the origin, (n, twin=2, 6, 3),
             metres.  Twin 0 has the neck no further from the camera than twin 1.
-        residual: Root mean square distance between image and fit, as a share of the torso's extent, (n, twin).
         metres_per_pixel: Scale of the person, (n, twin).
         root_px: Pelvis in the image, fitted (also where it was not seen), x right, y down, (n, twin, 2).
         log_scale_deviation: Standard deviation of the logarithm of the scale, from the curvature of the fit, (n, twin).
-        cost: Negative log likelihood of each twin up to a constant, (n, twin): misfit and coefficients.
         is_lifted: Enough joints were seen, (n,); everything else is NaN where not.
     """
 
     torso_m: Array
-    residual: Array
     metres_per_pixel: Array
     root_px: Array
     log_scale_deviation: Array
-    cost: Array
     is_lifted: npt.NDArray[np.bool_]
 
     @property
@@ -183,11 +179,9 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
     shape = (len(image), 2)
     out = LiftedTorsos(
         torso_m=np.full((*shape, len(TORSO_JOINTS), 3), np.nan),
-        residual=np.full(shape, np.nan),
         metres_per_pixel=np.full(shape, np.nan),
         root_px=np.full((*shape, 2), np.nan),
         log_scale_deviation=np.full(shape, np.nan),
-        cost=np.full(shape, np.nan),
         is_lifted=is_lifted,
     )
     torso = lifted.torso()
@@ -195,11 +189,9 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
     order = np.argsort(-(torso[:, :, 1, 2] - torso[:, :, 0, 2]), axis=1, kind="stable")
     each = np.arange(len(rows))[:, None]
     out.torso_m[rows] = (torso - torso[:, :, :1])[each, order]
-    out.residual[rows] = lifted.misfit()[each, order]
     out.metres_per_pixel[rows] = (np.exp(-lifted.log_scale) / extent[rows, None])[each, order]
     out.root_px[rows] = (root * np.array([1.0, -1.0]))[each, order]
     out.log_scale_deviation[rows] = lifted.log_scale_deviation()[each, order]
-    out.cost[rows] = lifted.cost()[each, order]
     return out
 
 
@@ -271,10 +263,6 @@ class _Fit:
     def _image_residual(self) -> Array:
         seen = self._centred(self.torso())[..., :2] * np.exp(self.log_scale)[..., None, None]
         return np.asarray(seen - self.image)
-
-    def misfit(self) -> Array:
-        squared = (self._image_residual() ** 2).sum(axis=-1)
-        return np.sqrt(np.einsum("nj,ntj->nt", self.share, squared))
 
     def cost(self) -> Array:
         weighted = self._image_residual() * self.root_weight

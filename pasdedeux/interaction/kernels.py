@@ -1,4 +1,4 @@
-"""The dissimilarities as numba kernels; `dissimilarity` holds the plain forms they are tested against."""
+"""The dissimilarities in compiled loops; `dissimilarity` holds the definitions they are tested against."""
 
 from __future__ import annotations
 
@@ -50,10 +50,7 @@ def edge_table(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
     """
     _check(points)
     edges, counts = delaunay_edges_fast(points)
-    weights = np.zeros(edges.shape[:2])
-    for row in range(len(points)):
-        weights[row, : counts[row]] = edge_weights(points[row], edges[row, : counts[row]], beta_m=beta_m)
-    return EdgeTable(edges=edges, weights=weights, counts=counts)
+    return _weigh(points, edges, counts, beta_m)
 
 
 def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
@@ -66,11 +63,15 @@ def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
     per_set = [delaunay_edges(one) for one in points]
     longest = max((len(edges) for edges in per_set), default=0)
     edges = np.zeros((len(points), longest, 2), dtype=np.int32)
-    weights = np.zeros((len(points), longest))
-    counts = np.array([len(one) for one in per_set], dtype=np.int32)
     for row, own in enumerate(per_set):
         edges[row, : len(own)] = own
-        weights[row, : len(own)] = edge_weights(points[row], own, beta_m=beta_m)
+    return _weigh(points, edges, np.array([len(own) for own in per_set], dtype=np.int32), beta_m)
+
+
+def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.int32], beta_m: float) -> EdgeTable:
+    weights = np.zeros(edges.shape[:2])
+    for row, count in enumerate(counts):
+        weights[row, :count] = edge_weights(points[row], edges[row, :count], beta_m=beta_m)
     return EdgeTable(edges=edges, weights=weights, counts=counts)
 
 

@@ -9,8 +9,7 @@ from pasdedeux.plausibility.capsules import (
     segment_distance,
 )
 from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits, NearestValid
-from pasdedeux.plausibility.joint_limits_kernel import move_to_nearest_valid
-from pasdedeux.plausibility.learned_limits import LearnedLimits, move_to_nearest_learned
+from pasdedeux.plausibility.learned_limits import LearnedLimits
 from pasdedeux.plausibility.occupancy import BONES, NUM_ABOVE, NUM_CELLS, Occupancy
 from pasdedeux.plausibility.ranges import ANGLES, AngleRange
 
@@ -29,8 +28,6 @@ __all__ = [
     "Occupancy",
     "body_height_m",
     "capsule_model",
-    "move_to_nearest_learned",
-    "move_to_nearest_valid",
     "pair_penetration",
     "segment_distance",
 ]

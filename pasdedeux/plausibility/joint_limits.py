@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits_kernel import find_invalid, measure_poses, move_poses
+from pasdedeux.plausibility.joint_limits_kernel import find_invalid, measure_poses, move_poses, move_to_nearest_valid
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, ANGLES, MARGIN_DEG, NUM_ANGLES, SLACK_RAD
 from pasdedeux.skeletons import PAIR17
 
@@ -143,6 +143,13 @@ class JointLimits:
         joint and an upper bound of the distance to the nearest pose overall.
         """
         return NearestValid.of(np.shape(pair17_m), *move_poses(as_poses(pair17_m), self.ranges_rad))
+
+    def move_pose(self, pose: Array, work: Array, valid: Array) -> tuple[int, float]:
+        """Move one pose (17, 3) as `nearest_valid` does, into `valid`, without the price of array calls.
+
+        `work` is scratch (2, 29).  Return the number of invalid angles and the squared distance moved, square metres.
+        """
+        return move_to_nearest_valid(pose, self.ranges_rad, work, valid)
 
     @cached_property
     def ranges_rad(self) -> Array:

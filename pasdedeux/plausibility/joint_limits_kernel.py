@@ -29,6 +29,7 @@ from pasdedeux.skeletons import PAIR17
 
 __all__ = [
     "bone_of",
+    "copy_pose",
     "find_invalid",
     "frame_x",
     "is_out",
@@ -36,6 +37,7 @@ __all__ = [
     "measure_poses",
     "move_poses",
     "move_to_nearest_valid",
+    "squared_move",
     "turn_to",
 ]
 
@@ -317,6 +319,24 @@ def is_out(index: int, limits: Array, work: Array) -> bool:
     return not (low - TINY <= work[0, index] <= high + TINY) and high - low < _TWO_PI
 
 
+@inner_kernel
+def copy_pose(pose: Array, copy: Array) -> None:
+    """Copy a pose (17, 3); not `copy[:] = pose`, whose error message alone takes seconds to compile."""
+    for joint in range(17):
+        for axis in range(3):
+            copy[joint, axis] = pose[joint, axis]
+
+
+@inner_kernel
+def squared_move(pose: Array, moved: Array) -> float:
+    """Return the sum over the joints of the squared distance between two poses (17, 3), square metres."""
+    total = 0.0
+    for joint in range(17):
+        for axis in range(3):
+            total += (moved[joint, axis] - pose[joint, axis]) ** 2
+    return total
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_angles(pose: Array, work: Array) -> None:
     """Write the angles and their slack into `work` (2, 29), radians, of one pose (17, 3); the pose is not changed."""
@@ -357,10 +377,7 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
         Number of invalid angles of `pose`, and the sum over the joints of the squared distance moved (square metres).
         A valid pose returns (0, 0.0) after the angles alone.
     """
-    # Not `valid[:] = pose`: its error message alone takes seconds to compile.
-    for joint in range(17):
-        for axis in range(3):
-            valid[joint, axis] = pose[joint, axis]
+    copy_pose(pose, valid)
     _walk(valid, limits, work, False)
     num_invalid = 0
     for index in range(NUM_ANGLES):
@@ -368,11 +385,7 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
     if num_invalid == 0:
         return 0, 0.0
     _walk(valid, limits, work, True)
-    total = 0.0
-    for joint in range(17):
-        for axis in range(3):
-            total += (valid[joint, axis] - pose[joint, axis]) ** 2
-    return num_invalid, total
+    return num_invalid, squared_move(pose, valid)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,14 @@ import numpy.typing as npt
 from numba import njit
 
 from pasdedeux.plausibility.joint_limits import JointLimits, NearestValid, as_poses
-from pasdedeux.plausibility.joint_limits_kernel import is_out, measure_angles, move_to_nearest_valid, turn_to
+from pasdedeux.plausibility.joint_limits_kernel import (
+    copy_pose,
+    is_out,
+    measure_angles,
+    move_to_nearest_valid,
+    squared_move,
+    turn_to,
+)
 from pasdedeux.plausibility.occupancy import (
     BONES,
     KIND_OF_BONE,
@@ -28,7 +35,7 @@ from pasdedeux.plausibility.occupancy import (
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["ANGLES_OF_BONE", "LIMIT_BONES", "LearnedLimits", "move_to_nearest_learned"]
+__all__ = ["ANGLES_OF_BONE", "LIMIT_BONES", "LearnedLimits"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -78,10 +85,15 @@ class LearnedLimits:
         Shoulders, hips and the twist of the trunk move to the table's limit; every other bad bone to the centre of the
         nearest cell that table or capture allows, which is up to half a cell (5 degrees) more than it must move.
         """
-        found = _move_poses(
-            as_poses(pair17_m), self.table.ranges_rad, self.girdles.ranges_rad, self.occupancy.occupied, self.allowed
-        )
-        return NearestValid.of(np.shape(pair17_m), *found)
+        return NearestValid.of(np.shape(pair17_m), *_move_poses(as_poses(pair17_m), *self._tables))
+
+    def move_pose(self, pose: Array, work: Array, valid: Array) -> tuple[int, float]:
+        """Move one pose (17, 3) as `nearest_valid` does; see `JointLimits.move_pose`."""
+        return _move_to_nearest(pose, *self._tables, work, valid)
+
+    @cached_property
+    def _tables(self) -> tuple[Array, Array, Flags, Flags]:
+        return self.table.ranges_rad, self.girdles.ranges_rad, self.occupancy.occupied, self.allowed
 
     @cached_property
     def girdles(self) -> JointLimits:
@@ -143,7 +155,7 @@ _CHEST_BONE = 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def move_to_nearest_learned(
+def _move_to_nearest(
     pose: Array, limits: Array, girdles: Array, occupied: Flags, allowed: Flags, work: Array, valid: Array
 ) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `LearnedLimits.nearest_valid` does.
@@ -165,9 +177,7 @@ def move_to_nearest_learned(
     for index in range(NUM_ANGLES):
         num_invalid += is_out(index, limits, work)
     if num_invalid == 0:
-        for joint in range(17):
-            for axis in range(3):
-                valid[joint, axis] = pose[joint, axis]
+        copy_pose(pose, valid)
         return 0, 0.0
     own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
     point_bones(pose, own, above, frame)
@@ -179,9 +189,7 @@ def move_to_nearest_learned(
                 num_invalid -= bad
     move_to_nearest_valid(pose, girdles, work, valid)
     if num_invalid == 0:
-        for joint in range(17):
-            for axis in range(3):
-                valid[joint, axis] = pose[joint, axis]
+        copy_pose(pose, valid)
         return 0, 0.0
     moved = np.empty((17, 3))
     for bone in range(11):
@@ -206,15 +214,9 @@ def move_to_nearest_learned(
         turn_to(valid, _END[bone], _LAST[bone], _PIVOT[bone], (start[0], start[1], start[2]), (end[0], end[1], end[2]))
         if bone == _CHEST_BONE:
             # The twist of the trunk is measured along it, so it has changed.
-            for joint in range(17):
-                for axis in range(3):
-                    moved[joint, axis] = valid[joint, axis]
+            copy_pose(valid, moved)
             move_to_nearest_valid(moved, girdles, work, valid)
-    total = 0.0
-    for joint in range(17):
-        for axis in range(3):
-            total += (valid[joint, axis] - pose[joint, axis]) ** 2
-    return num_invalid, total
+    return num_invalid, squared_move(pose, valid)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -224,7 +226,5 @@ def _move_poses(
     valid, work = np.empty(poses.shape), np.empty((2, NUM_ANGLES))
     count, squared = np.empty(poses.shape[0], np.int64), np.empty(poses.shape[0])
     for row in range(poses.shape[0]):
-        count[row], squared[row] = move_to_nearest_learned(
-            poses[row], limits, girdles, occupied, allowed, work, valid[row]
-        )
+        count[row], squared[row] = _move_to_nearest(poses[row], limits, girdles, occupied, allowed, work, valid[row])
     return valid, count, squared

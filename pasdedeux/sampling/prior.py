@@ -21,8 +21,6 @@ from pasdedeux.plausibility import (
     JointLimits,
     LearnedLimits,
     capsule_model,
-    move_to_nearest_learned,
-    move_to_nearest_valid,
     pair_penetration,
 )
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
@@ -122,10 +120,7 @@ class PhysicalPrior:
         settings: PriorSettings | None = None,
     ) -> None:
         self.settings = settings or PriorSettings()
-        self._learned = limits if isinstance(limits, LearnedLimits) else None
-        table = limits if isinstance(limits, JointLimits) else limits.table
-        self._limits = _ranges(table)
-        self._girdles = _ranges(table if self._learned is None else self._learned.girdles)
+        self._limits = limits
         model: CapsuleModel = capsule_model(PAIR17)
         self._model = model
         self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
@@ -142,7 +137,7 @@ class PhysicalPrior:
         is_turned_over = bool((bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2)
         num_invalid, squared = 0, 0.0
         for person in range(2):
-            count, distance = self._nearest_valid(pair_m[person])
+            count, distance = self._limits.move_pose(pair_m[person], self._work, self._valid)
             num_invalid += count
             squared += distance
         depth = pair_penetration(
@@ -163,21 +158,3 @@ class PhysicalPrior:
             is_tied=is_tied,
             is_turned_over=is_turned_over,
         )
-
-    def _nearest_valid(self, pose: Array) -> tuple[int, float]:
-        """Return number of invalid angles of a pose (17, 3), and its squared distance from the nearest valid one."""
-        if self._learned is None:
-            return move_to_nearest_valid(pose, self._limits, self._work, self._valid)
-        return move_to_nearest_learned(
-            pose,
-            self._limits,
-            self._girdles,
-            self._learned.occupancy.occupied,
-            self._learned.allowed,
-            self._work,
-            self._valid,
-        )
-
-
-def _ranges(limits: JointLimits) -> Array:
-    return np.stack([limits.lower_rad, limits.upper_rad])

@@ -13,7 +13,6 @@ from pasdedeux.cameras import (
     proportions_torso_basis,
     torso,
 )
-from pasdedeux.cameras.torso import NOISE_SHARE
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
@@ -60,7 +59,6 @@ def test_bent_torsos_are_recovered_to_a_few_centimetres_and_the_scale_to_a_few_p
     lifted = lift_torsos(picture(truth), BASIS)
     assert np.median(nearest_twin(lifted.torso_m, truth)) < 0.05
     assert np.median(np.abs(np.log(lifted.metres_per_pixel / 0.004))) < 0.05
-    assert np.nanmedian(lifted.residual) < NOISE_SHARE
 
 
 def test_the_first_twin_has_the_neck_nearer_to_the_camera() -> None:
@@ -95,7 +93,7 @@ def test_missing_joints_are_left_out_and_too_few_are_refused() -> None:
 def test_a_torso_seen_edge_on_gives_finite_numbers() -> None:
     px = picture(BASIS.mean_m[None] * [0, 1, 1])
     lifted = lift_torsos(px, BASIS)
-    for values in (lifted.torso_m, lifted.metres_per_pixel, lifted.log_scale_deviation, lifted.cost):
+    for values in (lifted.torso_m, lifted.metres_per_pixel, lifted.log_scale_deviation):
         assert np.isfinite(values).all()
 
 

@@ -39,7 +39,8 @@ EVERYTHING = {
 
 def inputs_of(store: Store, stage: Stage) -> StageInputs:
     """Return what the stages before left in a store, by table."""
-    made = [one for one in store.artifacts() if one.ref.stage != stage.name and one.partition != WALKER]
+    made = [one for one in store.artifacts() if one.ref.stage != stage.name]
+    made = [one for one in made if one.partition != WALKER or "projections" in one.tables]
     made.sort(key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     return StageInputs({table: [one for one in made if table in one.tables] for table in stage.reads}, seed=3)
 

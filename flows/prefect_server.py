@@ -46,7 +46,7 @@ class LocalServer:
     def __init__(self) -> None:
         telemetry_off()
         self._timeout_s = float(os.environ[_STARTUP_TIMEOUT_VARIABLE])
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             [sys.executable, "-m", "flows.prefect_server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -61,12 +61,12 @@ class LocalServer:
         Raises:
             ServerError: It ended, or did not answer in time.
         """
-        assert self._process.stdout is not None
+        assert self.process.stdout is not None
         deadline = time.monotonic() + self._timeout_s
-        address = self._process.stdout.readline().strip()
+        address = self.process.stdout.readline().strip()
         while not (address and _answers(address)):
-            if not address or self._process.poll() is not None:
-                raise ServerError(f"Prefect's local server ended with code {self._process.wait()} instead of starting")
+            if not address or self.process.poll() is not None:
+                raise ServerError(f"Prefect's local server ended with code {self.process.wait()} instead of starting")
             if time.monotonic() > deadline:
                 raise ServerError(
                     f"Prefect's local server did not answer within {self._timeout_s:.0f} s; "
@@ -77,9 +77,9 @@ class LocalServer:
 
     def end(self) -> None:
         """End the server; what it has recorded stays in the user's Prefect database."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
                 stream.close()
 

@@ -48,7 +48,7 @@ def source_digest() -> str:
     """
     digest = hashlib.sha256()
     for package in _OUR_PACKAGES:
-        for folder in _folders(package):
+        for folder in package_folders(package):
             for path in sorted(folder.rglob("*.py")):
                 digest.update(f"{package}/{path.relative_to(folder).as_posix()}\0".encode())
                 digest.update(hashlib.sha256(path.read_bytes()).digest())
@@ -62,7 +62,7 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _folders(package: str) -> list[Path]:
+def package_folders(package: str) -> list[Path]:
     """Return the folders of a package without importing it."""
     spec = importlib.util.find_spec(package)
     return [Path(folder) for folder in (spec.submodule_search_locations or [])] if spec else []

@@ -28,7 +28,7 @@ class StagingFolder:
 
     def __init__(self, root: Path) -> None:
         make_folder(root)
-        self._lock, name = _new_lock(root)
+        self.lock, name = _new_lock(root)
         self._lock_path = root / f"{name}.lock"
         self.path = root / name
         try:
@@ -41,7 +41,7 @@ class StagingFolder:
         """Remove what is left of the folder and give up its lock."""
         shutil.rmtree(self.path, ignore_errors=True)
         self._lock_path.unlink(missing_ok=True)
-        os.close(self._lock)
+        os.close(self.lock)
 
 
 def replace_file(path: Path, data: bytes, *, staging_root: Path) -> None:
@@ -66,7 +66,7 @@ def clean_leftovers(root: Path) -> int:
 def _new_lock(root: Path) -> tuple[int, str]:
     """Make and lock a new lock file; a cleaner may take it in between, then another is made."""
     while True:
-        name = f"{_host()}.{os.getpid()}.{uuid.uuid4().hex[:12]}"
+        name = f"{host_name()}.{os.getpid()}.{uuid.uuid4().hex[:12]}"
         path = root / f"{name}.lock"
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o644)
         try:
@@ -89,7 +89,7 @@ def _clean(lock_path: Path) -> bool:
     except OSError:
         return False
     try:
-        if lock_path.name.split(".")[0] != _host():
+        if lock_path.name.split(".")[0] != host_name():
             if not _is_untouched(lock_path.with_suffix("")):
                 return False
         else:
@@ -112,5 +112,5 @@ def _is_untouched(folder: Path) -> bool:
     return time.time() - newest > _FOREIGN_AGE_S
 
 
-def _host() -> str:
+def host_name() -> str:
     return socket.gethostname().replace(".", "-").replace("/", "-") or "host"

@@ -29,7 +29,7 @@ from tasks.shards import ClusterSettings
 
 __all__ = ["build_and_report", "register"]
 
-_MIN_FREE_BYTES = 64 * 1024**2
+MIN_FREE_BYTES = 64 * 1024**2
 _GIB = 1024**3
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
@@ -187,7 +187,7 @@ def _refuse_full_disk(store: Store) -> None:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    if free < _MIN_FREE_BYTES:
+    if free < MIN_FREE_BYTES:
         raise PlanError(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
 
 

@@ -38,7 +38,7 @@ NOISE_SHARE = 0.05
 
 _SIZE_BONES = PAIR17.indices(("spine", "chest", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip"))
 _NUM_ITERATIONS = 20
-_BLOCK = 4096
+BLOCK_SIZE = 4096
 
 
 @dataclass(frozen=True)
@@ -142,15 +142,15 @@ def lift_torsos(torso_px: Array, basis: TorsoBasis, *, weights: Array | None = N
         basis: Basis learned from other takes.
         weights: Weight of each joint, (n, 6), such as its confidence; 1 when not given.
     """
-    if len(torso_px) > _BLOCK:
+    if len(torso_px) > BLOCK_SIZE:
         # Torsos do not know of each other; blocks keep the memory small.
         parts = [
             lift_torsos(
-                torso_px[start : start + _BLOCK],
+                torso_px[start : start + BLOCK_SIZE],
                 basis,
-                weights=None if weights is None else weights[start : start + _BLOCK],
+                weights=None if weights is None else weights[start : start + BLOCK_SIZE],
             )
-            for start in range(0, len(torso_px), _BLOCK)
+            for start in range(0, len(torso_px), BLOCK_SIZE)
         ]
         return LiftedTorsos(
             **{

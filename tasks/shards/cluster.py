@@ -36,7 +36,7 @@ _ONE_THREAD = (
     "POLARS_MAX_THREADS",
 )
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
-_CONNECT_TIMEOUT_S = 30.0
+CONNECT_TIMEOUT_S = 30.0
 _GREETINGS = 3
 
 
@@ -107,7 +107,7 @@ def _client_of(scheduler: Any) -> Client:
 
     for _ in range(_GREETINGS):
         try:
-            return Client(scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
+            return Client(scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         except AssertionError:
             continue
         except (OSError, TimeoutError, ValueError) as error:

@@ -16,7 +16,6 @@ def plan(folder: Path, store: Path) -> int:
     return run_command_line(["plan", "projection_paper", *spelled, "--store", str(store), "--json"])
 
 
-@pytest.mark.data
 def test_the_study_of_the_published_database_plans_over_its_files(
     data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

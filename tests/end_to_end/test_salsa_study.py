@@ -15,7 +15,6 @@ def plan(folder: Path, store: Path) -> int:
     return run_command_line(["plan", "cmu_salsa", "--set", setting, "--store", str(store), "--json"])
 
 
-@pytest.mark.data
 def test_the_salsa_study_plans_over_bvh_pairs(
     data_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,7 +27,9 @@ def test_the_same_sheet_gives_the_same_bytes() -> None:
 
 
 def test_a_sheet_of_no_moments_is_still_a_picture() -> None:
-    assert cv2.imdecode(np.frombuffer(skeleton_sheet([]), np.uint8), cv2.IMREAD_COLOR) is not None
+    picture = cv2.imdecode(np.frombuffer(skeleton_sheet([]), np.uint8), cv2.IMREAD_COLOR)
+    assert min(picture.shape[:2]) > 50
+    assert (picture == 255).all()
 
 
 @pytest.mark.parametrize("persons", [1, 2])

@@ -236,7 +236,7 @@ def test_a_store_of_a_newer_program_is_refused_before_any_work(
 def test_a_full_disk_is_refused_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("flows.console.run._MIN_FREE_BYTES", 2**62)
+    monkeypatch.setattr("flows.console.run.MIN_FREE_BYTES", 2**62)
     assert call("run", str(write_study(tmp_path)), "--store", str(tmp_path / "store")) == 2
     assert "free some space first" in capsys.readouterr().err
 

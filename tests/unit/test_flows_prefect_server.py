@@ -37,7 +37,7 @@ def test_the_server_answers_inside_the_block_and_is_gone_after_it() -> None:
 
 def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:
     server = LocalServer()
-    process = server._process
+    process = server.process
     assert process.stdin is not None
     process.stdin.close()  # what the system does to the pipe of a killed process
     assert process.wait(timeout=60) == 0

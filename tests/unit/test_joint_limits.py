@@ -123,7 +123,6 @@ def test_collapsed_poses_have_a_nearest_valid_one() -> None:
         assert np.isfinite(LIMITS.nearest_valid(pose).positions).all()
 
 
-@pytest.mark.data
 def test_captured_single_people_are_in_range(data_dir: Path) -> None:
     folder = data_dir / "cmu_asfamc"
     counts = []

@@ -175,7 +175,6 @@ def with_one_joint_turned(rng: np.random.Generator, poses: np.ndarray) -> tuple[
     return np.concatenate(turned), np.concatenate(determined), np.concatenate(any_of)
 
 
-@pytest.mark.data
 def test_learned_limits_accept_an_unseen_subject_and_refuse_joints_20_degrees_beyond_the_table(data_dir: Path) -> None:
     poses = poses_by_subject(data_dir)
     rng = np.random.default_rng(0)

@@ -17,7 +17,7 @@ def _fresh_caches() -> None:
 def test_the_source_digest_follows_names_and_bytes_of_python_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(provenance, "_folders", lambda package: [tmp_path / package])
+    monkeypatch.setattr(provenance, "package_folders", lambda package: [tmp_path / package])
 
     def digest() -> str:
         provenance.source_digest.cache_clear()
@@ -38,11 +38,11 @@ def test_the_source_digest_follows_names_and_bytes_of_python_files(
 
 def test_the_packages_are_found_without_importing_them() -> None:
     folders = [
-        folder for package in ("pasdedeux", "storage_schema", "tasks") for folder in provenance._folders(package)
+        folder for package in ("pasdedeux", "storage_schema", "tasks") for folder in provenance.package_folders(package)
     ]
     assert all((folder / "__init__.py").is_file() for folder in folders)
     assert len(folders) == 3
-    assert provenance._folders("no_such_package_at_all") == []
+    assert provenance.package_folders("no_such_package_at_all") == []
 
 
 def test_a_program_that_is_not_installed_has_an_unknown_version(monkeypatch: pytest.MonkeyPatch) -> None:

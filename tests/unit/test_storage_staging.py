@@ -22,7 +22,7 @@ def test_a_dead_owner_loses_its_folder(tmp_path: Path) -> None:
     folder = StagingFolder(tmp_path / "tmp")
     (folder.path / "deep").mkdir()
     (folder.path / "deep" / "file").write_bytes(b"x")
-    os.close(folder._lock)
+    os.close(folder.lock)
     assert clean_leftovers(tmp_path / "tmp") == 1
     assert list((tmp_path / "tmp").iterdir()) == []
 
@@ -30,8 +30,8 @@ def test_a_dead_owner_loses_its_folder(tmp_path: Path) -> None:
 def test_another_hosts_folder_stays_until_it_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = StagingFolder(tmp_path / "tmp")
     (folder.path / "file").write_bytes(b"x")
-    os.close(folder._lock)
-    monkeypatch.setattr(staging, "_host", lambda: "elsewhere")
+    os.close(folder.lock)
+    monkeypatch.setattr(staging, "host_name", lambda: "elsewhere")
     assert clean_leftovers(tmp_path / "tmp") == 0
     for path in (folder.path / "file", folder.path, folder.path.with_name(f"{folder.path.name}.lock")):
         os.utime(path, (0, 0))

@@ -157,7 +157,7 @@ def test_a_given_scheduler_is_used_and_survives(client: Client, tmp_path: Path) 
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tasks.shards.cluster._CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr("tasks.shards.cluster.CONNECT_TIMEOUT_S", 0.5)
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
         connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),

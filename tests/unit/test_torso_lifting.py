@@ -126,7 +126,7 @@ def test_unusable_bases_are_refused() -> None:
 def test_many_torsos_are_lifted_in_blocks_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     px = picture(turned_torsos(6, 50, 1.0))
     whole = lift_torsos(px, BASIS)
-    monkeypatch.setattr(torso, "_BLOCK", 7)
+    monkeypatch.setattr(torso, "BLOCK_SIZE", 7)
     for weights in (None, np.ones((50, 6))):
         blocks = lift_torsos(px, BASIS, weights=weights)
         np.testing.assert_allclose(blocks.torso_m, whole.torso_m, atol=1e-9)

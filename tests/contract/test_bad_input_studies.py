@@ -56,8 +56,8 @@ def write(folder: Path, text: str) -> Path:
         (
             '"prior_only"',
             '"prior_onli"',
-            "chains.densities.1: should be 'ic', 'cartesian', 'shape_context', 'agreement' or 'prior_only'; "
-            "found 'prior_onli'",
+            "chains.densities.1: there is no density 'prior_onli'; "
+            "there are: ic, cartesian, shape_context, agreement, prior_only; found 'prior_onli'",
         ),
         ("num_seeds = 1", "num_seeds = -1", "seeds.num_seeds: should be greater than or equal to 0; found -1"),
         (

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from sklearn.linear_model import LogisticRegression
 
 from pasdedeux.errors import InputError
 
@@ -21,7 +22,6 @@ _MOST = 4.0
 """Standardised terms end here on both sides: no term may decide alone."""
 _RIDGE = 0.02
 """Weight of the squared weights against the mean log loss: terms say much the same."""
-_NUM_STEPS = 50
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Combination:
     ) -> Combination:
         """Fit to kinds of corruption, each with the terms of its real pairs (n,) and of the corrupted ones (m,).
 
-        Logistic regression with a small ridge, by Newton's method; each kind counts the same, real ones as much as
+        Logistic regression with a small ridge; each kind counts the same, real ones as much as
         corrupted ones.
 
         Raises:
@@ -63,18 +63,10 @@ class Combination:
         standard = np.concatenate([blank._standardised(one) for one in rows])
         share = np.concatenate([np.full(len(one), 1.0 / (len(rows) * len(one))) for one in rows])
         is_real = np.repeat([1.0, 0.0], [len(sound), len(standard) - len(sound)])
-        design = np.concatenate([standard, np.ones((len(standard), 1))], axis=1)
-        ridge = np.diag([*np.full(len(terms), _RIDGE), 1e-9])
-        weights = np.zeros(design.shape[1])
-        for _ in range(_NUM_STEPS):
-            chance = 1.0 / (1.0 + np.exp(-design @ weights))
-            slope = design.T @ (share * (is_real - chance)) - ridge @ weights
-            curve = (design * (share * chance * (1.0 - chance))[:, None]).T @ design + ridge
-            step = np.linalg.solve(curve, slope)
-            weights = weights + step
-            if np.abs(step).max() < 1e-9:
-                break
-        return cls(blank.terms, blank.centre, blank.spread, weights[:-1])
+        # Its C weighs the losses, whose shares sum to 1, against half the squared weights.
+        model = LogisticRegression(C=1.0 / _RIDGE, solver="newton-cholesky", tol=1e-9)
+        model.fit(standard, is_real, sample_weight=share)
+        return cls(blank.terms, blank.centre, blank.spread, model.coef_[0])
 
     def value(self, values: Mapping[str, Array]) -> Array:
         """Return the combination of terms (n,) each, larger where a pair is the likelier, (n,)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -10,7 +12,7 @@ from pasdedeux.interaction.triangulation import triangulate
 from pasdedeux.sampling.image_kernels import pair_axes, project
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["ROUGH_TOLERANCE_M", "best_per_view"]
+__all__ = ["ROUGH_TOLERANCE_M", "BankTables", "best_per_view"]
 
 _NUM_JOINTS = PAIR17.num_joints
 
@@ -19,6 +21,60 @@ ESTIMATE_TOLERANCE_M = 1e-3
 
 ROUGH_TOLERANCE_M = 2e-5
 """What the rough comparison in float32 may be wrong by, metres; for people within a few metres its error is 1e-6."""
+
+
+class BankTables(NamedTuple):
+    """A bank of m views and the annotations that some view meets, as the kernels take them.
+
+    Args:
+        directions: Views (m, 3) in the pair's local frame.
+        counts: Candidates of each view, (m,).
+        slots: Annotation of each candidate, (m, most).
+        springs: Quadratic forms of each view, one for the edges within each person and one for those between them,
+            (m, kind=3, n, n), float32; the roots of their values at a difference of images make up the estimate.
+        unit: Unit of the candidates' points, float32, metres.
+        rank_x: x of the candidates' centred points, (m, n, most), int16.
+        rank_y: y of them.
+        rank_squares: The quadratic forms' values at them, (m, kind=3, most), float32, square metres.
+        factors: What each root counts in the estimate, (m, kind=3, most), float32.
+        points: Centred annotations (annotation, n, 2), metres.
+        edges: Their Delaunay edges.
+        weights: Their weights, summing to 1.
+        num_edges: Their numbers of edges.
+        rough_points: The centred annotations (annotation, 2, n), float32, metres.
+        rough_starts: First joints of the edges, (annotation, edge), uint8.
+        rough_ends: Second joints of them.
+        rough_weights: The weights, float32.
+        offsets: Jitter of the triangulation, (n, 2), metres.
+        beta_m: Edge length below which weights stop growing, metres.
+        min_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
+        min_own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the
+            estimate when that over the annotation's is known; 0 never loses any.
+        scale: 2 sigma_l^2, metres.
+    """
+
+    directions: np.ndarray
+    counts: np.ndarray
+    slots: np.ndarray
+    springs: np.ndarray
+    unit: np.float32
+    rank_x: np.ndarray
+    rank_y: np.ndarray
+    rank_squares: np.ndarray
+    factors: np.ndarray
+    points: np.ndarray
+    edges: np.ndarray
+    weights: np.ndarray
+    num_edges: np.ndarray
+    rough_points: np.ndarray
+    rough_starts: np.ndarray
+    rough_ends: np.ndarray
+    rough_weights: np.ndarray
+    offsets: np.ndarray
+    beta_m: float
+    min_ratio: float
+    min_own_ratio: float
+    scale: float
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
@@ -78,35 +134,12 @@ def _estimate(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _estimate_views(  # type: ignore[no-untyped-def]
-    points,
-    directions,
-    candidate_counts,
-    springs,
-    unit,
-    rank_x,
-    rank_y,
-    rank_squares,
-    factors,
-    x,
-    y,
-    turn,
-    estimate,
-    least,
-    first,
-):
+def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: ignore[no-untyped-def]
     """Project under every view and estimate d_I of all of its candidates.
 
     Args:
         points: Joints of both people, (n, 3), metres.
-        directions: Views (m, 3) in the pair's local frame.
-        candidate_counts: Candidates of each view, (m,).
-        springs: As for `best_per_view`.
-        unit: The same.
-        rank_x: The same.
-        rank_y: The same.
-        rank_squares: The same.
-        factors: The same.
+        bank: Tables of the bank.
         x: Result (m, n), the centred image, metres.
         y: The same upwards.
         turn: Result (m, 2, most), float32: cosine and sine of the best rotation.
@@ -119,36 +152,26 @@ def _estimate_views(  # type: ignore[no-untyped-def]
     image = np.empty((2, num_points), dtype=np.float32)
     pulls = np.empty((3, 2, num_points), dtype=np.float32)
     constants = np.empty(3, dtype=np.float32)
-    work = np.empty((8, rank_x.shape[2]), dtype=np.float32)
+    work = np.empty((8, bank.rank_x.shape[2]), dtype=np.float32)
+    unit, rank_x, rank_y = bank.unit, bank.rank_x, bank.rank_y
+    rank_squares, factors = bank.rank_squares, bank.factors
     pair_axes(points, axes)
-    for view in range(directions.shape[0]):
-        count = candidate_counts[view]
+    for view in range(bank.directions.shape[0]):
+        count = bank.counts[view]
         least[view], first[view] = np.inf, -1
         if count == 0:
             continue
-        project(points, axes, directions[view], x[view], y[view])
+        project(points, axes, bank.directions[view], x[view], y[view])
         for k in range(num_points):
             image[0, k], image[1, k] = x[view, k], y[view, k]
-        _pull(springs[view], image, pulls, constants)
+        _pull(bank.springs[view], image, pulls, constants)
         for k in range(num_points):
             for axis in range(2):
                 image[axis, k] *= unit
                 for kind in range(3):
                     pulls[kind, axis, k] *= unit
-        own = estimate[view]
-        _estimate(
-            image,
-            pulls,
-            constants,
-            rank_x[view],
-            rank_y[view],
-            rank_squares[view],
-            factors[view],
-            count,
-            work,
-            turn[view],
-            own,
-        )
+        x16, y16, squares, own = rank_x[view], rank_y[view], rank_squares[view], estimate[view]
+        _estimate(image, pulls, constants, x16, y16, squares, factors[view], count, work, turn[view], own)
         at = np.argmin(own[:count])
         least[view], first[view] = own[at], at
 
@@ -231,35 +254,7 @@ def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_wei
 
 
 @numba.njit(cache=True, nogil=True)
-def best_per_view(  # type: ignore[no-untyped-def]
-    points,
-    directions,
-    candidate_counts,
-    slots,
-    springs,
-    unit,
-    rank_x,
-    rank_y,
-    rank_squares,
-    factors,
-    annotations,
-    annotation_edges,
-    annotation_weights,
-    annotation_counts,
-    rough_points,
-    rough_starts,
-    rough_ends,
-    rough_weights,
-    offsets,
-    beta_m,
-    min_ratio,
-    min_own_ratio,
-    limit,
-    margin,
-    scale,
-    best,
-    best_slot,
-):
+def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore[no-untyped-def]
     """Write the least d_I of each view, as far as it can matter, and give the log of eq. 6.
 
     Every candidate's d_I is estimated from springs between the joints; views are taken in the order of their least
@@ -269,32 +264,9 @@ def best_per_view(  # type: ignore[no-untyped-def]
 
     Args:
         points: Joints of both people, (n, 3), metres.
-        directions: Views (m, 3) in the pair's local frame.
-        candidate_counts: Candidates of each view, (m,).
-        slots: Annotation of each candidate, (m, most).
-        springs: Quadratic forms of each view, one for the edges within each person and one for those between them,
-            (m, kind=3, n, n), float32; the roots of their values at a difference of images make up the estimate.
-        unit: Unit of the candidates' points, float32, metres.
-        rank_x: x of the candidates' centred points, (m, n, most), int16.
-        rank_y: y of them.
-        rank_squares: The quadratic forms' values at them, (m, kind=3, most), float32, square metres.
-        factors: What each root counts in the estimate, (m, kind=3, most), float32.
-        annotations: Centred annotations (annotation, n, 2), metres.
-        annotation_edges: Their Delaunay edges.
-        annotation_weights: Their weights, summing to 1.
-        annotation_counts: Their numbers of edges.
-        rough_points: The centred annotations (annotation, 2, n), float32, metres.
-        rough_starts: First joints of the edges, (annotation, edge), uint8.
-        rough_ends: Second joints of them.
-        rough_weights: The weights, float32.
-        offsets: Jitter of the triangulation, (n, 2), metres.
-        beta_m: Edge length below which weights stop growing, metres.
-        min_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
-        min_own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the
-            estimate when that over the annotation's is known; 0 never loses any.
+        bank: Tables of the bank.
         limit: d_I above which nothing matters unless a better one is found, metres.
         margin: How far behind the best view another still matters, metres.
-        scale: 2 sigma_l^2, metres.
         best: Result (m,), metres: least d_I, inf where it is beyond what matters.
         best_slot: Annotation that reached it, (m,); -1 where none did.
 
@@ -302,7 +274,12 @@ def best_per_view(  # type: ignore[no-untyped-def]
         Log of the mean over the views of exp(-d_I / scale), -inf when nothing mattered; and a number without meaning,
         which keeps reads ahead from being optimised away.
     """
-    num_points, num_views, most = points.shape[0], directions.shape[0], slots.shape[1]
+    num_points, num_views, most = points.shape[0], bank.directions.shape[0], bank.slots.shape[1]
+    slots, candidate_counts, offsets = bank.slots, bank.counts, bank.offsets
+    annotations, edges_of, weights_of, num_edges_of = bank.points, bank.edges, bank.weights, bank.num_edges
+    rough_points, rough_starts = bank.rough_points, bank.rough_starts
+    rough_ends, rough_weights = bank.rough_ends, bank.rough_weights
+    min_ratio, min_own_ratio, scale = bank.min_ratio, bank.min_own_ratio, bank.scale
     xs, ys = np.empty((num_views, num_points)), np.empty((num_views, num_points))
     jx, jy = np.empty(num_points), np.empty(num_points)
     dx, dy = np.empty(num_points), np.empty(num_points)
@@ -323,23 +300,7 @@ def best_per_view(  # type: ignore[no-untyped-def]
     for view in range(num_views):
         best[view] = np.inf
         best_slot[view] = -1
-    _estimate_views(
-        points,
-        directions,
-        candidate_counts,
-        springs,
-        unit,
-        rank_x,
-        rank_y,
-        rank_squares,
-        factors,
-        xs,
-        ys,
-        turn,
-        estimate,
-        least,
-        first,
-    )
+    _estimate_views(points, bank, xs, ys, turn, estimate, least, first)
     overall = limit
     for view in np.argsort(least):
         matters = overall + margin
@@ -369,15 +330,8 @@ def best_per_view(  # type: ignore[no-untyped-def]
                     px, py = np.float32(x[k]), np.float32(y[k])
                     dx32[k] = cosine * px - sine * py - rough_points[slot, 0, k]
                     dy32[k] = sine * px + cosine * py - rough_points[slot, 1, k]
-                rough = _rough_side(
-                    dx32,
-                    dy32,
-                    rough_starts[slot],
-                    rough_ends[slot],
-                    annotation_counts[slot],
-                    rough_weights[slot],
-                    squares32,
-                )
+                starts, ends, rest = rough_starts[slot], rough_ends[slot], rough_weights[slot]
+                rough = _rough_side(dx32, dy32, starts, ends, num_edges_of[slot], rest, squares32)
                 if rough + 0.5 * min_own_ratio * estimate[view, c] > bound + ESTIMATE_TOLERANCE_M:
                     continue
                 if num_edges < 0:
@@ -385,25 +339,15 @@ def best_per_view(  # type: ignore[no-untyped-def]
                         jx[k] = x[k] + offsets[k, 0]
                         jy[k] = y[k] + offsets[k, 1]
                     num_edges = triangulate(jx, jy, triangles, neighbours, scratch, edges)
-                    fill_edge_weights(x, y, edges, num_edges, beta_m, weights)
+                    fill_edge_weights(x, y, edges, num_edges, bank.beta_m, weights)
                     for e in range(num_edges):
                         starts32[e], ends32[e], weights32[e] = edges[e, 0], edges[e, 1], weights[e]
                 rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
                 if rough > bound + ROUGH_TOLERANCE_M:
                     continue
-                total = _exact(
-                    x,
-                    y,
-                    annotations[slot],
-                    edges,
-                    num_edges,
-                    weights,
-                    annotation_edges[slot],
-                    annotation_counts[slot],
-                    annotation_weights[slot],
-                    dx,
-                    dy,
-                )
+                fixed, others, shares = annotations[slot], edges_of[slot], weights_of[slot]
+                count = num_edges_of[slot]
+                total = _exact(x, y, fixed, others, count, shares, edges, num_edges, weights, dx, dy)
                 if total < best[view] and total <= matters:
                     best[view], best_slot[view] = total, slot
                     bound = total

@@ -22,7 +22,7 @@ from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import jitter
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.density import ImageKind, ImageSettings
-from pasdedeux.sampling.kernels import best_per_view
+from pasdedeux.sampling.kernels import BankTables, best_per_view
 
 __all__ = [
     "InteractionKind",
@@ -137,45 +137,50 @@ class InteractionLikelihood:
     ) -> None:
         if not sigma_l > 0.0:
             raise InputError(f"sigma_l must be positive, found {sigma_l}")
-        self._beta_m = beta_m
-        self._min_ratio, self._min_own_ratio = (0.0, 0.0) if is_exact else (min_ratio, min_own_ratio)
-        self._pairs, self._bank, self._sigma_l = pairs, bank, sigma_l
-        self._directions = np.ascontiguousarray(bank.directions)
-        self._counts = bank.counts
+        self._pairs, self._bank, self._sigma_l, self._beta_m = pairs, bank, sigma_l, beta_m
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
-        points = pairs.points_m[used].reshape(len(used), -1, 2)
-        self._points = np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
-        self._table: EdgeTable = edge_table(points, beta_m=beta_m)
+        images = pairs.points_m[used].reshape(len(used), -1, 2)
+        points = np.ascontiguousarray(images - images.mean(axis=1, keepdims=True))
+        table: EdgeTable = edge_table(images, beta_m=beta_m)
         slots = np.searchsorted(used, np.maximum(bank.candidates, used[0])).astype(np.int32)
-        self._slots = slots
-        springs, self._factors = _springs(self._points, self._table, slots, bank.counts)
-        self._springs = springs.astype(np.float32)
+        springs, factors = _springs(points, table, slots, bank.counts)
         # Tables of the estimate, a candidate per lane: (view, joint, candidate).
-        table = self._points[slots]
-        self._rank_squares = np.array(
-            [
-                [((form @ own) * own).sum(axis=(1, 2)) for form in forms]
-                for forms, own in zip(springs, table, strict=True)
-            ],
-            dtype=np.float32,
+        met = points[slots]
+        squares = [
+            [((form @ own) * own).sum(axis=(1, 2)) for form in forms] for forms, own in zip(springs, met, strict=True)
+        ]
+        unit = np.float32(max(float(np.abs(points).max()), 1e-6) / np.iinfo(np.int16).max)
+        lanes = np.rint(np.moveaxis(met, (1, 2), (2, 1)) / unit).astype(np.int16)
+        self._tables = BankTables(
+            directions=np.ascontiguousarray(bank.directions),
+            counts=bank.counts,
+            slots=slots,
+            springs=springs.astype(np.float32),
+            unit=unit,
+            rank_x=np.ascontiguousarray(lanes[..., 0]),
+            rank_y=np.ascontiguousarray(lanes[..., 1]),
+            rank_squares=np.array(squares, dtype=np.float32),
+            factors=factors,
+            points=points,
+            edges=table.edges,
+            weights=table.weights,
+            num_edges=table.counts,
+            rough_points=np.ascontiguousarray(np.moveaxis(points, 2, 1), dtype=np.float32),
+            rough_starts=np.ascontiguousarray(table.edges[..., 0], dtype=np.uint8),
+            rough_ends=np.ascontiguousarray(table.edges[..., 1], dtype=np.uint8),
+            rough_weights=table.weights.astype(np.float32),
+            offsets=jitter(points.shape[1]),
+            beta_m=beta_m,
+            min_ratio=0.0 if is_exact else min_ratio,
+            min_own_ratio=0.0 if is_exact else min_own_ratio,
+            scale=2.0 * sigma_l**2,
         )
-        self._unit = np.float32(max(float(np.abs(self._points).max()), 1e-6) / np.iinfo(np.int16).max)
-        lanes = np.rint(np.moveaxis(table, (1, 2), (2, 1)) / self._unit).astype(np.int16)
-        self._rank_x, self._rank_y = (np.ascontiguousarray(lanes[..., axis]) for axis in range(2))
-        self._rough = (
-            np.ascontiguousarray(np.moveaxis(self._points, 2, 1), dtype=np.float32),
-            np.ascontiguousarray(self._table.edges[..., 0], dtype=np.uint8),
-            np.ascontiguousarray(self._table.edges[..., 1], dtype=np.uint8),
-            self._table.weights.astype(np.float32),
-        )
-        self._jitter = jitter(points.shape[1])
-        self._scale = 2.0 * sigma_l**2
         # Views this far behind the best add less than 1e-14 of the sum together.
-        self._margin = self._scale * float(np.log(len(self._directions) * 1e14))
-        self._best = np.empty(len(self._directions))
-        self._slot = np.empty(len(self._directions), dtype=np.int64)
+        self._margin = self._tables.scale * float(np.log(len(bank.directions) * 1e14))
+        self._best = np.empty(len(bank.directions))
+        self._slot = np.empty(len(bank.directions), dtype=np.int64)
 
     def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
         """Return log likelihood of a pair (2, 17, 3), metres; -inf as soon as it is known to lie below `at_least`."""
@@ -185,7 +190,7 @@ class InteractionLikelihood:
     def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
         """Return the log likelihood alone."""
         # The mean over views is at most the best view: it alone must reach the floor.
-        limit = np.inf if at_least == -np.inf else -at_least * self._scale
+        limit = np.inf if at_least == -np.inf else -at_least * self._tables.scale
         value = self._search(pair_m, limit, self._margin)
         return value if value >= at_least else -np.inf
 
@@ -214,32 +219,8 @@ class InteractionLikelihood:
 
     def _search(self, pair_m: Array, limit: float, margin: float) -> float:
         """Fill the least d_I of each view as far as it matters, and who has it; give the log likelihood."""
-        value, _ = best_per_view(
-            np.ascontiguousarray(pair_m).reshape(-1, 3),
-            self._directions,
-            self._counts,
-            self._slots,
-            self._springs,
-            self._unit,
-            self._rank_x,
-            self._rank_y,
-            self._rank_squares,
-            self._factors,
-            self._points,
-            self._table.edges,
-            self._table.weights,
-            self._table.counts,
-            *self._rough,
-            self._jitter,
-            self._beta_m,
-            self._min_ratio,
-            self._min_own_ratio,
-            limit,
-            margin,
-            self._scale,
-            self._best,
-            self._slot,
-        )
+        points = np.ascontiguousarray(pair_m).reshape(-1, 3)
+        value, _ = best_per_view(points, self._tables, limit, margin, self._best, self._slot)
         return float(value)
 
 

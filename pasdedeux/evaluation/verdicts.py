@@ -71,12 +71,16 @@ class Yardstick:
         lead = sign * (baseline - value)
         level = (
             Level.PASS
-            if lead > _CLEARLY * abs(baseline)
+            if lead > _CLEARLY * abs(baseline) or value == baseline == 0.0
             else Level.FAIL
             if lead < -_CLEARLY * abs(baseline)
             else Level.WARN
         )
-        how = {Level.PASS: "better than", Level.WARN: "about as good as", Level.FAIL: "worse than"}[level]
+        how = {
+            Level.PASS: "better than" if lead else "without error, as",
+            Level.WARN: "about as good as",
+            Level.FAIL: "worse than",
+        }[level]
         reason = f"{_words(method)} is {how} {_words(name)}"
         return Verdict(level, reason, self.figure, value, unit, baseline, _words(name))
 

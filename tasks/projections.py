@@ -6,7 +6,7 @@ For comparison also the codebook of the published search, when asked: clusters o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from typing import Any, Literal, Self
 
@@ -14,21 +14,44 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera, cameras_of
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
-from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
-__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "Views", "plan", "read_pairs", "read_views", "run_shard"]
+__all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
 
 VERSION = 3
+
+
+class ViewsOfPoses(Parameters):
+    """How the poses of a database are seen: yaw steps over the full turn, and the cameras in a study's words."""
+
+    num_yaws: int
+    camera: Literal["orthographic", "pinhole"]
+    pitches_deg: tuple[float, ...]
+    heights_m: tuple[float, ...]
+    distance_m: float
+
+    @property
+    def cameras(self) -> tuple[DatabaseCamera, ...]:
+        """The cameras by rising pitch."""
+        return cameras_of(
+            self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m
+        )
+
+    @property
+    def level_camera(self) -> DatabaseCamera:
+        """The camera at the height of the mid-hip."""
+        return replace(self.cameras[0], pitch_rad=0.0)
 
 
 class ProjectionsParameters(Parameters):
@@ -66,7 +89,7 @@ class ProjectionsParameters(Parameters):
         description="Clusters of the published search (level orthographic camera, takes only), for comparison with the "
         "exact one; 0 for none, the paper has 500",
     )
-    least_cluster_change: float = Field(
+    min_cluster_change: float = Field(
         0.0,
         ge=0,
         lt=1,
@@ -81,7 +104,7 @@ class ProjectionsParameters(Parameters):
         if abs(360.0 / self.yaw_step_deg - self.num_yaws) > 1e-6:
             raise ValueError(f"yaw_step_deg is {self.yaw_step_deg:g}; a full turn must be a whole number of steps")
         try:
-            Views.of(self.views)
+            cameras_of(self.camera, pitches_deg=self.pitches_deg, heights_m=self.heights_m, distance_m=self.distance_m)
         except InputError as error:
             raise ValueError(str(error)) from None
         return self
@@ -92,45 +115,35 @@ class ProjectionsParameters(Parameters):
         return round(360.0 / self.yaw_step_deg)
 
     @property
-    def views(self) -> dict[str, Any]:
-        """What the facts of a part say about how its poses are seen."""
-        return {
-            "num_yaws": self.num_yaws,
-            "camera": self.camera,
-            "pitches_deg": list(self.pitches_deg),
-            "heights_m": list(self.heights_m),
-            "distance_m": self.distance_m,
-        }
+    def views(self) -> ViewsOfPoses:
+        """How the poses are seen."""
+        return self.part(ViewsOfPoses, num_yaws=self.num_yaws)
 
 
-@dataclass(frozen=True)
-class Views:
-    """How the poses of a database are seen: yaw steps over the full turn, and cameras by rising pitch."""
+class PoseShard(Parameters):
+    """What a shard of poses is told: where they come from, their rate, and which draws are wanted."""
 
+    origin: Literal["take", "draw", "variant"]
+    rate_hz: float
+    views: ViewsOfPoses
+    source_rate_hz: float | None = None
+    densities: tuple[str, ...] = ()
+
+
+class CodebookShard(Parameters):
+    """What the shard of the published search's clusters is told."""
+
+    rate_hz: float
     num_yaws: int
-    cameras: tuple[DatabaseCamera, ...]
-
-    @classmethod
-    def of(cls, facts: dict[str, Any]) -> Views:
-        """Return the views that the facts of a part tell."""
-        cameras = cameras_of(
-            facts["camera"],
-            pitches_deg=facts["pitches_deg"],
-            heights_m=facts["heights_m"],
-            distance_m=facts["distance_m"],
-        )
-        return cls(facts["num_yaws"], cameras)
-
-    @property
-    def level_camera(self) -> DatabaseCamera:
-        """The camera at the height of the mid-hip."""
-        return replace(self.cameras[0], pitch_rad=0.0)
+    num_clusters: int
+    num_cluster_dimensions: int
+    min_cluster_change: float
 
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
     shards = []
-    wanted = [("take", "poses")]
+    wanted: list[tuple[Literal["take", "draw", "variant"], str]] = [("take", "poses")]
     if parameters.include_draws:
         wanted.append(("draw", "draws"))
     if parameters.include_variants:
@@ -140,25 +153,30 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             facts = manifest.facts
             if facts.get("is_held_out", False):
                 continue
-            chosen: dict[str, Any] = {"origin": origin, "rate_hz": parameters.rate_hz, "views": parameters.views}
+            densities: tuple[str, ...] = ()
             if origin == "draw":
                 if "density" in facts and facts["density"] not in parameters.densities:
                     continue
-                chosen["densities"] = list(parameters.densities)
-            else:
-                chosen["source_rate_hz"] = facts.get("rate_hz")
+                densities = parameters.densities
+            options = PoseShard(
+                origin=origin,
+                rate_hz=parameters.rate_hz,
+                views=parameters.views,
+                source_rate_hz=None if origin == "draw" else facts.get("rate_hz"),
+                densities=densities,
+            )
             shards.append(
                 Shard(
                     stage="projections",
                     version=VERSION,
                     partition=facts.get("take_id", manifest.partition),
                     name=f"{origin}-{manifest.partition}-{manifest.name}",
-                    parameters=chosen,
-                    inputs=(manifest.ref,),
+                    parameters=options,
+                    inputs=named_refs(poses=[manifest]),
                     seed=inputs.seed,
                 )
             )
-    taken = [shard for shard in shards if shard.parameters["origin"] == "take"]
+    taken = [shard for shard in shards if shard.options(PoseShard).origin == "take"]
     if parameters.num_clusters and taken:
         shards.append(
             Shard(
@@ -166,14 +184,7 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                 version=VERSION,
                 partition="codebook",
                 name="codebook",
-                parameters={
-                    "origin": "codebook",
-                    "rate_hz": parameters.rate_hz,
-                    "num_yaws": parameters.num_yaws,
-                    "num_clusters": parameters.num_clusters,
-                    "num_dimensions": parameters.num_cluster_dimensions,
-                    "least_change": parameters.least_cluster_change,
-                },
+                parameters=parameters.part(CodebookShard, num_yaws=parameters.num_yaws),
                 after=tuple(shard.key for shard in taken),
                 seed=inputs.seed,
             )
@@ -183,15 +194,21 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
-    if shard.parameters["origin"] == "codebook":
-        return _run_codebook(shard, store)
-    (ref,) = shard.inputs
-    origin = shard.parameters["origin"]
-    rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[origin](shard, store, ref)
+    match shard.parameters:
+        case CodebookShard() as options:
+            return _run_codebook(shard, options, store)
+        case PoseShard() as options:
+            return _run_poses(shard, options, store)
+    raise TypeError(f"no shard of this stage: {shard.parameters}")
+
+
+def _run_poses(shard: Shard, options: PoseShard, store: Store) -> ArtifactRef:
+    ref = shard.ref("poses")
+    rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin](options, store, ref)
     positions = rows.pop("positions")
     centred = centre_and_face(retarget_proportions(positions))
     columns: dict[str, Any] = {
-        "origin": [origin] * len(positions),
+        "origin": [options.origin] * len(positions),
         **rows,
         "op14_m": centred.poses_m,
         "op14_unitquat": bone_rotations(centred.poses_m),
@@ -201,16 +218,22 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     }
     facts = {
         "kind": "projections",
-        "origin": origin,
+        "origin": options.origin,
         "takes": merge_takes(store.manifest(ref)),
         "num_poses": len(positions),
-        "rate_hz": shard.parameters["rate_hz"],
-        "views": shard.parameters["views"],
+        "rate_hz": options.rate_hz,
+        "views": options.views.model_dump(mode="json"),
     }
-    return commit(shard, store, tables={"projections": columns}, facts=facts)
+    verdict = Verdict(
+        Level.PASS if len(positions) else Level.WARN,
+        "" if len(positions) else f"the {options.origin}s hold no pose of the densities {', '.join(options.densities)}",
+        figure="poses",
+        value=len(positions),
+    )
+    return commit(shard, store, tables={"projections": columns}, facts=facts, verdict=verdict)
 
 
-def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
+def _run_codebook(shard: Shard, options: CodebookShard, store: Store) -> ArtifactRef:
     """Cluster the projections of all takes; members are numbered over the takes in the order of the plan."""
     parts: list[Manifest] = []
     for key in shard.after:
@@ -222,13 +245,13 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
     database = Database(
         np.concatenate([np.asarray(table["op14_m"]) for table in tables]),
         np.concatenate([np.asarray(table["is_sequence_start"]) for table in tables]),
-        num_yaws=shard.parameters["num_yaws"],
-        rate_hz=shard.parameters["rate_hz"],
+        num_yaws=options.num_yaws,
+        rate_hz=options.rate_hz,
     )
     settings = PublishedSettings(
-        num_clusters=shard.parameters["num_clusters"],
-        num_dimensions=shard.parameters["num_dimensions"],
-        least_change=shard.parameters["least_change"],
+        num_clusters=options.num_clusters,
+        num_dimensions=options.num_cluster_dimensions,
+        min_change=options.min_cluster_change,
     )
     book = build_codebook(database, stream(shard.seed, "projections", "codebook"), settings)
     columns = {
@@ -243,10 +266,11 @@ def _run_codebook(shard: Shard, store: Store) -> ArtifactRef:
         "part_keys": [part.ref.key for part in parts],
     }
     sources = [source for part in parts for source in part.sources]
-    return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources)
+    verdict = Verdict(Level.PASS, figure="clusters", value=len(book.members))
+    return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources, verdict=verdict)
 
 
-def read_views(parts: Sequence[Manifest]) -> Views:
+def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
     """Return how the poses of a database's parts are seen.
 
     Raises:
@@ -257,17 +281,17 @@ def read_views(parts: Sequence[Manifest]) -> Views:
         raise InputError("a projection database of an earlier version does not say what camera sees it; build it again")
     if any(views != told[0] for views in told):
         raise InputError("parts of the projection database differ in yaw steps or camera; build them with one study")
-    return Views.of(told[0])
+    return ViewsOfPoses(**told[0])
 
 
-def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, most: int | None = None) -> np.ndarray:
-    """Return the pairs (row, person, 14, 3) of all parts, for `pairs.PairDatabase`; people who were alone are left out.
+def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | None = None) -> np.ndarray:
+    """Return the pairs (row, person, 14, 3) of all parts, for `pair_database`; people who were alone are left out.
 
     The rows of a frame give back its people in their place to each other: heading and place are put on again.  Of more
-    pairs than `most` an even choice is given.
+    pairs than `max_pairs` an even choice is given.
     """
     count = sum(store.manifest(ref).tables["projections"].rows for ref in refs) // 2
-    step = 1 if most is None else max(1, -(-count // most))
+    step = 1 if max_pairs is None else max(1, -(-count // max_pairs))
     pairs = [np.zeros((0, 2, OP14.num_joints, 3))]
     for ref in refs:
         columns = ["person", "partner_row", "op14_m", "heading_rad", "root_translation_m"]
@@ -281,27 +305,27 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, most: int | None = 
     return np.concatenate(pairs)
 
 
-def _take_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _take_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Return the poses of every person of a take at the database's rate."""
     poses = store.read(ref, "poses", columns=["take_id", "person", "frame", "time_s", "op14_m"])
     person, take_ids = np.asarray(poses["person"]), list(poses["take_id"])
-    from_hz = shard.parameters["source_rate_hz"] or _rate_of(np.asarray(poses["time_s"])[person == person[0]])
+    from_hz = options.source_rate_hz or _rate_of(np.asarray(poses["time_s"])[person == person[0]])
     parts = []
     for one in np.unique(person):
         chosen = np.flatnonzero(person == one)
         chosen = chosen[np.argsort(np.asarray(poses["frame"])[chosen], kind="stable")]
         moved = resample_positions(
-            np.asarray(poses["op14_m"], dtype=np.float64)[chosen], from_hz=from_hz, to_hz=shard.parameters["rate_hz"]
+            np.asarray(poses["op14_m"], dtype=np.float64)[chosen], from_hz=from_hz, to_hz=options.rate_hz
         )
         parts.append(_one_motion(moved, take_ids[chosen[0]], int(one)))
     _set_partners(parts)
     return _joined(parts)
 
 
-def _draw_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Return both people of every draw; draws have no past, so each is a motion of its own."""
     draws = store.read(ref, "draws", columns=["density", "pair17_m", "take_id"])
-    is_wanted = np.isin(np.array(list(draws["density"]), dtype=object), list(shard.parameters["densities"]))
+    is_wanted = np.isin(np.array(list(draws["density"]), dtype=object), list(options.densities))
     rows = np.flatnonzero(is_wanted)
     pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64)[rows], PAIR17)
     take_ids = [list(draws["take_id"])[row] or "" for row in rows]
@@ -320,7 +344,7 @@ def _draw_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     return _joined(parts)
 
 
-def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
+def _variant_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Return both people of every variant at the database's rate."""
     table = store.read(ref, "variants", columns=["take_id", "variant_id", "frame", "time_s", "body22_m"])
     variant = np.array(list(table["variant_id"]), dtype=object)
@@ -331,10 +355,8 @@ def _variant_rows(shard: Shard, store: Store, ref: ArtifactRef) -> dict[str, Any
     for one in range(len(names)):
         chosen = np.flatnonzero(number == one)
         chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
-        from_hz = shard.parameters["source_rate_hz"] or _rate_of(np.asarray(table["time_s"])[chosen])
-        pair = resample_positions(
-            op14_from_working(poses[chosen], BODY22), from_hz=from_hz, to_hz=shard.parameters["rate_hz"]
-        )
+        from_hz = options.source_rate_hz or _rate_of(np.asarray(table["time_s"])[chosen])
+        pair = resample_positions(op14_from_working(poses[chosen], BODY22), from_hz=from_hz, to_hz=options.rate_hz)
         both = [_one_motion(pair[:, person], take_ids[chosen[0]], person) for person in range(2)]
         _set_partners(both, first_row=sum(len(part["positions"]) for part in parts))
         parts += both

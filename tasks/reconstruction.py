@@ -22,25 +22,26 @@ from pasdedeux.reconstruction.reconstruct import (
     TrackSettings,
 )
 from pasdedeux.reconstruction.tracks import PersonTrack, why_no_video
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, stream
+from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
-__all__ = ["MOST_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
+__all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
 VERSION = 10
 
 
-MOST_PAIRS = 30_000
+MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
 
+_MAX_BRIDGED = 0.2
+"""A motion of which more is interpolated deserves a warning."""
 
-class ReconstructionParameters(TrackSettings, Parameters):
-    """Which sequences are reconstructed, against which views of the database, and how a motion is chosen."""
 
-    sequences: Literal["held_out", "given", "all"] = Field(
-        "held_out", description="Virtual video of held-out takes and given sequences, given ones only, or every video"
-    )
+class SequenceSettings(TrackSettings, Parameters):
+    """How the people of a sequence are followed and reconstructed."""
+
     methods: tuple[Method, ...] = Field(
         (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
@@ -79,6 +80,20 @@ class ReconstructionParameters(TrackSettings, Parameters):
     )
 
 
+class ReconstructionParameters(SequenceSettings):
+    """Which sequences are reconstructed, and how."""
+
+    sequences: Literal["held_out", "given", "all"] = Field(
+        "held_out", description="Virtual video of held-out takes and given sequences, given ones only, or every video"
+    )
+
+
+class SequenceShard(SequenceSettings):
+    """What a shard is told: its sequence, and how."""
+
+    sequence_id: str
+
+
 def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shard]:
     """Plan a shard per video sequence, with every projections artifact that has not seen the sequence's take."""
     shards = []
@@ -95,11 +110,8 @@ def plan(inputs: StageInputs, parameters: ReconstructionParameters) -> list[Shar
                     version=VERSION,
                     partition=sequence_id,
                     name=sequence_id,
-                    parameters={
-                        "sequence_id": sequence_id,
-                        **parameters.model_dump(mode="json", exclude={"sequences"}),
-                    },
-                    inputs=(manifest.ref, *(database.ref for database in allowed)),
+                    parameters=parameters.part(SequenceShard, sequence_id=sequence_id),
+                    inputs=named_refs(annotations=[manifest], projections=allowed),
                     seed=inputs.seed,
                 )
             )
@@ -116,12 +128,9 @@ def _is_wanted(manifest: Manifest, sequences: str) -> bool:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Reconstruct every person of a sequence with every method; tracks that cannot be are named in the facts."""
-    annotations, *database_refs = shard.inputs
-    manifest = store.manifest(annotations)
-    sequence_id = shard.parameters["sequence_id"]
-    parameters = ReconstructionParameters(
-        **{name: value for name, value in shard.parameters.items() if name != "sequence_id"}
-    )
+    annotations, database_refs = shard.ref("annotations"), shard.refs("projections")
+    manifest, parameters = store.manifest(annotations), shard.options(SequenceShard)
+    sequence_id = parameters.sequence_id
     facts: dict[str, Any] = {
         "kind": "motions",
         "sequence_ids": [sequence_id],
@@ -131,21 +140,54 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "methods": [method.value for method in parameters.methods],
         "skipped": [],
     }
-    people = _read_tracks(store, annotations, sequence_id, parameters, facts)
+    people = _read_tracks(store, annotations, parameters, facts)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
     if not database_refs:
         facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
-        rows, attachments = _reconstruct(store, database_refs, sequence_id, people, parameters, facts, shard.seed)
+        rows, attachments = _reconstruct(store, database_refs, people, parameters, facts, shard.seed)
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
-    return commit(shard, store, tables={"motions": _columns(rows)}, facts=facts, attachments=attachments)
+    return commit(
+        shard,
+        store,
+        tables={"motions": _columns(rows)},
+        facts=facts,
+        attachments=attachments,
+        verdict=_verdict(rows, facts),
+    )
 
 
-def _read_tracks(
-    store: Store, ref: ArtifactRef, sequence_id: str, parameters: ReconstructionParameters, facts: dict[str, Any]
-) -> list[PersonTrack]:
+def _verdict(rows: Sequence[dict[str, Any]], facts: dict[str, Any]) -> Verdict:
+    """Judge a sequence: misfit of the matches that the last method follows, beside the nearest ones'."""
+    skipped = facts["skipped"]
+    if not rows:
+        return Verdict(Level.FAIL, skipped[0] if skipped else "the sequence shows nobody")
+    misfit = {method: [row["score_m"] for row in rows if row["method"][0] == method] for method in facts["methods"]}
+    value, nearest = (
+        float(np.nanmedian(np.concatenate(misfit[method]))) if misfit.get(method) else float("nan")
+        for method in (facts["methods"][-1], Method.NEAREST.value)
+    )
+    bridged = float(np.mean(np.concatenate([row["is_bridged"] for row in rows])))
+    reasons = list(skipped[:1])
+    if bridged > _MAX_BRIDGED:
+        reasons.append(f"{bridged:.0%} of the frames show too little and are interpolated")
+    if facts["is_pitch_at_edge"]:
+        reasons.append(f"the camera's pitch may lie beyond the database's last one, {facts['pitch_deg']:.3g} degrees")
+    return Verdict(
+        Level.WARN if reasons else Level.PASS,
+        "; ".join(reasons),
+        figure="misfit of the match",
+        value=value,
+        unit="m",
+        baseline=nearest,
+        baseline_name="nearest",
+    )
+
+
+def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[PersonTrack]:
     """Return the tracks of the sequence, by person; what was merged and dropped on the way is put into the facts."""
+    sequence_id = parameters.sequence_id
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "op14_confidence"]
     table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
     rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
@@ -180,14 +222,14 @@ def _read_tracks(
 def _reconstruct(
     store: Store,
     database_refs: Sequence[ArtifactRef],
-    sequence_id: str,
     people: Sequence[PersonTrack],
-    parameters: ReconstructionParameters,
+    parameters: SequenceShard,
     facts: dict[str, Any],
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
     """Return the rows of `motions` of every method and person, and a BVH file a person."""
-    options = ReconstructionOptions(**{name: getattr(parameters, name) for name in TrackSettings.model_fields})
+    sequence_id = parameters.sequence_id
+    options = ReconstructionOptions(**parameters.model_dump(include=set(TrackSettings.model_fields)))
     poses, starts, take_ids, frames = read_database(store, database_refs)
     if len(poses) == 0:
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
@@ -207,14 +249,16 @@ def _reconstruct(
         parameters.methods,
         options,
         has_clean_up=parameters.has_clean_up,
-        pairs_m=read_pairs(store, database_refs, most=MOST_PAIRS) if is_paired else None,
+        pairs_m=read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None,
         camera_height_m=parameters.camera_height_m,
     )
     facts["couples"] = [
         {"person_ids": list(couple), "size_ratio": float(np.divide(*placing.sizes)), "lens_factor": placing.lens_factor}
         for couple, placing in found.placings.items()
     ]
-    facts["camera"] = parts[0].facts["views"]["camera"]
+    facts["camera"] = views.camera
+    pitches = [camera.pitch_rad for camera in views.cameras]
+    facts["is_pitch_at_edge"] = len(pitches) > 1 and suited.camera.pitch_rad == max(pitches)
     facts["pitch_deg"] = float(np.rad2deg(suited.camera.pitch_rad))
     facts["num_projections"] = chosen.database.num_projections
     facts["search_slack"] = chosen.index.slack

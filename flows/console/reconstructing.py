@@ -28,7 +28,7 @@ from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.projections import read_pairs, read_views
-from tasks.reconstruction import MOST_PAIRS, read_database
+from tasks.reconstruction import MAX_PAIRS, read_database
 
 __all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
 
@@ -102,7 +102,7 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
         rate_hz=whole.rate_hz,
         image_size_px=image_size,
         has_clean_up=whole.has_clean_up,
-        pairs_m=read_pairs(source, refs, most=MOST_PAIRS),
+        pairs_m=read_pairs(source, refs, max_pairs=MAX_PAIRS),
         camera_height_m=whole.camera_height_m,
     )
     target = whole.out or Path()

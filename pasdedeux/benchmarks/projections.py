@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
+from pasdedeux.experiments.published_search import build_codebook, search_published
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.published import build_codebook, search_published
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
 from pasdedeux.projections.search import (
     Neighbours,

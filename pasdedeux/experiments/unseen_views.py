@@ -26,10 +26,11 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     scale_free_error_m,
 )
 from pasdedeux.evaluation.scores import Score
+from pasdedeux.experiments.published_search import Codebook, search_published
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
-from pasdedeux.projections.published import Codebook, recall, search_published
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
+from pasdedeux.projections.search import recall
 from pasdedeux.reconstruction.cleanup import clean_reconstruction
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
 from pasdedeux.reconstruction.live.window_fit import WindowFitOptions

@@ -31,7 +31,7 @@ class TemporalWeights(Settings):
     """How much a change between frames costs against a misfit in the image."""
 
     pose_weight: float = Field(
-        0.6,
+        0.5,
         ge=0,
         allow_inf_nan=False,
         description="Cost per metre of mean joint distance between where a candidate's motion goes next and the next "

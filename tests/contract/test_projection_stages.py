@@ -163,7 +163,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     refs = [take.ref, drawn.ref, varied.ref]
     pairs = projections.read_pairs(store, refs)
     assert pairs.shape == (72 + 2 + 4, 2, 14, 3)
-    assert len(projections.read_pairs(store, refs, most=30)) == 24 + 1 + 2  # every third
+    assert len(projections.read_pairs(store, refs, max_pairs=30)) == 24 + 1 + 2  # every third
     # The people of a draw stand to each other as they were drawn: retargeting keeps the mid-hips.
     across = np.diff(mid_hip(pairs[72:74]), axis=1)[:, 0]
     truth = np.diff(mid_hip(op14_from_working(np.asarray(drawn_pairs), PAIR17)), axis=1)[[0, 2], 0]

@@ -104,7 +104,12 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
                 "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
             }
         },
-        facts={"kind": "projections", "takes": ["walk"], "rate_hz": 24.0, "views": ProjectionsParameters().views},
+        facts={
+            "kind": "projections",
+            "takes": ["walk"],
+            "rate_hz": 24.0,
+            "views": ProjectionsParameters().views.model_dump(mode="json"),
+        },
     )
     return built
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from pasdedeux.errors import InputError
-from pasdedeux.projections.database import Database
-from pasdedeux.projections.published import (
+from pasdedeux.experiments.published_search import (
     BOX_HEIGHT_M,
     Codebook,
     PublishedSettings,
     build_codebook,
-    recall,
     scale_to_box,
     search_published,
 )
+from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.scale import bounding_box_height
-from pasdedeux.projections.search import Neighbours
+from pasdedeux.projections.search import Neighbours, recall
 from tests.builders.walkers import walk
 
 
@@ -101,7 +100,7 @@ def test_clusters_are_added_until_the_mean_distance_changes_little(database: Dat
             build_codebook(
                 database,
                 np.random.default_rng(0),
-                PublishedSettings(num_clusters=200, num_landmarks=50, least_change=least, cluster_step=10),
+                PublishedSettings(num_clusters=200, num_landmarks=50, min_change=least, cluster_step=10),
             ).members
         )
         for least in (0.5, 0.15, 0.0)
@@ -113,5 +112,5 @@ def test_clusters_are_added_until_the_mean_distance_changes_little(database: Dat
 
 
 def test_counts_below_one_are_refused() -> None:
-    with pytest.raises(InputError, match="at least 1"):
+    with pytest.raises(ValidationError, match="num_clusters"):
         PublishedSettings(num_clusters=0)

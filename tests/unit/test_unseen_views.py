@@ -17,8 +17,8 @@ from pasdedeux.experiments.unseen_views import (
     see,
     unseen_view_scores,
 )
+from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.published import PublishedSettings, build_codebook
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.pitch import sized_by_height
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, match_track, reconstruct_track

@@ -25,9 +25,9 @@ from pasdedeux.experiments.unseen_views import (
     see,
     unseen_view_scores,
 )
+from pasdedeux.experiments.published_search import Codebook
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.published import Codebook
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Manifest, Store

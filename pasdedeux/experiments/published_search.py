@@ -19,12 +19,13 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
-from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_STATURE_M
 from pasdedeux.projections.scale import bounding_box_height
-from pasdedeux.projections.search import Neighbours, prepare_query, recall
+from pasdedeux.projections.search import Neighbours, prepare_query
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = [
@@ -32,14 +33,13 @@ __all__ = [
     "Codebook",
     "PublishedSettings",
     "build_codebook",
-    "recall",
     "scale_to_box",
     "search_published",
 ]
 
 BOX_HEIGHT_M = REFERENCE_STATURE_M
 """Height of every image's bounding box; the paper does not say which."""
-_LEAST_BOX_M = 0.1
+_MIN_BOX_M = 0.1
 _COUNTED = 20_000
 """Projections that the number of clusters is found on."""
 
@@ -48,33 +48,21 @@ Floats32 = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class PublishedSettings:
-    """How the clusters are made.
+class PublishedSettings(Settings):
+    """How the clusters are made."""
 
-    Args:
-        num_clusters: Clusters; with `least_change` the most that are tried.
-        num_dimensions: Dimensions of the embedding; the paper found 2 to 5 equally good.
-        num_landmarks: Projections that all others are placed by.
-        num_rounds: Rounds of k-means at most.
-        least_change: Where not 0, the number of clusters is raised by `cluster_step` until the mean distance to the
-            centroid changes by no more than this part of itself: 0.01 in the paper, which came to 500 (section 6.1; how
-            it was raised is not said).
-        cluster_step: See there.
-    """
-
-    num_clusters: int = 500
-    num_dimensions: int = 5
-    num_landmarks: int = 300
-    num_rounds: int = 20
-    least_change: float = 0.0
-    cluster_step: int = 50
-
-    def __post_init__(self) -> None:
-        """Refuse counts below one."""
-        counts = (self.num_clusters, self.num_dimensions, self.num_landmarks, self.num_rounds, self.cluster_step)
-        if min(counts) < 1 or not 0 <= self.least_change < 1:
-            raise InputError(f"codebook: all counts must be at least 1 and the least change in 0 to 1: {self}")
+    num_clusters: int = Field(500, ge=1, description="Clusters; with `min_change` the most that are tried")
+    num_dimensions: int = Field(5, ge=1, description="Dimensions of the embedding; the paper found 2 to 5 equally good")
+    num_landmarks: int = Field(300, ge=1, description="Projections that all others are placed by")
+    num_rounds: int = Field(20, ge=1, description="Rounds of k-means at most")
+    min_change: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Where not 0, clusters are added by `cluster_step` until the mean distance to the centroid changes "
+        "by no more than this part: 0.01 in the paper, which came to 500 (section 6.1; how is not said)",
+    )
+    cluster_step: int = Field(50, ge=1, description="See there")
 
 
 @dataclass(frozen=True)
@@ -103,10 +91,9 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
     count = database.num_projections
     points = _embed(database, rng, settings)
     num_clusters = min(settings.num_clusters, count)
-    if settings.least_change > 0:
+    if settings.min_change > 0:
         num_clusters = _count_clusters(points, rng, settings)
-    centroids = _cluster(points, rng, num_clusters, settings.num_rounds)
-    label, distance = _nearest_centroids(points, centroids)
+    label, distance = _cluster(points, rng, num_clusters, settings.num_rounds)
     order = np.lexsort((np.arange(count), label))
     members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     middles = np.array([one[np.argmin(distance[one])] for one in members])
@@ -116,9 +103,9 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
 def scale_to_box(projections: Floats32) -> Floats32:
     """Return projections (*batch, 14, 2) with bounding boxes `BOX_HEIGHT_M` high, the origin kept; NaN stays NaN.
 
-    Boxes lower than `_LEAST_BOX_M` of a metre are taken to be that high: a line has no size.
+    Boxes lower than `_MIN_BOX_M` of a metre are taken to be that high: a line has no size.
     """
-    height = np.maximum(bounding_box_height(projections.astype(np.float64)), _LEAST_BOX_M)
+    height = np.maximum(bounding_box_height(projections.astype(np.float64)), _MIN_BOX_M)
     return np.asarray(projections * (BOX_HEIGHT_M / height)[..., None, None], dtype=np.float32)
 
 
@@ -128,27 +115,22 @@ def _count_clusters(points: Floats32, rng: np.random.Generator, settings: Publis
     before = np.inf
     most = min(settings.num_clusters, len(sample))
     for num_clusters in range(min(settings.cluster_step, most), most + 1, settings.cluster_step):
-        _, square = _nearest_centroids(sample, _cluster(sample, rng, num_clusters, settings.num_rounds))
-        mean = float(np.sqrt(np.maximum(square, 0.0)).mean())
-        if np.isfinite(before) and before - mean <= settings.least_change * before:
+        _, distance = _cluster(sample, rng, num_clusters, settings.num_rounds)
+        mean = float(distance.mean())
+        if np.isfinite(before) and before - mean <= settings.min_change * before:
             return num_clusters
         before = mean
     return most
 
 
-def _cluster(points: Floats32, rng: np.random.Generator, num_clusters: int, num_rounds: int) -> Floats32:
-    """Return the centroids (cluster, d) of points (n, d) by k-means; an empty cluster keeps its centroid."""
-    centroids = points[rng.choice(len(points), num_clusters, replace=False)]
-    for _ in range(num_rounds):
-        label, _ = _nearest_centroids(points, centroids)
-        sizes = np.bincount(label, minlength=num_clusters)
-        sums = np.stack([np.bincount(label, column, minlength=num_clusters) for column in points.T], axis=-1)
-        moved = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centroids)
-        change = float(np.abs(moved - centroids).max())
-        centroids = moved.astype(np.float32)
-        if change < 1e-4:
-            break
-    return centroids
+def _cluster(points: Floats32, rng: np.random.Generator, num_clusters: int, num_rounds: int) -> tuple[Integers, Array]:
+    """Return the cluster of each point (n, d) by k-means, and its distance to the centroid (n,)."""
+    from sklearn.cluster import KMeans  # here: a second that those who do not cluster need not wait for
+
+    first = points[rng.choice(len(points), num_clusters, replace=False)]
+    found = KMeans(num_clusters, init=first, n_init=1, max_iter=num_rounds, copy_x=False).fit(points)
+    away = points - found.cluster_centers_[found.labels_]
+    return found.labels_.astype(np.int64), np.linalg.norm(away, axis=1)
 
 
 def search_published(
@@ -237,17 +219,3 @@ def _distances_to(points: Floats32, landmarks: Floats32) -> Floats32:
                 total += np.sqrt(dx * dx + dy * dy)
             out[i, j] = total
     return out
-
-
-def _nearest_centroids(points: Floats32, centroids: Floats32) -> tuple[Integers, Floats32]:
-    """Return for each point (n, d) its nearest centroid and the squared distance to it; ties to the lower number."""
-    label = np.empty(len(points), dtype=np.int64)
-    distance = np.empty(len(points), dtype=np.float32)
-    square = (centroids**2).sum(axis=1)
-    for first in range(0, len(points), 20_000):
-        part = points[first : first + 20_000]
-        away = square - 2.0 * (part @ centroids.T)
-        nearest = np.argmin(away, axis=1)
-        label[first : first + len(part)] = nearest
-        distance[first : first + len(part)] = away[np.arange(len(part)), nearest] + (part**2).sum(axis=1)
-    return label, distance

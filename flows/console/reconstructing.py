@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import typer
+from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store
 from flows.console.following import STOP_NAME, follow_folder, list_frames
@@ -74,7 +75,8 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
     warm_up(searcher, options)
     people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
     typer.echo(f"following {folder}; Ctrl-C or a file {STOP_NAME} in it ends the video", err=True)
-    with lines_into(live.out) as out, told_to_stop() as is_stopped:
+    # Fits of a few frames are too small for several threads of linear algebra, which wait for each other.
+    with lines_into(live.out) as out, told_to_stop() as is_stopped, threadpool_limits(limits=1):
         files = follow_folder(folder, idle_s=live.idle_s, is_stopped=is_stopped)
         follow_lines(people, files, out, rate_hz=live.rate_hz)
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.experiments.published_search import build_codebook, search_published
@@ -239,9 +240,11 @@ def _live() -> BenchmarkResult:
     px = np.stack([camera.project(one) * np.array([350.0, -350.0]) for one in motions], axis=1) + places[:, None]
     px += rng.normal(0.0, 1.0, px.shape)
     confidence = np.ones(px.shape[1:-1])
-    waits = _best_waits_ms(
-        lambda: partial(LivePeople(searcher, rate_hz=24.0, image_size_px=(1920, 1080)).push, confidence=confidence), px
-    )
+    with threadpool_limits(limits=1):  # as `reconstruct --follow` does
+        waits = _best_waits_ms(
+            lambda: partial(LivePeople(searcher, rate_hz=24.0, image_size_px=(1920, 1080)).push, confidence=confidence),
+            px,
+        )
     parts = {
         "identities": _best_waits_ms(lambda: _follow(confidence), px) / 2.0,
         "search": _waits_ms(

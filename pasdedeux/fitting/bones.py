@@ -100,13 +100,8 @@ class BoneForest:
 
     def state_of(self, positions_m: Array) -> BoneState:
         """Read roots and directions off positions (frame, N, 3); a bone of length zero points up."""
-        directions = np.zeros(positions_m.shape)
-        directions[..., 1] = 1.0
-        for point in self.order:
-            parent = self.parents[point]
-            if parent >= 0:
-                vector = positions_m[:, point] - positions_m[:, parent]
-                directions[:, point] = normalise(vector, fallback=np.array([0.0, 1.0, 0.0]))
+        before = np.where(self.parents < 0, np.arange(self.num_points), self.parents)
+        directions = normalise(positions_m - positions_m[:, before], fallback=np.array([0.0, 1.0, 0.0]))
         return BoneState(roots_m=np.array(positions_m[:, self.roots]), directions=directions)
 
     def positions(self, state: BoneState) -> Array:

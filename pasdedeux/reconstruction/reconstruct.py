@@ -19,6 +19,7 @@ from pasdedeux.projections.search import EXACT_UP_TO, Neighbours, ProjectionInde
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import DepthSettings, bone_vectors, decode_depths, place_depths
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
+from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.reconstruction.temporal import TemporalWeights, choose_nearest, choose_viterbi, choose_window
 from pasdedeux.reconstruction.tracks import Track
@@ -37,7 +38,6 @@ __all__ = [
     "match_track",
     "reconstruct_track",
     "share_of_followed",
-    "straighten_rays",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -274,8 +274,7 @@ def reconstruct_track(
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
     if method is not Method.NEAREST:
         root = _smooth_path(root, _odd_window(options.smoothing_s, track.rate_hz))
-    turn = swing_between(np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape), towards)
-    positions = rotate(turn[:, None], relative) + root[:, None]
+    positions = rotate(camera_turns(towards)[:, None], relative) + root[:, None]
     return Reconstruction(
         positions_m=positions,
         bone_unitquat=bone_rotations(positions),
@@ -408,25 +407,6 @@ def _projection_of(database: Database, neighbours: Neighbours) -> Array:
     projected = np.array(database.camera.project(turned), dtype=np.float64)
     projected[row < 0] = np.nan
     return projected
-
-
-def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
-    """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
-
-    Rays behind the turned camera's horizon cannot be seen and come out as NaN.
-    """
-    is_known = np.asarray(np.isfinite(mid_hip_px).all(axis=-1))
-    hips = np.where(is_known[:, None], mid_hip_px, 0.0)
-    towards = np.concatenate([-hips, np.full((len(hips), 1), focal_px)], axis=-1)
-    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    axis = np.broadcast_to(np.array([0.0, 0.0, 1.0]), towards.shape)
-    back = swing_between(towards, axis)
-    rays = np.concatenate([centred_px, np.full((*centred_px.shape[:-1], 1), -focal_px)], axis=-1)
-    turned = rotate(np.broadcast_to(back[:, None], (*rays.shape[:-1], 4)), np.nan_to_num(rays))
-    depth = -turned[..., 2:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        straight = np.where(depth > 0.1 * focal_px, turned[..., :2] / depth * focal_px, np.nan)
-    return np.where(np.isfinite(centred_px), straight, np.nan), towards
 
 
 def _root_before_camera(

@@ -184,7 +184,7 @@ def test_a_sequence_is_never_matched_against_its_own_take(store: Store) -> None:
         StageInputs({"annotations": [video], "projections": built}, seed=0), reconstruction.ReconstructionParameters()
     )
     assert len(shards) == 1
-    allowed = {store.manifest(ref).facts["takes"][0] for ref in shards[0].inputs[1:]}
+    allowed = {store.manifest(ref).facts["takes"][0] for ref in shards[0].refs("projections")}
     assert allowed == {"a", "c"}
     ref = reconstruction.run_shard(shards[0], store)
     assert store.manifest(ref).facts["database_takes"] == ["a", "c"]
@@ -317,7 +317,7 @@ def test_yaw_steps_and_cameras_of_a_study_reach_the_database_and_who_reads_it(st
 
 
 def test_the_default_database_has_steps_of_12_degrees_and_a_camera_at_1_5_metres() -> None:
-    views = projections.Views.of(projections.ProjectionsParameters().views)
+    views = projections.ProjectionsParameters().views
     assert views.num_yaws == 30
     assert pitch_of_height(1.5, 4.0) in [camera.pitch_rad for camera in views.cameras]
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import multiply, rotate, swing_between
+from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
@@ -24,7 +24,8 @@ from pasdedeux.reconstruction.identity import IdentityOptions
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
-from pasdedeux.reconstruction.reconstruct import Searcher, straighten_rays
+from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
+from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter
 from pasdedeux.reconstruction.temporal import Decision, FixedLagViterbi, TemporalWeights
 from pasdedeux.reconstruction.tracks import Lens
@@ -38,8 +39,6 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _LEFT_HIP, _RIGHT_HIP = OP14.index("left_hip"), OP14.index("right_hip")
-
-_CAMERA_AXIS = np.array([0.0, 0.0, 1.0])
 
 _FIRST_ROUNDS = 3
 """Searches of a person's first frame, whose scale is only guessed from the bones."""
@@ -250,7 +249,7 @@ class LivePerson:
             yaw_steps,
             refined.distance_m[order],
             poses,
-            rotate(swing_between(_CAMERA_AXIS, towards[0]), place),
+            rotate(camera_turns(towards)[0], place),
             own,
             weights,
         )
@@ -293,7 +292,7 @@ class LivePerson:
         root = self._root.step(waiting.frame, waiting.root_m[None])[0]
         # Bones turn against each other, so only the body's frame turns with the whole.
         turned = np.array(unitquat)
-        turned[OP14.root] = multiply(swing_between(_CAMERA_AXIS, -root), unitquat[OP14.root])
+        turned[OP14.root] = multiply(camera_turns(-root[None])[0], unitquat[OP14.root])
         positions = place_bone_rotations(turned, REFERENCE_LENGTHS_M * self._proportions, root)
         if self._clean_up is not None:
             cleaned = self._clean_up.step(waiting.frame, positions @ self._camera_rotmat)

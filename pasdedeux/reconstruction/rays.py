@@ -1,0 +1,57 @@
+"""Rays from the camera to people: keypoints as a camera turned towards a person sees them, and that turn.
+
+Compiled, because live reconstruction does it for every frame of its own.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.kinematics.rotation_kernels import normalise, rotate, swing_between
+
+__all__ = ["camera_turns", "straighten_rays"]
+
+Array = npt.NDArray[np.float64]
+
+_MIN_DEPTH = 0.1
+"""Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
+    """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
+
+    Rays behind the turned camera's horizon cannot be seen and come out as NaN.
+
+    Args:
+        centred_px: Keypoints (frame, joint, 2) about the principal point, y up; NaN where not seen.
+        mid_hip_px: (frame, 2); where it is not known the camera is not turned.
+        focal_px: Focal length.
+    """
+    straight, towards = np.full(centred_px.shape, np.nan), np.empty((centred_px.shape[0], 3))
+    for at in range(centred_px.shape[0]):
+        x, y = -mid_hip_px[at, 0], -mid_hip_px[at, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            x, y = 0.0, 0.0
+        back_to = normalise((x, y, focal_px))
+        towards[at, 0], towards[at, 1], towards[at, 2] = back_to
+        back = swing_between(back_to, (0.0, 0.0, 1.0))
+        for joint in range(centred_px.shape[1]):
+            if np.isfinite(centred_px[at, joint, 0]) and np.isfinite(centred_px[at, joint, 1]):
+                ray = rotate(back, (centred_px[at, joint, 0], centred_px[at, joint, 1], -focal_px))
+                if -ray[2] > _MIN_DEPTH * focal_px:
+                    straight[at, joint, 0] = ray[0] / -ray[2] * focal_px
+                    straight[at, joint, 1] = ray[1] / -ray[2] * focal_px
+    return straight, towards
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def camera_turns(directions: Array) -> Array:
+    """Return the shortest rotations (n, 4) of the camera's axis, +Z, into directions (n, 3)."""
+    turns = np.empty((directions.shape[0], 4))
+    for at in range(directions.shape[0]):
+        turn = swing_between((0.0, 0.0, 1.0), (directions[at, 0], directions[at, 1], directions[at, 2]))
+        turns[at, 0], turns[at, 1], turns[at, 2], turns[at, 3] = turn
+    return turns

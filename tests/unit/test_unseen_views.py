@@ -8,6 +8,7 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
+from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.experiments.unseen_views import (
     Condition,
     Setting,
@@ -17,7 +18,6 @@ from pasdedeux.experiments.unseen_views import (
     see,
     unseen_view_scores,
 )
-from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.pitch import sized_by_height

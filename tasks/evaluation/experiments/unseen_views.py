@@ -16,6 +16,7 @@ from pydantic import Field
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.experiments.published_search import Codebook
 from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
@@ -25,7 +26,6 @@ from pasdedeux.experiments.unseen_views import (
     see,
     unseen_view_scores,
 )
-from pasdedeux.experiments.published_search import Codebook
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.sources import resample_positions

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ class Level(StrEnum):
 
 
 _ORDER = tuple(Level)
+_SHARE = re.compile(r"^\d+ of \d+: ")
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def summarise_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     worst = max((verdict.level for verdict in found), key=_ORDER.index)
     total = sum(verdict.count for verdict in found)
     worst_ones = [verdict for verdict in found if verdict.level is worst]
-    reasons = Counter(verdict.reason for verdict in worst_ones if verdict.reason)
+    reasons = Counter(_SHARE.sub("", verdict.reason) for verdict in worst_ones if verdict.reason)
     reason = reasons.most_common(1)[0][0] if reasons else ""
     if len(found) > 1 and worst is not Level.PASS:
         reason = f"{sum(verdict.count for verdict in worst_ones)} of {total}: {reason}"

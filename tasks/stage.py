@@ -88,8 +88,8 @@ class Shard:
     version: int
     partition: str
     name: str
-    parameters: Any
-    inputs: Any = field(default_factory=dict)
+    parameters: Parameters
+    inputs: Mapping[str, tuple[ArtifactRef, ...]] = field(default_factory=dict)
     files: tuple[SourceFile, ...] = ()
     after: tuple[str, ...] = ()
     seed: int = 0
@@ -97,17 +97,12 @@ class Shard:
     @property
     def values(self) -> Mapping[str, Any]:
         """The parameters as JSON values, as the key and the manifest have them."""
-        if not isinstance(self.parameters, Parameters):  # until every stage is typed
-            return dict(self.parameters)
         return self.parameters.model_dump(mode="json")
 
     @cached_property
     def key(self) -> str:
         """Return the sha256 that names the shard's artifact."""
-        if isinstance(self.inputs, tuple):  # until every stage names its inputs
-            digests = [ref.content_digest for ref in self.inputs]
-        else:
-            digests = [f"{name}:{ref.content_digest}" for name in sorted(self.inputs) for ref in self.inputs[name]]
+        digests = [f"{name}:{ref.content_digest}" for name in sorted(self.inputs) for ref in self.inputs[name]]
         return artifact_key(
             stage=self.stage,
             version=self.version,
@@ -120,8 +115,6 @@ class Shard:
     @property
     def all_inputs(self) -> tuple[ArtifactRef, ...]:
         """Every artifact that the shard reads, once each, in the order in which they are named."""
-        if isinstance(self.inputs, tuple):  # until every stage names its inputs
-            return self.inputs
         return tuple(dict.fromkeys(ref for refs in self.inputs.values() for ref in refs))
 
     def options(self, kind: type[P]) -> P:

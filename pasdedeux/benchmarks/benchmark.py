@@ -50,7 +50,7 @@ class BenchmarkResult:
         return self.fast_per_s / self.plain_per_s
 
 
-def measure_rate(work: Callable[[], object], *, count: int = 1, least_s: float = 0.3, repeats: int = 3) -> float:
+def measure_rate(work: Callable[[], object], *, count: int = 1, min_s: float = 0.3, repeats: int = 3) -> float:
     """Return the work done per second of processor time, the best of some repeats.
 
     The first call, which may compile, is not timed.  Time that the process waited for a busy machine does not count.
@@ -58,7 +58,7 @@ def measure_rate(work: Callable[[], object], *, count: int = 1, least_s: float =
     Args:
         work: Does `count` pieces of work per call.
         count: Pieces of work in a call.
-        least_s: Least time of one repeat, seconds.
+        min_s: Least time of one repeat, seconds.
         repeats: Repeats, of which the best counts: what else the machine does only slows work down.
     """
     work()
@@ -66,7 +66,7 @@ def measure_rate(work: Callable[[], object], *, count: int = 1, least_s: float =
     for _ in range(repeats):
         calls = 0
         started = time.process_time()
-        while (elapsed := time.process_time() - started) < least_s or calls == 0:
+        while (elapsed := time.process_time() - started) < min_s or calls == 0:
             work()
             calls += 1
         elapsed = time.process_time() - started

@@ -24,7 +24,7 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-_MOST_DRAWS, _MOST_REAL = 200, 1500
+_MAX_DRAWS, _MAX_REAL = 200, 1500
 _REAL_COUNTS = (1, 3, 10, 30, 100, 300, 1000)
 """Sizes of the sets of real frames (the counts of the published scale)."""
 
@@ -127,10 +127,10 @@ def realism_scores(
         generator: Chooses the real pairs.
         split: Part of the data.
     """
-    real = real_m[generator.permutation(len(real_m))[:_MOST_REAL]]
+    real = real_m[generator.permutation(len(real_m))[:_MAX_REAL]]
     scores = []
     for method, pairs in draws.items():
-        nearest = Coverage(np.asarray(pairs[:_MOST_DRAWS], dtype=np.float64))
+        nearest = Coverage(np.asarray(pairs[:_MAX_DRAWS], dtype=np.float64))
         nearest.add(real)
         scores += summarise(
             nearest.cartesian_m,

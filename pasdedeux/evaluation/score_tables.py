@@ -15,14 +15,14 @@ __all__ = ["format_value", "mean_table", "score_table"]
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
-_LEAST_LENGTH_M = 1e-9
+_MIN_LENGTH_M = 1e-9
 """Lengths below are rounding, and shown as 0."""
 
 
 def format_value(value: float, unit: str) -> str:
     """Return a figure with its unit, three significant digits, lengths in cm."""
     shown_unit, factor = _HUNDREDTHS.get(unit, (unit, 1.0))
-    scaled = 0.0 if unit == "m" and abs(value) < _LEAST_LENGTH_M else value * factor
+    scaled = 0.0 if unit == "m" and abs(value) < _MIN_LENGTH_M else value * factor
     text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
     return f"{text} {shown_unit}".strip() if np.isfinite(value) else "-"
 

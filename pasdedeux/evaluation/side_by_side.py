@@ -18,12 +18,12 @@ Array = npt.NDArray[np.float64]
 _PANEL_PX = 240
 _PEOPLE_SHARE = 0.78
 """Part of a panel's height or width that people take."""
-_LEAST_DISTANCE_M = 0.5
+_MIN_DISTANCE_M = 0.5
 _TITLES = ("image", "3D, camera's view", "3D, from its side")
 
 
 def side_by_side_clip(
-    keypoints_px: Array, found_m: Array, *, rate_hz: float, truth_m: Array | None = None, most_frames: int = 60
+    keypoints_px: Array, found_m: Array, *, rate_hz: float, truth_m: Array | None = None, max_frames: int = 60
 ) -> bytes:
     """Draw people as given (left), what was found as the camera sees it (middle) and from its side (right).
 
@@ -35,14 +35,14 @@ def side_by_side_clip(
         found_m: The reconstruction (frame, person, 14, 3), camera axes, metres; NaN where a person is not there.
         rate_hz: Frames per second.
         truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
-        most_frames: Longer tracks are cut.
+        max_frames: Longer tracks are cut.
 
     Returns:
         An animated WebP.
     """
-    keypoints, found = keypoints_px[:most_frames], found_m[:most_frames]
+    keypoints, found = keypoints_px[:max_frames], found_m[:max_frames]
     views = [((0, 1), [1.0, -1.0]), ((2, 1), [-1.0, -1.0])]
-    solid = [found] if truth_m is None else [truth_m[:most_frames], found]
+    solid = [found] if truth_m is None else [truth_m[:max_frames], found]
     images = [[_about_hips(motion)[..., axes] * signs for motion in solid] for axes, signs in views]
     most = _PEOPLE_SHARE * _PANEL_PX
     per_metre = most / max(_extent(image[-1]) for image in images)
@@ -79,7 +79,7 @@ def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
     is_there = np.isfinite(places).all(axis=-1, keepdims=True)
     middle = np.where(is_there, places, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1)
     distance = np.linalg.norm(middle, axis=-1, keepdims=True)
-    to_camera = np.where(distance > _LEAST_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
+    to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
     turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
     return np.asarray(rotate(turn[:, None, None], motion_m))
 

@@ -23,7 +23,7 @@ _JOINTS: npt.NDArray[np.int64] = np.concatenate([_PROBE, np.setdiff1d(np.arange(
 _CHECKED = np.zeros(34)
 _CHECKED[[8, 12, 16, 22]] = 1.8, 1.5, 1.35, 1.2
 """After so many joints a candidate is left when its cost is more than so many times what matters."""
-_LEAST_OF_FIRST = 0.6
+_MIN_OF_FIRST = 0.6
 """The best of a view is taken to cost at least so many times what the one with the least rigid residual does."""
 
 
@@ -302,13 +302,13 @@ def best_shape(  # type: ignore[no-untyped-def]
         _fill_polar(images[view, 0], images[view, 1], shells[view], angles[view])
         slot = slots[view, first[view]]
         angle = _angle(np.float64(crosses[view, first[view]]), np.float64(dots[view, first[view]]))
-        ceiling = np.inf if is_exact else (overall + margin) / _LEAST_OF_FIRST
+        ceiling = np.inf if is_exact else (overall + margin) / _MIN_OF_FIRST
         least[view] = _cost(shells[view], angles[view], angle, histograms[slot], ceiling, is_exact, bins, own)
         if least[view] <= overall + margin:
             best[view], best_slot[view] = least[view], slot
         overall = min(overall, least[view])
     for view in np.argsort(least):
-        if counts[view] == 0 or (not is_exact and _LEAST_OF_FIRST * least[view] > overall + margin):
+        if counts[view] == 0 or (not is_exact and _MIN_OF_FIRST * least[view] > overall + margin):
             continue
         bound = min(overall + margin, best[view])
         kept = _nearest(residual[view], counts[view], counts[view] if is_exact else num_ranked, order)

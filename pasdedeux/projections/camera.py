@@ -23,7 +23,7 @@ CAMERA_MODELS = ("orthographic", "pinhole")
 
 _STANDING_MID_HIP_M = 0.93
 """Height of the hip joints of the reference body, standing (Winter 2009, fig. 4.1: 0.530 of stature)."""
-_LEAST_DISTANCE_M = 1.5
+_MIN_DISTANCE_M = 1.5
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,8 @@ class PinholeCamera(DatabaseCamera):
     def __post_init__(self) -> None:
         """Refuse a camera inside the body too."""
         super().__post_init__()
-        if not (np.isfinite(self.distance_m) and self.distance_m > _LEAST_DISTANCE_M):
-            raise InputError(
-                f"the camera's distance is {self.distance_m} m; it must be more than {_LEAST_DISTANCE_M} m"
-            )
+        if not (np.isfinite(self.distance_m) and self.distance_m > _MIN_DISTANCE_M):
+            raise InputError(f"the camera's distance is {self.distance_m} m; it must be more than {_MIN_DISTANCE_M} m")
 
     @property
     def ray_distance_m(self) -> float:

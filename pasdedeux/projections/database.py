@@ -103,9 +103,9 @@ class Database:
         has_next[:-1] = ~self.is_sequence_start[1:]
         return np.where(has_next, rows + 1, rows)
 
-    def thinned(self, most_projections: int) -> Database:
+    def thinned(self, max_projections: int) -> Database:
         """Return about as many projections at most, of evenly spaced poses; each starts a motion of its own."""
-        step = -(-self.num_projections // most_projections)
+        step = -(-self.num_projections // max_projections)
         if step <= 1:
             return self
         starts = np.ones(len(self.poses_m[::step]), dtype=bool)

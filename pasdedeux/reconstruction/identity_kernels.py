@@ -14,9 +14,9 @@ Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
-_LEAST_SIZE_PX = 4.0
+_MIN_SIZE_PX = 4.0
 _HIGHEST_BOX_PER_LENGTH = 4.0
-_LEAST_BOX_PER_LENGTH = 1.5
+_MIN_BOX_PER_LENGTH = 1.5
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -44,8 +44,8 @@ def size_in_image(points: Array, is_seen: Booleans) -> float:
         return np.nan
     trunk, in_trunk = _diagonal(points, is_seen, _TRUNK)
     if in_trunk >= 4:
-        box = min(max(box, _LEAST_BOX_PER_LENGTH * trunk), _HIGHEST_BOX_PER_LENGTH * trunk)
-    return max(box, _LEAST_SIZE_PX)
+        box = min(max(box, _MIN_BOX_PER_LENGTH * trunk), _HIGHEST_BOX_PER_LENGTH * trunk)
+    return max(box, _MIN_SIZE_PX)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -80,12 +80,12 @@ def match_costs(
     points: Array,
     is_seen: Booleans,
     size: Array,
-    most_share: float,
+    max_share: float,
     size_cost: float,
 ) -> Array:
     """Return what each detection (n,) costs a person: mean way of its joints from the prediction, by the body's size.
 
-    A single joint that is far off is a detector's fault and not another person: it counts `most_share` at most.  Where
+    A single joint that is far off is a detector's fault and not another person: it counts `max_share` at most.  Where
     the two have too few joints in common only the place of the whole tells.
     """
     cost = np.empty(points.shape[0])
@@ -107,7 +107,7 @@ def match_costs(
             if is_known[joint]:
                 both += 1
                 away = np.hypot(points[at, joint, 0] - predicted[joint, 0], points[at, joint, 1] - predicted[joint, 1])
-                total += min(away / own_size, most_share)
+                total += min(away / own_size, max_share)
         centre /= num_seen
         if both >= 2:
             cost[at] = total / both

@@ -29,10 +29,10 @@ Array = npt.NDArray[np.float64]
 
 _FLOOR_WEIGHT = 0.05
 """Cost of a metre that standing feet leave the floor by, against a metre of misfit."""
-_MOST_FLOOR_M = 0.1
+_MAX_FLOOR_M = 0.1
 """More than this says only that the floor is wrong: how far away people are who come very near is badly known."""
 
-_MOST_PROJECTIONS = 1_000_000
+_MAX_PROJECTIONS = 1_000_000
 """Projections that a camera is judged by."""
 
 _ANKLE_HEIGHT_M = 0.07
@@ -53,7 +53,7 @@ def choose_camera(
     """
     if len(databases) == 1:
         return 0
-    return choose_pitch((Searcher.of(database.thinned(_MOST_PROJECTIONS)) for database in databases), tracks, options)
+    return choose_pitch((Searcher.of(database.thinned(_MAX_PROJECTIONS)) for database in databases), tracks, options)
 
 
 def choose_pitch(
@@ -143,4 +143,4 @@ def _misfit(searcher: Searcher, track: Track, options: ReconstructionOptions, fl
     upright = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
     height = (found.positions_m @ upright)[~found.is_bridged][:, _ANKLES, 1].min(axis=1)
     off = float(np.median(np.abs(height - np.median(height))))
-    return matches.mean_distance_m + floor_weight * min(off, _MOST_FLOOR_M)
+    return matches.mean_distance_m + floor_weight * min(off, _MAX_FLOOR_M)

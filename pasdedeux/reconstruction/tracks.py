@@ -18,7 +18,7 @@ Integers = npt.NDArray[np.int64]
 
 _SHORT_SPAN = 1000
 """Up to so many frames gaps cost nothing, so any are bridged."""
-_LEAST_SHARE_SEEN = 0.05
+_MIN_SHARE_SEEN = 0.05
 """Of a longer sequence at least this share of the frames has people in it, or it is no video."""
 
 _FOCAL_OVER_WIDTH = 0.72
@@ -115,7 +115,7 @@ def why_no_video(frame: Integers) -> str:
     """
     numbers = np.unique(frame)
     span = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0
-    if span <= _SHORT_SPAN or len(numbers) >= _LEAST_SHARE_SEEN * span:
+    if span <= _SHORT_SPAN or len(numbers) >= _MIN_SHARE_SEEN * span:
         return ""
     return f"{len(numbers):,} frames spread over {span:,} are single images, not a video"
 

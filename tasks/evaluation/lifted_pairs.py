@@ -29,7 +29,7 @@ _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
 _NUM_EXAMPLES = 2
-_MOST_DRAWS = 20_000
+_MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
 
 
@@ -144,7 +144,7 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
     grown = sets[GROWN].pairs_m if GROWN in sets else nothing
     sampled = [found.pairs_m for name, found in sets.items() if name != GROWN]
     others = np.concatenate(sampled) if sampled else nothing
-    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MOST_DRAWS]]])
+    pool = np.concatenate([grown, others[generator.permutation(len(others))[:_MAX_DRAWS]]])
     scores: list[Score] = []
     for split in ("learned", "held_out"):
         chosen = {name: pairs for name, pairs in takes.items() if (name in held_out) == (split == "held_out")}

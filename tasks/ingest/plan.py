@@ -201,6 +201,7 @@ def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:
 def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator[Shard]:
     """Return the shards of virtual video over a take: whole takes, and random views unless it is held out."""
     options, told = parameters.virtual_video, take.parameters
+    assert isinstance(told, DuetParameters | TakeParameters)
     if options.takes is not None and told.take_id not in options.takes:
         return
     cameras = options.model_dump(include=set(VirtualCameras.model_fields))

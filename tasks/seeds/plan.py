@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Manifest
@@ -111,7 +111,7 @@ def _shard(
     partition: str,
     name: str,
     parameters: Parameters,
-    refs: Mapping[str, Sequence[ArtifactRef]],
+    refs: Mapping[str, tuple[ArtifactRef, ...]],
     *,
     files: tuple[SourceFile, ...] = (),
     after: tuple[str, ...] = (),

@@ -198,18 +198,18 @@ class Posed:
         change_m = self.clamp(joint, "crossing", np.arcsin(np.clip(m, -1.0, 1.0)))
         if self.limits is None:
             return
-        most_b = np.sin(self.limits.upper_rad[_INDEX[joint, "extension"]])
-        most_m = np.sin(self.limits.upper_rad[_INDEX[joint, "crossing"]])
+        max_b = np.sin(self.limits.upper_rad[_INDEX[joint, "extension"]])
+        max_m = np.sin(self.limits.upper_rad[_INDEX[joint, "crossing"]])
         side_of = np.where(rest < 0, -1.0, 1.0)
         # Behind: to the edge of the first cap; then across: to the edge of the second, staying out of the first.
-        grown = np.sqrt((1.0 - most_b**2) / np.maximum(m**2 + rest**2, TINY))
+        grown = np.sqrt((1.0 - max_b**2) / np.maximum(m**2 + rest**2, TINY))
         is_behind = change_b != 0
-        new_b, new_m = np.where(is_behind, most_b, b), np.where(is_behind, m * grown, m)
+        new_b, new_m = np.where(is_behind, max_b, b), np.where(is_behind, m * grown, m)
         new_rest = np.where(is_behind, rest * grown, rest)
-        is_across = new_m > most_m + TINY
-        grown = np.sqrt((1.0 - most_m**2) / np.maximum(new_b**2 + new_rest**2, TINY))
-        new_b = np.where(is_across, np.minimum(new_b * grown, min(most_b, np.sqrt(1.0 - most_m**2))), new_b)
-        new_m = np.where(is_across, most_m, new_m)
+        is_across = new_m > max_m + TINY
+        grown = np.sqrt((1.0 - max_m**2) / np.maximum(new_b**2 + new_rest**2, TINY))
+        new_b = np.where(is_across, np.minimum(new_b * grown, min(max_b, np.sqrt(1.0 - max_m**2))), new_b)
+        new_m = np.where(is_across, max_m, new_m)
         new_rest = np.where(is_across, side_of * np.sqrt(np.maximum(1.0 - new_m**2 - new_b**2, 0.0)), new_rest)
         after = new_b[:, None] * back + new_m[:, None] * across + new_rest[:, None] * up
         self.turn_to([_JOINT[elbow], _JOINT[wrist]], joint, direction, after, is_behind | is_across | (change_m != 0))

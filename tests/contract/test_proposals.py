@@ -38,7 +38,7 @@ from pasdedeux.sampling.proposals import Context, Proposal, ProposalInputs
 from pasdedeux.skeletons import PAIR17
 
 NUM_ERRORS = 4.5
-LEAST_ESS = 90.0
+MIN_ESS = 90.0
 CHART = PairChart(gauge_fix(standing_pair()))
 X, Y, Z = POSITION_INDICES[0]
 KNEE = block_indices(PAIR17.index("left_knee"))[0]
@@ -129,7 +129,7 @@ def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> flo
         for power, expected in zip((1, 2), moments, strict=True):
             values = draws[..., index] ** power
             ess = effective_sample_size(values[..., None])[0]
-            assert ess > LEAST_ESS, f"only {ess:.0f} independent draws of parameter {index}"
+            assert ess > MIN_ESS, f"only {ess:.0f} independent draws of parameter {index}"
             worst = max(worst, abs(values.mean() - expected) / (values.std() / np.sqrt(ess)))
     return worst
 

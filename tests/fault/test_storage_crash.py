@@ -20,13 +20,13 @@ def kill_at_every_step(action: str, folder: Path) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(("action", "least_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8)])
+@pytest.mark.parametrize(("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8)])
 def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
-    tmp_path: Path, action: str, least_steps: int
+    tmp_path: Path, action: str, min_steps: int
 ) -> None:
     found = kill_at_every_step(action, tmp_path)
     assert found["exit"] == 0
-    assert len(found["deaths"]) > least_steps
+    assert len(found["deaths"]) > min_steps
     expected = found["undisturbed"]
     for step, seen in enumerate(found["deaths"]):
         death, rerun = seen["death"], seen["rerun"]

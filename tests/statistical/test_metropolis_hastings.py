@@ -26,7 +26,7 @@ from pasdedeux.sampling import (
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES
 
-LEAST_ESS = 400.0
+MIN_ESS = 400.0
 NUM_ERRORS = 4.5
 """Standard errors allowed: about one false alarm in 150,000 comparisons."""
 
@@ -94,7 +94,7 @@ def worst_error(values: np.ndarray, moments: tuple[float, float]) -> float:
     for power, expected in zip((1, 2), moments, strict=True):
         powered = values**power
         ess = effective_sample_size(powered)[0]
-        assert ess > LEAST_ESS, f"only {ess:.0f} independent draws: the comparison would say nothing"
+        assert ess > MIN_ESS, f"only {ess:.0f} independent draws: the comparison would say nothing"
         worst = max(worst, abs(powered.mean() - expected) / (powered.std() / np.sqrt(ess)))
     return worst
 

@@ -90,16 +90,16 @@ def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path
 def test_an_old_key_or_value_gets_the_sentence_that_is_kept_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(RENAMED_KEYS, "grow.least_takes", "is grow.num_takes now")
+    monkeypatch.setitem(RENAMED_KEYS, "grow.min_takes", "is grow.num_takes now")
     monkeypatch.setitem(RENAMED_KEYS, "load.people.unit", "is metres_per_unit now")
     monkeypatch.setitem(RENAMED_KEYS, "grow.scale=big", "numbers are needed now")
     monkeypatch.setitem(RENAMED_KEYS, "ben?", "is bend now")
     text = '[grow]\nleast_takes = 2\nscale = "big"\n[[load.people]]\npath = "a.bvh"\nunit = 1\n'
-    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__LEAST_TAKES": "3"})
+    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__MIN_TAKES": "3"})
     said = [problem.split(": ", 1)[1] for problem in found]
     assert sorted(said) == [
         "bent: is bend now",
-        "grow.least_takes: is grow.num_takes now",
+        "grow.min_takes: is grow.num_takes now",
         "grow.scale: numbers are needed now",
         "load.people.0.unit: is metres_per_unit now",
     ]

@@ -42,7 +42,7 @@ def directions(poses: np.ndarray) -> np.ndarray:
     return own
 
 
-def least_share(poses: np.ndarray) -> np.ndarray:
+def min_share(poses: np.ndarray) -> np.ndarray:
     return LEARNED.bone_logs(poses).min(axis=-1)
 
 
@@ -85,10 +85,10 @@ def test_hanging_limbs_point_where_the_frames_say() -> None:
 
 def test_the_prior_prefers_what_was_seen_and_knows_nothing_without_capture() -> None:
     assert (Occupancy.empty().bone_logs(wild(4, 50)) == 0.0).all()
-    seen, unseen = least_share(near_standing(1, 200)), least_share(wild(5, 200))
+    seen, unseen = min_share(near_standing(1, 200)), min_share(wild(5, 200))
     assert np.quantile(seen, 0.05) > np.median(unseen)
     knee_forward = put(standing(), "left_ankle", [0.0, -0.5, 1.0])
-    assert least_share(knee_forward) < seen.min()
+    assert min_share(knee_forward) < seen.min()
 
 
 def test_shares_given_the_bone_above_sum_to_one() -> None:

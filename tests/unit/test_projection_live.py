@@ -55,7 +55,7 @@ def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near
     metres = (px[:, 0] - mid_hip(px[:, 0])[:, None]) * np.array([1.0, -1.0]) * 5.0 / 1400.0
     found = searcher.index.search(metres, np.ones(metres.shape[:-1]), num_neighbours=12)
     whole = choose_viterbi(searcher.database, found, rate_hz=RATE_HZ)
-    for lag, least_same in ((100, 1.0), (6, 0.8)):
+    for lag, min_same in ((100, 1.0), (6, 0.8)):
         live = FixedLagViterbi(searcher.database, rate_hz=RATE_HZ, lag=lag)
         decided = []
         for frame in range(40):
@@ -64,7 +64,7 @@ def test_a_long_lag_is_the_viterbi_of_the_whole_sequence_and_a_short_one_is_near
             decided += new
         decided += live.decide_until(39)
         assert [one.frame for one in decided] == list(range(40))
-        assert np.mean([one.rank == whole[one.frame] for one in decided]) >= least_same
+        assert np.mean([one.rank == whole[one.frame] for one in decided]) >= min_same
     assert live.decide_until(39) == []
 
 

@@ -161,7 +161,7 @@ def test_a_clip_holds_every_frame_up_to_its_limit() -> None:
     px[3] = np.nan
     people = np.stack([poses, poses + np.array([0.8, 0.0, 0.3])], axis=1)
     people[5, 1] = np.nan
-    clip = side_by_side_clip(np.stack([px, px + 90.0], axis=1), people, rate_hz=12.0, truth_m=people, most_frames=8)
+    clip = side_by_side_clip(np.stack([px, px + 90.0], axis=1), people, rate_hz=12.0, truth_m=people, max_frames=8)
     assert clip[:4] == b"RIFF"
     assert clip.count(b"ANMF") == 8
 

@@ -28,3 +28,11 @@ def test_many_verdicts_become_the_worst_with_its_share_and_the_median_figure() -
     verdict = summarise_verdicts(found)
     assert verdict == Verdict(Level.WARN, "1 of 3: too far", "drift", 0.2, "m", 1.0, "plain", count=3)
     assert summarise_verdicts([]) is None
+
+
+def test_a_summary_of_summaries_says_its_share_once() -> None:
+    pair = summarise_verdicts([Verdict(Level.WARN, "does not mix")] * 2)
+    assert pair is not None
+    whole = summarise_verdicts([pair, pair])
+    assert whole is not None
+    assert (whole.reason, whole.count) == ("4 of 4: does not mix", 4)

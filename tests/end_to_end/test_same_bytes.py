@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from storage_schema import Store
 from tasks.shards import run
-from tasks.stage import Shard
+from tasks.stage import Parameters, Shard
 from tests.builders.real_study import BuiltStudy, RealRun, build_here, digests
 
 
@@ -20,7 +20,7 @@ def test_a_shard_computes_with_one_thread_whatever_its_process_was_started_with(
     def count_threads(shard: Shard, store: Store) -> Any:
         return {library["num_threads"] for library in threadpool_info()}
 
-    shard = Shard(stage="grow", version=1, partition="t0", name="s0", parameters={})
+    shard = Shard(stage="grow", version=1, partition="t0", name="s0", parameters=Parameters())
     with threadpool_limits(limits=2):
         assert run(count_threads, shard, str(tmp_path))[0] == {1}
         assert count_threads(shard, Store(tmp_path)) == {2}

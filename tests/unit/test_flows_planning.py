@@ -12,7 +12,7 @@ from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
 from pasdedeux.errors import InputError
 from storage_schema import Store, read_latest
 from tasks.graph import Graph
-from tasks.stage import Shard
+from tasks.stage import Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
 from tests.builders.toys import TOYS
 
@@ -189,7 +189,7 @@ def test_partitions_come_after_those_they_need_and_tangled_ones_become_one() -> 
 
 
 def _shard(name: str, after: tuple[str, ...], partition: str | None = None) -> Shard:
-    return Shard(stage="toy", version=1, partition=partition or name, name=name, parameters={}, after=after)
+    return Shard(stage="toy", version=1, partition=partition or name, name=name, parameters=Parameters(), after=after)
 
 
 def _plan_of(*shards: Shard) -> StagePlan:

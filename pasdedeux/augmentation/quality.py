@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -87,7 +88,8 @@ class Quality:
     """Figures of one variant; columns of `variant_quality` bear the same names.
 
     Contact drifts are means of the change of distance over joint pairs closer than 0.2 m in the source: over all of
-    them, over pairs of two hands or feet, over pairs of one, and over body on body; None where there is no such pair.
+    them (NaN without any), over pairs of two hands or feet, over pairs of one, and over body on body; None where there
+    is no such pair.
     `invalid_angles` counts joint angles of a frame that are out of range and beyond what the source does, in the mean;
     None where no ranges were asked for.
     """
@@ -109,8 +111,13 @@ class Quality:
     invalid_angles: float | None = None
 
     def judge(self, limits: QualityLimits) -> Verdict:
-        """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'."""
+        """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
+
+        Without a contact in the source, nothing shows that contacts are kept: at best a warning.
+        """
         level, reasons = Level.PASS, []
+        if not self.num_contact_pairs:
+            level, reasons = Level.WARN, ["no joints are in contact in the source, so contact drift is not known"]
         for name, (warn, fail) in limits:
             value = getattr(self, name)
             if value is None or value <= warn:
@@ -256,8 +263,8 @@ class QualityMeter:
         quality = Quality(
             num_contact_pairs=len(drift),
             bone_error_m=float(bone_error.max()),
-            contact_drift_m=_mean(drift) or 0.0,
-            contact_drift_fk_m=_mean(drift_fk) or 0.0,
+            contact_drift_m=float(drift.mean()) if len(drift) else math.nan,
+            contact_drift_fk_m=float(drift_fk.mean()) if len(drift) else math.nan,
             contact_drift_extremity_m=_mean(drift[self._class == 2]),
             contact_drift_mixed_m=_mean(drift[self._class == 1]),
             contact_drift_body_m=_mean(drift[self._class == 0]),

@@ -47,7 +47,11 @@ VARIANT_QUALITY = Table(
         integer("num_frames", "Frames solved"),
         integer("num_contact_pairs", "Joint pairs in contact, summed over frames"),
         float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
-        float64("contact_drift_m", "Mean change of the distance of contact pairs against the source", unit="m"),
+        float64(
+            "contact_drift_m",
+            "Mean change of the distance of contact pairs against the source; NaN without one",
+            unit="m",
+        ),
         float64(
             "contact_drift_fk_m", "The same for plain forward kinematics with the new lengths (the baseline)", unit="m"
         ),

@@ -46,16 +46,21 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         drift_fk_m=np.concatenate([table["contact_drift_fk_m"] for table in tables]),
         verdicts=[verdict for table in tables for verdict in table["verdict"]],
     )
-    reasons = [
+    notes = [
         f"{take_id}, {table['variant_id'][row]}: {table['verdict'][row]} - {table['reason'][row]}."
         for table in tables
         for row in np.nonzero(table["verdict"] == "fail")[0]
     ]
+    has_contacts = bool(np.isfinite(qualities.values["contact_drift_m"]).any())
+    if not has_contacts:
+        notes.append(f"{take_id}: no joints are in contact in the source, so contact drift is not known.")
     source = read_people(store, take, "body22_m")
     drawn = _extremes(qualities)
     sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})
     worst = worst_variants(qualities)
-    pictures = {f"variants-{take_id}.png": sheet, f"drift-{take_id}.png": drift_figure(qualities)}
+    pictures = {f"variants-{take_id}.png": sheet}
+    if has_contacts:
+        pictures[f"drift-{take_id}.png"] = drift_figure(qualities)
     if worst:
         pictures[f"worst-{take_id}.png"] = variant_sheet(
             take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in worst}, num_moments=1
@@ -70,14 +75,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores=[*quality_scores(qualities), *verdict_scores(qualities)],
         pictures=pictures,
         captions={name: caption for name, caption in captions.items() if name in pictures},
-        notes=reasons,
+        notes=notes,
     )
 
 
 def _extremes(qualities: VariantQualities) -> list[int]:
     """Return the variants to draw: least and greatest scale, and the worst contact drift."""
     scale = np.nan_to_num(qualities.scale, nan=1.0)
-    worst = np.nan_to_num(qualities.values["contact_drift_m"], nan=np.inf)
+    worst = np.nan_to_num(qualities.values["contact_drift_m"], nan=-1.0)
     return sorted({int(np.argmin(scale)), int(np.argmax(scale)), int(np.argmax(worst))})
 
 

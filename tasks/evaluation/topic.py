@@ -18,7 +18,7 @@ from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, nam
 __all__ = ["STAGE_NAME", "VERSION", "Topic", "TopicResult", "commit_topic", "read_people", "refuse_overlap"]
 
 STAGE_NAME = "evaluation"
-VERSION = 16
+VERSION = 17
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

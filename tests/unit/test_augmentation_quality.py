@@ -8,6 +8,7 @@ from pasdedeux.augmentation.quality import Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
 from tests.builders.moving_pairs import swaying_pair
 
 FRAMES = 20
@@ -33,6 +34,17 @@ def test_figures_of_a_variant_are_those_of_its_frames_together() -> None:
     assert quality.floor_penetration_m == frames.floor_penetration_m.max()
     assert quality.penetration_m == np.percentile(frames.penetration_m, 95)
     assert variant.frame_verdicts.shape == (FRAMES,)
+
+
+def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
+    apart = swaying_pair(FRAMES)
+    apart[:, 1] += [3.0, 0.0, 0.0]
+    (variant,) = Augmenter(Source(apart, 30.0)).solve(uniform_variations([0.95], ["A"]))
+    assert variant.quality.num_contact_pairs == 0
+    assert np.isnan([variant.quality.contact_drift_m, variant.quality.contact_drift_fk_m]).all()
+    assert variant.verdict.level is Level.WARN
+    assert "no joints are in contact" in variant.verdict.reason
+    assert np.isnan([variant.verdict.value, variant.verdict.baseline]).all()
 
 
 def test_the_source_itself_passes_in_every_frame() -> None:

@@ -29,6 +29,7 @@ from pasdedeux.evaluation.variants import (
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve
+from tasks.evaluation import reconstruction
 
 
 def _by_method(scores: list[Score], metric: str) -> dict[str, float]:
@@ -116,6 +117,14 @@ def test_a_perfect_reconstruction_scores_zero_and_standing_still_does_not() -> N
     errors = _by_method(scores, "error_root_kept")
     assert errors["viterbi"] == pytest.approx(0.0, abs=1e-12)
     assert errors["standing_still"] > 0.5
+
+
+def test_a_reconstruction_has_to_beat_retrieval_and_not_the_mean_pose_that_nobody_knows() -> None:
+    errors = {"nearest": 0.2, "fit_clean": 0.1, "standing_still": 0.05}
+    scores = [Score("error_root_kept", method, value, "m", method != "fit_clean") for method, value in errors.items()]
+    verdict = reconstruction.TOPIC.yardsticks[0].verdict(scores)
+    assert verdict is not None
+    assert (verdict.level, verdict.value, verdict.baseline, verdict.baseline_name) == ("pass", 0.1, 0.2, "nearest")
 
 
 def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_have_both() -> None:

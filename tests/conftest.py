@@ -13,6 +13,10 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from tests.builders.real_study import BuiltStudy
 
+# One thread for linear algebra, as workers have it; its libraries read this when numpy is first imported, by the tests.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
 # No example has a deadline: the first one of a kernel compiles it.
 settings.register_profile("pasdedeux", deadline=None)
 settings.load_profile("pasdedeux")

@@ -82,7 +82,12 @@ def apparent_bone_lengths(points_m: Array) -> Array:
 
 
 def lift_pair(
-    image_m: Array, direction: Array, lengths_m: Array, limits: JointLimits, basis: TorsoBasis
+    image_m: Array,
+    direction: Array,
+    lengths_m: Array,
+    limits: JointLimits,
+    basis: TorsoBasis,
+    prior: PriorSettings | None = None,
 ) -> Array | None:
     """Return the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
 
@@ -92,6 +97,7 @@ def lift_pair(
         lengths_m: Bone lengths (person=2, joint=17), metres.
         limits: Joint limits.
         basis: Torso basis, of other takes.
+        prior: Weights of eq. 2; the defaults when not given.
     """
     torsos = lift_torsos(image_m[:, TORSO_INDICES] * np.array([1.0, -1.0]), basis)
     if not torsos.is_lifted.all():
@@ -111,7 +117,7 @@ def lift_pair(
     seen = pair_frame(pair).coordinates(np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(pair), 3)))
     cost = cost + 0.5 * (angle_between_directions(seen, direction) / VIEW_DEVIATION_RAD) ** 2
     likeliest = np.argsort(cost, kind="stable")[:_NUM_WEIGHED]
-    weighed = cost[likeliest] - PENETRATION_SHARE * seed_quality(pair[likeliest], limits).log_prior
+    weighed = cost[likeliest] - PENETRATION_SHARE * seed_quality(pair[likeliest], limits, prior).log_prior
     return np.asarray(pair[likeliest[int(np.argmin(weighed))]])
 
 
@@ -122,6 +128,7 @@ def lift_seeds(
     *,
     num_seeds: int,
     max_annotations: int = 500,
+    prior: PriorSettings | None = None,
 ) -> LiftedSeeds:
     """Lift annotations that cover all of them: the medoids of `num_seeds` groups under d_I.
 
@@ -131,6 +138,7 @@ def lift_seeds(
         basis: Torso basis, of other takes.
         num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.
         max_annotations: Annotations that are grouped, evenly spread over all.
+        prior: Weights of eq. 2; the defaults when not given.
 
     Raises:
         InputError: There are fewer annotations than seeds, or too few that give a possible pair.
@@ -147,7 +155,7 @@ def lift_seeds(
         near = [int(index) for index in np.argsort(matrix[medoid], kind="stable") if index not in used]
         for index in near[:_NUM_TRIES]:
             entry = int(shown[index])
-            pair = lift_pair(annotated.points_m[entry], annotated.directions[entry], lengths, limits, basis)
+            pair = lift_pair(annotated.points_m[entry], annotated.directions[entry], lengths, limits, basis, prior)
             if pair is not None and seed_quality(pair[None], limits).is_possible[0]:
                 found.append(gauge_fix(pair))
                 used.append(index)
@@ -158,7 +166,7 @@ def lift_seeds(
             "keeps the joint limits"
         )
     pairs = np.array(found)
-    return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits).log_prior)
+    return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits, prior).log_prior)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.parameters import gauge_fix
+from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
@@ -94,11 +95,12 @@ def grow(
     *,
     num_grown: int,
     options: GrowthOptions | None = None,
+    prior: PriorSettings | None = None,
 ) -> Growth:
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
-    the pair lifted from.  No randomness; ties go to the entry that comes first.
+    the pair lifted from.  No randomness; ties go to the entry that comes first.  What has grown is scored by `prior`.
 
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
@@ -122,7 +124,7 @@ def grow(
         frontier.add(pair, entry=entry, parent=nearest, image_distance_m=distance_m)
     for _ in range(options.num_sweeps):
         frontier.agree(len(seeds_m))
-    return frontier.growth(len(seeds_m), limits, num_refused)
+    return frontier.growth(len(seeds_m), limits, num_refused, prior)
 
 
 class ViewedImages:
@@ -232,7 +234,7 @@ class _Frontier:
             for row, entry in enumerate(entries)
         ]
 
-    def growth(self, num_seeds: int, limits: JointLimits, num_refused: int) -> Growth:
+    def growth(self, num_seeds: int, limits: JointLimits, num_refused: int, prior: PriorSettings | None) -> Growth:
         """Turn every pair upright as its parent and give them all."""
         fixed = [gauge_fix(pair) for pair in self.pairs[:num_seeds]]
         generation = [0] * num_seeds
@@ -241,7 +243,7 @@ class _Frontier:
             fixed.append(gauge_fix(self.pairs[index], fixed[parent]))
             generation.append(generation[parent] + 1)
         grown = np.array(fixed[num_seeds:]).reshape(-1, 2, PAIR17.num_joints, 3)
-        quality = seed_quality(grown, limits)
+        quality = seed_quality(grown, limits, prior)
         return Growth(
             pairs_m=grown,
             entry=np.array(self.entries[num_seeds:], dtype=np.int64),

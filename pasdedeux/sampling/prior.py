@@ -27,7 +27,7 @@ from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_J
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
+__all__ = ["PenetrationWeight", "PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,11 +37,16 @@ _TIE_TOLERANCE = 1e-9
 _NUM_ANGLES = 29
 
 
-class PriorSettings(Settings):
+class PenetrationWeight(Settings):
+    """The weight of eq. 2 that everything has which scores pairs by it: chains, seeds, the judge of a density."""
+
+    alpha: float = Field(default=10.0, ge=0, description="Weight of the squared penetration in the prior (eq. 2)")
+
+
+class PriorSettings(PenetrationWeight):
     """The weights and limits of eq. 2."""
 
     sigma_p_m: float = Field(default=0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
-    alpha: float = Field(default=10.0, ge=0, description="Weight of the squared penetration (eq. 2)")
     max_invalid_angles: int = Field(
         default=MAX_INVALID_ANGLES, ge=0, description="Invalid joint angles beyond which a pair is impossible"
     )

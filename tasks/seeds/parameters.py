@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from pasdedeux.sampling.growth import GrowthOptions
+from pasdedeux.sampling.prior import PenetrationWeight
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters
 
@@ -20,7 +21,7 @@ class SeedFrame(Parameters):
     frame: int = Field(ge=0, description="Frame at the study's rate")
 
 
-class SeedsParameters(GrowthOptions, Parameters):
+class SeedsParameters(PenetrationWeight, GrowthOptions, Parameters):
     """How many seeds there are and where they come from."""
 
     num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
@@ -52,20 +53,20 @@ class SeedsParameters(GrowthOptions, Parameters):
         return self
 
 
-class FrameSeed(SeedFrame):
+class FrameSeed(PenetrationWeight, SeedFrame):
     """A seed that is a named frame."""
 
     seed_index: int
 
 
-class ChosenSeed(Parameters):
+class ChosenSeed(PenetrationWeight, Parameters):
     """A seed that is the best frame after those that the seeds before it chose."""
 
     seed_index: int
     max_frames_per_take: int
 
 
-class LiftedSeeds(Parameters):
+class LiftedSeeds(PenetrationWeight, Parameters):
     """All seeds lifted from 2D alone."""
 
     first_index: int
@@ -73,7 +74,7 @@ class LiftedSeeds(Parameters):
     max_annotations: int
 
 
-class GrownSeeds(GrowthOptions, Parameters):
+class GrownSeeds(PenetrationWeight, GrowthOptions, Parameters):
     """All seeds grown from the others."""
 
     first_index: int

@@ -22,7 +22,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
         InputError: A named frame or file cannot be a seed, or seeds are asked of annotations and there are none.
     """
     shards = _from_takes(inputs, parameters)
-    shards += [_from_file(inputs, len(shards) + at, file) for at, file in enumerate(parameters.files)]
+    shards += [_from_file(inputs, parameters, len(shards) + at, file) for at, file in enumerate(parameters.files)]
     if not (parameters.num_lifted or parameters.num_grown):
         return shards
     annotated = annotated_pairs(inputs)
@@ -70,7 +70,7 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
     poses: list[list[Manifest]] = []
     for index, frame in enumerate(parameters.frames):
         _check_frame(frame, takes)
-        wanted.append(frame.part(FrameSeed, seed_index=index))
+        wanted.append(frame.part(FrameSeed, seed_index=index, alpha=parameters.alpha))
         poses.append([takes[frame.take]])
     if not parameters.frames and takes:
         wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
@@ -92,7 +92,7 @@ def _check_frame(frame: SeedFrame, takes: Mapping[str, Manifest]) -> None:
         raise InputError(f"seeds.frames: take '{frame.take}' has frames 0 to {last}, found {frame.frame}")
 
 
-def _from_file(inputs: StageInputs, index: int, file: SeedFile) -> Shard:
+def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, file: SeedFile) -> Shard:
     loaded = load_seed(file, seed_index=index)
     held_out = [manifest for manifest in inputs.of("poses") if manifest.facts.get("is_held_out")]
     hidden = {str(take) for manifest in held_out for take in manifest.facts.get("takes", [])}
@@ -103,7 +103,8 @@ def _from_file(inputs: StageInputs, index: int, file: SeedFile) -> Shard:
             "nothing that is learned may have seen it"
         )
     limits = named_refs(joint_limits=inputs.of("joint_limits"))
-    return _shard(inputs, f"seed{index}", "file", loaded.parameters, limits, files=loaded.files)
+    options = loaded.parameters.model_copy(update={"alpha": parameters.alpha})
+    return _shard(inputs, f"seed{index}", "file", options, limits, files=loaded.files)
 
 
 def _shard(

@@ -12,6 +12,7 @@ from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
+from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
@@ -34,11 +35,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     match shard.parameters:
         case FrameSeed() as options:
             pair = _read_pairs(store, shard.ref("poses"), np.array([options.frame]))[0]
-            return _commit_frame(shard, store, options.seed_index, pair, options.take, options.frame)
+            return _commit_frame(shard, store, options, pair, options.take, options.frame)
         case ChosenSeed() as options:
-            return _commit_frame(shard, store, options.seed_index, *_choose(shard, store, options))
+            return _commit_frame(shard, store, options, *_choose(shard, store, options))
         case FileSeed() as options:
-            return _take_in(shard, store, options.seed_index)
+            return _take_in(shard, store, options)
         case LiftedSeeds() as options:
             return _lift(shard, store, options)
         case GrownSeeds() as options:
@@ -47,25 +48,27 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             raise TypeError(f"the stage seeds has no shards with {type(other).__name__}")
 
 
-def _commit_frame(shard: Shard, store: Store, index: int, pair_m: np.ndarray, take_id: str, frame: int) -> ArtifactRef:
+def _commit_frame(
+    shard: Shard, store: Store, options: FrameSeed | ChosenSeed, pair_m: np.ndarray, take_id: str, frame: int
+) -> ArtifactRef:
     facts = {"take_id": take_id, "take_frame": frame, "takes": _takes(shard, store)}
-    return _commit_one(shard, store, index, pair_m, "frame", facts, take_id=[take_id], take_frame=[frame])
+    return _commit_one(shard, store, options, pair_m, "frame", facts, take_id=[take_id], take_frame=[frame])
 
 
-def _take_in(shard: Shard, store: Store, index: int) -> ArtifactRef:
+def _take_in(shard: Shard, store: Store, options: FileSeed) -> ArtifactRef:
     """Commit a seed that came in a file, with the lineage that the file states."""
     pair = read_seed(shard)
     origin = "draw" if pair.made_from.startswith("draws@") else "file"
     facts = {"made_from": pair.made_from, "takes": sorted({*pair.takes, *_takes(shard, store)})}
     return _commit_one(
-        shard, store, index, pair.pair_m, origin, facts, sources=credits_of(pair), made_from=[pair.made_from or None]
+        shard, store, options, pair.pair_m, origin, facts, sources=credits_of(pair), made_from=[pair.made_from or None]
     )
 
 
 def _commit_one(
     shard: Shard,
     store: Store,
-    index: int,
+    options: FrameSeed | ChosenSeed | FileSeed,
     pair_m: np.ndarray,
     origin: str,
     facts: dict[str, Any],
@@ -74,7 +77,8 @@ def _commit_one(
     **known: Any,
 ) -> ArtifactRef:
     """Commit a seed that stands alone, gauge-fixed, and say whether chains can start from it."""
-    quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")))
+    index = options.seed_index
+    quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     verdict = Verdict(Level.PASS)
     if not quality.is_possible[0]:
         reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {MAX_INVALID_ANGLES} may be"
@@ -136,6 +140,7 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
         read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
         num_seeds=options.num_lifted,
         max_annotations=options.max_annotations,
+        prior=options.part(PriorSettings),
     )
     indices = options.first_index + np.arange(len(seeds.pairs_m))
     columns = _columns("lifted", indices, seeds.pairs_m, seeds.log_prior, **_places(placed, seeds.entry))
@@ -155,7 +160,14 @@ def _grow(shard: Shard, store: Store, options: GrownSeeds) -> ArtifactRef:
     roots = np.concatenate([np.asarray(store.read(one.ref, "seeds")["pair17_m"], dtype=np.float64) for one in before])
     placed = _annotated(shard, store)
     limits = read_limits(store, shard.refs("joint_limits"))
-    growth = grow(roots, placed.gathered.pairs, limits, num_grown=options.num_grown, options=options)
+    growth = grow(
+        roots,
+        placed.gathered.pairs,
+        limits,
+        num_grown=options.num_grown,
+        options=options,
+        prior=options.part(PriorSettings),
+    )
     # Neighbours agree after the last pair was judged: a few may have left the joint limits and can start no chain.
     # Starts are drawn, not spread out: the farthest ones are those that went wrong (14 against 59 real frames).
     possible = stream(shard.seed, "seeds", "starts").permutation(np.flatnonzero(growth.is_possible))
@@ -213,7 +225,7 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
         frame_of.append(frames)
         take_ids.append(str(facts["take_id"]))
     every, takes = np.concatenate(pairs), np.concatenate(take_of)
-    quality = seed_quality(every, read_limits(store, shard.refs("joint_limits")))
+    quality = seed_quality(every, read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     chosen = choose_seeds(every, takes, quality, options.seed_index + 1)[options.seed_index]
     return every[chosen], take_ids[int(takes[chosen])], int(np.concatenate(frame_of)[chosen])
 

@@ -88,6 +88,10 @@ def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any)
     assert set(result.pictures) == set(result.captions) == {"density-terms.png"}
     assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}
     assert {"likelihood", "prior", "grown_D_I", "image_odds", "combination"} <= {score.method for score in scores}
+    (shard,) = TOPIC.plan(given, STAGE.parameters(num_judged_pairs=4, alpha=1e-6))
+    lighter = {(score.metric, score.method): score.value for score in TOPIC.run(shard, store).scores}
+    changed = {score.method for score in result.scores if lighter[score.metric, score.method] != score.value}
+    assert changed == {"prior"}
 
 
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:

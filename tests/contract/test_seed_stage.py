@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.verdict import Level
+from storage_schema import Manifest, Store
 from tasks import priors, seeds
 from tasks.priors import PriorsParameters
 from tasks.seeds import SeedFrame, SeedsParameters
@@ -78,6 +82,42 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
     verdict = verdict_of(made[-1])
     assert verdict is not None
     assert (verdict.level, verdict.value, verdict.baseline) == (Level.PASS, table.num_rows, 30)
+
+
+def _one_inside_the_other(store: Store, take: Manifest) -> Manifest:
+    """Return a take whose second person stands where the first does."""
+    table = store.read(take.ref, "poses")
+    columns = {name: np.array(table[name]) for name in table.column_names}
+    second = columns["person"] == 1
+    columns["pair17_m"][second] = columns["pair17_m"][~second] + np.array([0.05, 0.0, 0.05], dtype=np.float32)
+    return put(store, "ingest", f"{take.partition}_inside", {"poses": columns}, take.facts)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"num_seeds": 1},
+        {"frames": [SeedFrame(take="one", frame=7)]},
+        {"num_seeds": 1, "num_grown": 10, "num_starts": 1},
+        {"num_seeds": 0, "num_lifted": 2},
+    ],
+    ids=["chosen", "named", "grown", "lifted"],
+)
+def test_the_weight_of_penetration_that_a_study_chooses_reaches_the_prior_of_its_seeds(
+    inputs: Any, asked: dict[str, Any]
+) -> None:
+    store, tables = inputs
+    limits = JointLimits.published()
+    tables = {**tables, "poses": [_one_inside_the_other(store, take) for take in tables["poses"][:1]]}
+    for alpha in (10.0, 1e4):
+        made = with_seeds(store, tables, alpha=alpha, **asked).of("seeds")
+        table = store.read(made[-1].ref, "seeds")
+        pairs = np.asarray(table["pair17_m"])
+        chosen, default = (
+            seed_quality(pairs, limits, prior).log_prior for prior in (PriorSettings(alpha=alpha), PriorSettings())
+        )
+        np.testing.assert_allclose(table["log_prior"], chosen, rtol=1e-9, atol=1e-12)
+        assert (alpha == PriorSettings().alpha) == np.allclose(table["log_prior"], default)
 
 
 def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(inputs: Any) -> None:

@@ -25,6 +25,7 @@ from pasdedeux.plausibility import JointLimits, Occupancy
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, build_bank
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth import GrowthOptions, grow
+from pasdedeux.sampling.prior import PenetrationWeight, PriorSettings
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
@@ -58,7 +59,7 @@ COMBINED = (
 RANK_METRIC = "rank_correlation_with_nearest_real"
 
 
-class DensitySettings(Parameters):
+class DensitySettings(PenetrationWeight, Parameters):
     """How much is judged."""
 
     num_judged_pairs: int = Field(
@@ -84,7 +85,7 @@ def _plan(inputs: StageInputs, settings: DensitySettings) -> list[Shard]:
         TOPIC.shard(
             inputs,
             "terms",
-            DensityParameters(num_judged_pairs=settings.num_judged_pairs),
+            settings.part(DensityParameters),
             takes=takes,
             grown=grown,
             annotations=annotated,
@@ -194,6 +195,7 @@ class _Material:
     annotated_take: np.ndarray
     grown: np.ndarray
     grown_take: np.ndarray
+    prior: PriorSettings
 
     def comparer(self, rng: np.random.Generator, without: str | None) -> TermComparer:
         """Return a judge that has seen no annotation of a take, and nothing that grew from one."""
@@ -201,7 +203,7 @@ class _Material:
         is_seen, is_left = self._others(without)
         pairs = AnnotatedPairs(every.points_m[is_seen], every.directions[is_seen], every.annotation_index[is_seen])
         bank = build_bank(self.gathered.view_density().sample(rng, NUM_VIEWS), pairs, num_candidates=NUM_CANDIDATES)
-        return TermComparer(self.limits, self.occupancy, pairs, bank, self.grown[is_left])
+        return TermComparer(self.limits, self.occupancy, pairs, bank, self.grown[is_left], self.prior)
 
     def knows_others(self, take: str) -> bool:
         """Whether annotations of other takes are there, and pairs that grew from them."""
@@ -281,6 +283,7 @@ def _read(shard: Shard, store: Store) -> _Material:
         annotated_take=np.array([take_of.get(sequence) for sequence in sequences], dtype=object),
         grown=np.concatenate([np.zeros((0, 2, 17, 3)), *(np.asarray(table["pair17_m"]) for table in tables)]),
         grown_take=np.array([take_of.get(str(one)) for table in tables for one in table["sequence_id"]], dtype=object),
+        prior=shard.options(DensityParameters).part(PriorSettings),
     )
 
 

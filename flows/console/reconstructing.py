@@ -24,8 +24,8 @@ from pasdedeux.formats import (
 )
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
-from pasdedeux.reconstruction.people import reconstruct_detections
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.people import follow_and_repair, reconstruct_people
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.projections import read_pairs, read_views
@@ -96,36 +96,38 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     check_anatomy(joined)
     op14 = KEYPOINT_LAYOUTS[joined.layout].derive("op14", joined.keypoints_px, joined.confidence)
     searchers = _searchers(source, refs, whole.pitch_deg)
-    crowd = reconstruct_detections(
+    followed = follow_and_repair(
+        joined.frame, joined.frame / whole.rate_hz, op14.positions, op14.confidence, image_size_px=image_size
+    )
+    if not followed.tracks:
+        raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
+    found = reconstruct_people(
         searchers,
-        joined.frame,
-        op14.positions,
-        op14.confidence,
-        rate_hz=whole.rate_hz,
-        image_size_px=image_size,
+        followed.tracks,
+        [Method.FIT],
         has_clean_up=whole.has_clean_up,
         pairs_m=read_pairs(source, refs, max_pairs=MAX_PAIRS),
         camera_height_m=whole.camera_height_m,
     )
+    if not found.methods:
+        raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
-    for person in crowd.people:
-        path = target / f"{folder.resolve().name}_{person.tracked.person_id}.bvh"
-        path.write_text(write_bvh(person.motion), encoding="utf-8")
-        first, count = person.tracked.first_frame, person.motion.num_frames
-        score = float(np.nanmean(person.found.score_m))
-        bridged = int(person.found.is_bridged.sum())
+    for tracked, made in found.methods[-1].people:
+        path, motion = target / f"{folder.resolve().name}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
+        path.write_text(write_bvh(motion), encoding="utf-8")
         typer.echo(
-            f"{path}: frames {first} to {first + count - 1}, {100 * score:.1f} cm from the nearest projections, "
-            f"{bridged} bridged"
+            f"{path}: frames {tracked.first_frame} to {tracked.first_frame + motion.num_frames - 1}, "
+            f"{100 * float(np.nanmean(made.score_m)):.1f} cm from the nearest projections, "
+            f"{int(made.is_bridged.sum())} bridged"
         )
-    for person_id, reason in crowd.skipped.items():
+    for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
-    camera = searchers[crowd.searcher_index].database.camera
+    camera = searchers[found.searcher_index].database.camera
     typer.echo(
         f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; "
-        f"{crowd.num_merged_rows} doubled detections merged, "
-        f"{crowd.num_ghost_rows} dropped, {crowd.num_repaired_joints} joints repaired or left out",
+        f"{followed.num_merged_rows} doubled detections merged, "
+        f"{followed.num_ghost_rows} dropped, {followed.num_repaired_joints} joints repaired or left out",
         err=True,
     )
 

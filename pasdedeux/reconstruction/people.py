@@ -30,11 +30,8 @@ from pasdedeux.reconstruction.tracks import PersonTrack, rate_from_times, tracks
 __all__ = [
     "FollowedTracks",
     "MethodMotions",
-    "ReconstructedCrowd",
-    "ReconstructedPerson",
     "ReconstructedTracks",
     "follow_and_repair",
-    "reconstruct_detections",
     "reconstruct_people",
 ]
 
@@ -91,42 +88,6 @@ class ReconstructedTracks:
     skipped: dict[int, str]
     searcher_index: int
     placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ReconstructedPerson:
-    """One person.
-
-    Args:
-        tracked: The keypoints that were used, after repair.
-        found: The reconstruction, camera axes.
-        motion: The motion in the sequence's common frame, upright, floor at 0.
-    """
-
-    tracked: PersonTrack
-    found: Reconstruction
-    motion: Motion
-
-
-@dataclass(frozen=True)
-class ReconstructedCrowd:
-    """The people of a video.
-
-    Args:
-        people: By person id.
-        skipped: Why the others could not be reconstructed, by person id.
-        searcher_index: Which of the databases' cameras fitted best.
-        num_merged_rows: Doubled detections that were merged.
-        num_ghost_rows: Detections that were dropped.
-        num_repaired_joints: Joints that were put right or masked.
-    """
-
-    people: tuple[ReconstructedPerson, ...]
-    skipped: dict[int, str]
-    searcher_index: int
-    num_merged_rows: int
-    num_ghost_rows: int
-    num_repaired_joints: int
 
 
 def follow_and_repair(
@@ -261,66 +222,3 @@ def _moved(
         number, placing = moves.get(person.person_id, (0, None))
         moved.append((person, one if placing is None else placing.moved(number, person, one)))
     return tuple(moved)
-
-
-def reconstruct_detections(
-    searchers: Sequence[Searcher],
-    frame: Integers,
-    keypoints_px: Array,
-    confidence: Array,
-    *,
-    rate_hz: float,
-    image_size_px: tuple[int, int] | None = None,
-    method: Method = Method.FIT,
-    options: ReconstructionOptions | None = None,
-    has_clean_up: bool = True,
-    pairs_m: npt.NDArray[np.floating] | None = None,
-    camera_height_m: float | None = None,
-) -> ReconstructedCrowd:
-    """Reconstruct the people of a video.
-
-    Args:
-        searchers: Databases made ready, one per camera; the one that fits best is used.
-        frame: Frame of each detection (row,).
-        keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; people of a frame in any order.
-        confidence: (row, 14).
-        rate_hz: Frames per second.
-        image_size_px: Width and height where known.
-        method: How.
-        options: How.
-        has_clean_up: Planted feet are stilled and the floor is kept.
-        pairs_m: Pairs that two people are placed by, see `reconstruct_people`.
-        camera_height_m: Height of the camera over the floor where it is known.
-
-    Raises:
-        InputError: Nobody can be reconstructed (says why).
-    """
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise InputError(f"the frame rate is {rate_hz}, it must be positive")
-    followed = follow_and_repair(frame, frame / rate_hz, keypoints_px, confidence, image_size_px=image_size_px)
-    tracks = followed.tracks
-    if not tracks:
-        raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
-    found = reconstruct_people(
-        searchers,
-        tracks,
-        [method],
-        options,
-        has_clean_up=has_clean_up,
-        pairs_m=pairs_m,
-        camera_height_m=camera_height_m,
-    )
-    if not found.methods:
-        raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
-    people = tuple(
-        ReconstructedPerson(tracked, reconstruction, found.motions[tracked.person_id])
-        for tracked, reconstruction in found.methods[-1].people
-    )
-    return ReconstructedCrowd(
-        people,
-        found.skipped,
-        found.searcher_index,
-        followed.num_merged_rows,
-        followed.num_ghost_rows,
-        followed.num_repaired_joints,
-    )

@@ -8,14 +8,18 @@ import numpy.typing as npt
 __all__ = ["evenly_spread"]
 
 
-def evenly_spread(total: int, count: int) -> npt.NDArray[np.int64]:
+def evenly_spread(total: int, count: int, *, has_ends: bool = True) -> npt.NDArray[np.int64]:
     """Return at most `count` indices below `total`, evenly spread and rising; two or more hold the first and the last.
 
-    All of them where there are no more than asked for; none of none.
+    All of them where there are no more than asked for; none of none.  Without ends they stand as far from the first and
+    the last as from each other.
 
     >>> evenly_spread(10, 4).tolist()
     [0, 3, 6, 9]
+    >>> evenly_spread(10, 2, has_ends=False).tolist()
+    [3, 6]
     """
     if total < 1 or count < 1:
         return np.zeros(0, dtype=np.int64)
-    return np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(np.int64))
+    places = np.linspace(0, total - 1, min(count, total)) if has_ends else np.linspace(0, total - 1, count + 2)[1:-1]
+    return np.unique(places.round().astype(np.int64))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,17 @@ if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PERSON_COLOURS", "TRUTH_COLOUR", "Panel", "Pose", "figure_png", "pair_panel", "skeleton_sheet"]
+__all__ = [
+    "PERSON_COLOURS",
+    "TRUTH_COLOUR",
+    "Panel",
+    "Pose",
+    "figure_png",
+    "new_figure",
+    "pair_panel",
+    "shaded",
+    "skeleton_sheet",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -67,10 +77,7 @@ def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0,
         title: Title of the sheet.
     """
     columns, rows = max(len(panels), 1), len(yaws_rad)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(1.75 * columns + 0.2, 2.25 * rows + (0.35 if title else 0.1)), dpi=110)
-    axes = figure.subplots(rows, columns, squeeze=False)
+    figure, axes = new_figure(1.75 * columns + 0.2, 2.25 * rows + (0.35 if title else 0.1), rows, columns)
     reach = _reach(panels)
     for column in range(columns):
         for row, yaw in enumerate(yaws_rad):
@@ -80,16 +87,24 @@ def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0,
                 _draw_panel(axis, panels[column], float(yaw), reach)
                 if row == 0:
                     axis.set_title(panels[column].title, fontsize=7)
-    if title:
-        figure.suptitle(title, fontsize=9)
-    figure.tight_layout(pad=0.4)
-    return figure_png(figure)
+    return figure_png(figure, title=title, pad=0.4)
 
 
-def figure_png(figure: Figure) -> bytes:
-    """Render a figure to PNG bytes that depend on the picture alone."""
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **shared: bool) -> tuple[Figure, Any]:
+    """Return an empty figure of this size in inches and its axes (row, column); `sharex` and `sharey` as matplotlib."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=110)
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+
+
+def figure_png(figure: Figure, *, title: str = "", pad: float = 1.08) -> bytes:
+    """Lay out a figure, with a title over all of it, and render it to PNG bytes that depend on the picture alone."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+    if title:
+        figure.suptitle(title, fontsize=9)
+    figure.tight_layout(pad=pad)
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -119,7 +134,7 @@ def _draw_panel(axis: Axes, panel: Panel, yaw_rad: float, reach: float) -> None:
         seen = (pose.positions_m - middle * [1, 0, 1]) @ turn.T
         bones = np.array([[seen[parent], seen[child]] for parent, child in pose.skeleton.bones])
         order = np.argsort(bones[..., 2].mean(axis=1))
-        colours = [_shade(pose.colour, pose.skeleton.joint_names[child]) for _, child in pose.skeleton.bones]
+        colours = [shaded(pose.colour, pose.skeleton.joint_names[child]) for _, child in pose.skeleton.bones]
         axis.add_collection(
             LineCollection(
                 list(bones[order][..., :2]), colors=[colours[i] for i in order], linewidths=1.6, capstyle="round"
@@ -137,7 +152,8 @@ def _draw_panel(axis: Axes, panel: Panel, yaw_rad: float, reach: float) -> None:
     axis.set_aspect("equal")
 
 
-def _shade(colour: str, joint_name: str) -> tuple[float, float, float]:
+def shaded(colour: str, joint_name: str = "right_") -> tuple[float, float, float]:
+    """Return the red, green and blue, from 0 to 1, in which a limb is drawn; without a joint the colour itself."""
     rgb = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     factor = next((value for side, value in _SIDES.items() if joint_name.startswith(side)), 0.85)
     return (rgb[0] * factor, rgb[1] * factor, rgb[2] * factor)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.drawing import figure_png
+from pasdedeux.evaluation.drawing import figure_png, new_figure
 from pasdedeux.interaction.nearest import interaction_distances
 
 __all__ = ["PairMap", "map_figure"]
@@ -83,8 +83,6 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         seed: Place of the seed (2,), drawn as a cross; none where it is not known.
         title: Title of the picture.
     """
-    from matplotlib.figure import Figure  # here: planning does not draw
-
     colours = {
         "ic": "#c2188f",
         "cartesian": "#12a4b5",
@@ -92,8 +90,8 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         "prior_only": "#2a9d3a",
         "grown_seeds": "#e0861a",
     }
-    figure = Figure(figsize=(2.9 * max(len(panels), 1), 3.1), dpi=110)
-    axes = figure.subplots(1, max(len(panels), 1), squeeze=False, sharex=True, sharey=True)[0]
+    columns = max(len(panels), 1)
+    figure, ((*axes,),) = new_figure(2.9 * columns, 3.1, columns=columns, sharex=True, sharey=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
         axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", linewidths=0, label="real")
         for number, (method, places) in enumerate(sets.items()):
@@ -105,6 +103,4 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         axis.tick_params(labelsize=6)
         axis.set_aspect("equal")
     axes[0].legend(fontsize=6)
-    figure.suptitle(title, fontsize=9)
-    figure.tight_layout()
-    return figure_png(figure)
+    return figure_png(figure, title=title)

@@ -1,4 +1,4 @@
-"""Curves, bars and scatter pictures of scores, as PNG bytes."""
+"""Curves, grids and scatter pictures of scores, as PNG bytes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.drawing import figure_png
+from pasdedeux.evaluation.drawing import figure_png, new_figure
 
-__all__ = ["Curve", "CurvePanel", "box_figure", "curve_figure", "grid_figure", "panel_figure", "view_figure"]
+__all__ = ["Curve", "CurvePanel", "curve_figure", "grid_figure", "panel_figure", "view_figure"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,18 +39,14 @@ class CurvePanel:
 
 def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> bytes:
     """Draw panels side by side over a logarithmic x of one meaning; give PNG bytes."""
-    from matplotlib.figure import Figure  # here: planning does not draw
-
-    figure = Figure(figsize=(3.6 * max(len(panels), 1), 3.2), dpi=110)
-    axes = figure.subplots(1, max(len(panels), 1), squeeze=False)[0]
+    columns = max(len(panels), 1)
+    figure, ((*axes,),) = new_figure(3.6 * columns, 3.2, columns=columns)
     for axis, panel in zip(axes, panels, strict=False):
         axis.set_xscale("log")
         _draw_panel(axis, panel, x_label)
     if panels and panels[0].curves:
         axes[0].legend(fontsize=6)
-    figure.suptitle(title, fontsize=9)
-    figure.tight_layout()
-    return figure_png(figure)
+    return figure_png(figure, title=title)
 
 
 def curve_figure(
@@ -61,15 +57,11 @@ def curve_figure(
     y_label: str,
 ) -> bytes:
     """Draw curves over a common x; give PNG bytes."""
-    from matplotlib.figure import Figure  # here: planning does not draw
-
-    figure = Figure(figsize=(6.0, 3.4), dpi=110)
-    axis = figure.subplots()
+    figure, ((axis,),) = new_figure(6.0, 3.4)
     _draw_panel(axis, CurvePanel(curves, y_label, {}), x_label)
     axis.set_title(title, fontsize=9)
     if curves:
         axis.legend(fontsize=7)
-    figure.tight_layout()
     return figure_png(figure)
 
 
@@ -85,34 +77,14 @@ def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
         if level - named > _LEVEL_GAP * (top - bottom):
             axis.annotate(name, (1.0, level), xycoords=("axes fraction", "data"), fontsize=6, ha="right", va="bottom")
             named = level
-    axis.set_xlabel(x_label, fontsize=8)
-    axis.set_ylabel(panel.y_label, fontsize=8)
-    axis.tick_params(labelsize=7)
+    _label(axis, x_label, panel.y_label)
     axis.grid(visible=True, alpha=0.25)
 
 
-def box_figure(groups: Mapping[str, Array], *, title: str, y_label: str) -> bytes:
-    """Draw one box (median, quartiles, 5th and 95th percentile) per group of values; give PNG bytes."""
-    from matplotlib.figure import Figure  # here: planning does not draw
-
-    figure = Figure(figsize=(max(4.0, 0.6 * len(groups) + 2.0), 3.2), dpi=110)
-    axis = figure.subplots()
-    names = [name for name, values in groups.items() if np.isfinite(values).any()]
-    data = [np.asarray(groups[name])[np.isfinite(groups[name])] for name in names]
-    if data:
-        axis.boxplot(data, whis=(5, 95), showfliers=False)
-        axis.set_xticks(
-            np.arange(1, len(names) + 1),
-            names,
-            rotation=45 if len(names) > 5 else 0,
-            ha="right" if len(names) > 5 else "center",
-        )
-    axis.set_title(title, fontsize=9)
+def _label(axis: Any, x_label: str = "", y_label: str = "") -> None:
+    axis.set_xlabel(x_label, fontsize=8)
     axis.set_ylabel(y_label, fontsize=8)
     axis.tick_params(labelsize=7)
-    axis.grid(visible=True, axis="y", alpha=0.25)
-    figure.tight_layout()
-    return figure_png(figure)
 
 
 def grid_figure(values: Array, *, rows: Sequence[str], columns: Sequence[str], title: str) -> bytes:
@@ -120,33 +92,23 @@ def grid_figure(values: Array, *, rows: Sequence[str], columns: Sequence[str], t
 
     A figure that is not finite leaves its cell empty.
     """
-    from matplotlib.figure import Figure  # here: planning does not draw
-
-    figure = Figure(figsize=(2.6 + 0.62 * len(columns), 1.6 + 0.24 * len(rows)), dpi=110)
-    axis = figure.subplots()
+    figure, ((axis,),) = new_figure(2.6 + 0.62 * len(columns), 1.6 + 0.24 * len(rows))
     axis.imshow(np.asarray(values, dtype=np.float64), vmin=0.0, vmax=1.0, cmap="RdYlGn", aspect="auto", alpha=0.8)
     for row, column in np.argwhere(np.isfinite(values)).tolist():
         axis.text(column, row, f"{values[row, column]:.2f}", fontsize=7, ha="center", va="center")
     axis.set_xticks(np.arange(len(columns)), columns, rotation=45, ha="right")
     axis.set_yticks(np.arange(len(rows)), rows)
     axis.set_title(title, fontsize=9)
-    axis.tick_params(labelsize=7)
-    figure.tight_layout()
+    _label(axis)
     return figure_png(figure)
 
 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array, *, title: str) -> bytes:
     """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give PNG bytes."""
-    from matplotlib.figure import Figure  # here: planning does not draw
-
-    figure = Figure(figsize=(5.6, 3.2), dpi=110)
-    axis = figure.subplots()
+    figure, ((axis,),) = new_figure(5.6, 3.2)
     axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, linewidths=0, color="#1f5fa8")
     axis.set_xlim(-np.pi, np.pi)
     axis.set_ylim(np.pi, 0)
-    axis.set_xlabel("psi (rad)", fontsize=8)
-    axis.set_ylabel("phi (rad)", fontsize=8)
+    _label(axis, "psi (rad)", "phi (rad)")
     axis.set_title(title, fontsize=9)
-    axis.tick_params(labelsize=7)
-    figure.tight_layout()
     return figure_png(figure)

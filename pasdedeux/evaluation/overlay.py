@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.cameras import PinholeCamera
-from pasdedeux.evaluation.drawing import PERSON_COLOURS
+from pasdedeux.evaluation.drawing import PERSON_COLOURS, shaded
 from pasdedeux.skeletons import Skeleton
 
 __all__ = ["floor_grid", "overlay_clip"]
@@ -111,13 +111,11 @@ def _draw_frame(
         for segment in floor_px * scale:
             _line(image, segment[0], segment[1], _FLOOR, 1)
     for person, points in enumerate(people_px):
-        colour = _bgr(colours[person % len(colours)])
-        dark = tuple(0.62 * c for c in colour)
+        colour = colours[person % len(colours)]
         for parent, child in skeleton.bones:
-            is_left = skeleton.joint_names[child].startswith("left_")
-            _line(image, points[parent], points[child], dark if is_left else colour, 2)
+            _line(image, points[parent], points[child], _bgr(shaded(colour, skeleton.joint_names[child])), 2)
         for point in points[np.isfinite(points).all(axis=-1)]:
-            cv2.circle(image, _fixed(point), 2 << _SHIFT, colour, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(image, _fixed(point), 2 << _SHIFT, _bgr(shaded(colour)), -1, cv2.LINE_AA, _SHIFT)
     for column, title in enumerate(titles):
         at = (8 + column * size[0] // len(titles), 18)
         cv2.putText(image, title, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (90, 90, 90), 1, cv2.LINE_AA)
@@ -145,5 +143,5 @@ def _line(
         cv2.line(image, _fixed(start), _fixed(end), colour, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _bgr(colour: str) -> tuple[float, float, float]:
-    return float(int(colour[5:7], 16)), float(int(colour[3:5], 16)), float(int(colour[1:3], 16))
+def _bgr(rgb: tuple[float, float, float]) -> tuple[float, ...]:
+    return tuple(255.0 * part for part in reversed(rgb))

@@ -13,6 +13,7 @@ from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.skeletons import BODY22
+from pasdedeux.spread import evenly_spread
 
 __all__ = [
     "QUALITY_COLUMNS",
@@ -138,7 +139,7 @@ def variant_sheet(take_id: str, source_m: Array, variants_m: Mapping[str, Array]
         variants_m: Variants by name, each (frame, 2, 22, 3).
         num_moments: Moments drawn, evenly spread.
     """
-    frames = np.linspace(0, len(source_m) - 1, num_moments + 2).round().astype(int)[1:-1]
+    frames = evenly_spread(len(source_m), num_moments, has_ends=False)
     panels: list[Panel] = []
     for frame in frames:
         first, second = _contacts(source_m[frame])

@@ -117,7 +117,7 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     pictures, captions = {}, {}
     for split, places in sorted(examples.items()):
         chosen = [places[place] for place in sorted(places)]
-        spread = evenly_spread(len(chosen), _NUM_EXAMPLES + 2)[1:-1]
+        spread = evenly_spread(len(chosen), _NUM_EXAMPLES, has_ends=False)
         rows_shown = [
             {name: chosen[at][name] for name in ("truth", *_SHEET_METHODS) if name in chosen[at]} for at in spread
         ]

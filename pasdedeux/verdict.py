@@ -60,9 +60,9 @@ class Verdict:
             raise ValueError(f"a verdict '{self.level}' needs a reason")
 
     def to_json(self) -> dict[str, Any]:
-        """Return the verdict as JSON values; NaN becomes null."""
+        """Return the verdict as JSON values; a figure that is not finite becomes null."""
         numbers = {
-            name: None if math.isnan(value) else value
+            name: value if math.isfinite(value) else None
             for name, value in (("value", float(self.value)), ("baseline", float(self.baseline)))
         }
         words = {name: getattr(self, name) for name in ("reason", "figure", "unit", "baseline_name", "count")}

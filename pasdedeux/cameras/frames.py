@@ -21,7 +21,6 @@ __all__ = [
     "LocalFrame",
     "angle_between_directions",
     "angles_of_direction",
-    "direction_of_angles",
     "local_frame",
     "pair_frame",
     "project_pair",
@@ -142,12 +141,6 @@ def angles_of_direction(direction: Array) -> tuple[Array, Array]:
     psi = np.arctan2(unit[..., 2], unit[..., 0])
     phi = np.arctan2(np.hypot(unit[..., 0], unit[..., 2]), unit[..., 1])
     return psi, phi
-
-
-def direction_of_angles(psi_rad: Array | float, phi_rad: Array | float) -> Array:
-    """Return views (*batch, 3) of (psi, phi), the inverse of `angles_of_direction`."""
-    psi, phi = np.broadcast_arrays(np.asarray(psi_rad, dtype=np.float64), np.asarray(phi_rad, dtype=np.float64))
-    return np.stack([np.sin(phi) * np.cos(psi), np.cos(phi), np.sin(phi) * np.sin(psi)], axis=-1)
 
 
 def angle_between_directions(left: Array, right: Array) -> Array:

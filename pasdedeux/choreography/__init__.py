@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pasdedeux.choreography.anthropometry import CAPSULE_RADII, HEIGHT_LIMITS_M, Body, make_body
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, Stance
-from pasdedeux.choreography.duets import DUETS, Dance, make_duet
-from pasdedeux.choreography.torsos import duet_torso_basis
+from pasdedeux.choreography.duets import DUETS, Dance, duet_torso_basis, make_duet
 
 __all__ = [
     "CAPSULE_RADII",

@@ -85,3 +85,9 @@ def filmed(pairs: np.ndarray, seed: int, distance_m: float = 4.0) -> tuple[np.nd
         px.append(view.camera.project(pair).px)
         truth.append(true_direction(pair, view.camera))
     return np.array(px), np.array(truth)
+
+
+def direction_of_angles(psi_rad: np.ndarray, phi_rad: np.ndarray) -> np.ndarray:
+    """Return views (n, 3) of (psi, phi), lift eq. 4: the inverse of `angles_of_direction`."""
+    psi, phi = np.broadcast_arrays(psi_rad, phi_rad)
+    return np.stack([np.sin(phi) * np.cos(psi), np.cos(phi), np.sin(phi) * np.sin(psi)], axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
@@ -15,6 +16,13 @@ def test_a_verdict_comes_back_from_json_as_it_was() -> None:
     bare = Verdict.from_json(Verdict(Level.PASS).to_json())
     assert bare.level is Level.PASS
     assert math.isnan(bare.value)
+
+
+def test_a_figure_that_is_not_finite_is_kept_as_none_at_all() -> None:
+    verdict = Verdict(Level.FAIL, "nothing was found", "distance", math.inf, "m", -math.inf)
+    values = json.loads(json.dumps(verdict.to_json(), allow_nan=False))
+    assert values["value"] is None
+    assert math.isnan(Verdict.from_json(values).baseline)
 
 
 def test_a_warning_without_a_reason_is_refused() -> None:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from pasdedeux.cameras import (
     angle_between_directions,
     angles_of_direction,
-    direction_of_angles,
     local_frame,
     look_at_camera,
     metres_from_pixels,
@@ -21,6 +20,7 @@ from pasdedeux.cameras import (
 )
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.skeletons import PAIR17
+from tests.builders.poses import direction_of_angles
 
 
 def random_pairs(seed: int, count: int = 20) -> np.ndarray:

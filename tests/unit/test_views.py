@@ -11,7 +11,6 @@ from pasdedeux.cameras import (
     ViewDensity,
     ViewOptions,
     angle_between_directions,
-    direction_of_angles,
     estimate_views,
     frame_take,
     metres_from_pixels,
@@ -22,7 +21,7 @@ from pasdedeux.cameras import (
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
-from tests.builders.poses import BASIS, dancers, filmed, standing
+from tests.builders.poses import BASIS, dancers, direction_of_angles, filmed, standing
 
 
 def test_views_of_filmed_pairs_are_found_and_apparent_size_is_what_finds_them() -> None:

@@ -90,12 +90,14 @@ def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0,
     return figure_png(figure, title=title, pad=0.4)
 
 
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **shared: bool) -> tuple[Figure, Any]:
-    """Return an empty figure of this size in inches and its axes (row, column); `sharex` and `sharey` as matplotlib."""
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, has_common_axes: bool = False
+) -> tuple[Figure, Any]:
+    """Return an empty figure of this size in inches and its axes (row, column), all with the same ranges if wished."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), dpi=110)
-    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=has_common_axes, sharey=has_common_axes)
 
 
 def figure_png(figure: Figure, *, title: str = "", pad: float = 1.08) -> bytes:

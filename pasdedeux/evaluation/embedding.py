@@ -91,7 +91,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         "grown_seeds": "#e0861a",
     }
     columns = max(len(panels), 1)
-    figure, ((*axes,),) = new_figure(2.9 * columns, 3.1, columns=columns, sharex=True, sharey=True)
+    figure, ((*axes,),) = new_figure(2.9 * columns, 3.1, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
         axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", linewidths=0, label="real")
         for number, (method, places) in enumerate(sets.items()):

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["BoneForest", "BoneState"]
+__all__ = ["BoneForest", "BoneState", "Topology", "topology_of"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+_TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,60 @@ class BoneState:
 
     roots_m: Array
     directions: Array
+
+
+@dataclass(frozen=True)
+class Topology:
+    """What a fit needs to know of a forest of N points whatever its lengths; do not write to it.
+
+    Args:
+        parents: Parent of each point (N,), -1 for roots.
+        order: Points from the roots outwards (N,).
+        roots: Points that are roots, one a person (P,).
+        starts: Where each point's unknowns start in a frame's step (N + 1,); the last entry is n.
+        carries: C (N, N): 1 where the bone (or root) of the row moves the point of the column.
+        related: Pairs of points of which one carries the other (m, 2), themselves included.
+        further: The one of each pair that is carried (m,).
+        unknown_points: Point of each unknown of a frame (n,).
+        unknown_columns: Which of its point's unknowns each one is (n,), 0 to 2.
+    """
+
+    parents: Indices
+    order: Indices
+    roots: Indices
+    starts: Indices
+    carries: Array
+    related: Indices
+    further: Indices
+    unknown_points: Indices
+    unknown_columns: Indices
+
+
+@lru_cache(maxsize=64)
+def topology_of(skeletons: tuple[Skeleton, ...]) -> Topology:
+    """Return the topology of skeletons whose points follow each other; kept, for there are few."""
+    first = np.cumsum([0, *(skeleton.num_joints for skeleton in skeletons)])
+    bodies = list(zip(first, skeletons, strict=False))
+    parents = np.array([at + up if up >= 0 else -1 for at, one in bodies for up in one.parents], dtype=np.int64)
+    order = np.array([at + joint for at, one in bodies for joint in one.order], dtype=np.int64)
+    carries = np.eye(len(parents))
+    for point in order[::-1]:
+        if parents[point] >= 0:
+            carries[parents[point]] += carries[point]
+    starts = np.concatenate([[0], np.cumsum(np.where(parents < 0, 3, 2))])
+    related = np.argwhere((carries > 0) | (carries.T > 0))
+    unknown_points = np.repeat(np.arange(len(parents)), np.diff(starts))
+    return Topology(
+        parents=parents,
+        order=order,
+        roots=np.flatnonzero(parents < 0),
+        starts=starts,
+        carries=carries,
+        related=related,
+        further=np.where(carries[related[:, 0], related[:, 1]] > 0, related[:, 1], related[:, 0]),
+        unknown_points=unknown_points,
+        unknown_columns=np.arange(starts[-1]) - starts[:-1][unknown_points],
+    )
 
 
 @dataclass(frozen=True)
@@ -50,85 +107,111 @@ class BoneForest:
         if not (np.isfinite(self.lengths_m) & (self.lengths_m >= 0)).all():
             raise InputError(f"bone lengths must be finite and 0 or more, found {np.min(self.lengths_m):g}")
 
-    @cached_property
+    @property
+    def topology(self) -> Topology:
+        """How the points hang together."""
+        return topology_of(self.skeletons)
+
+    @property
     def num_points(self) -> int:
         """Number of points of all people."""
-        return sum(skeleton.num_joints for skeleton in self.skeletons)
-
-    @cached_property
-    def parents(self) -> npt.NDArray[np.int64]:
-        """Parent of each point (N,), -1 for roots."""
-        parents: list[int] = []
-        for skeleton in self.skeletons:
-            start = len(parents)
-            parents.extend(parent + start if parent >= 0 else -1 for parent in skeleton.parents)
-        return np.array(parents)
-
-    @cached_property
-    def order(self) -> npt.NDArray[np.int64]:
-        """Points from the roots outwards."""
-        order: list[int] = []
-        start = 0
-        for skeleton in self.skeletons:
-            order.extend(joint + start for joint in skeleton.order)
-            start += skeleton.num_joints
-        return np.array(order)
-
-    @cached_property
-    def roots(self) -> npt.NDArray[np.int64]:
-        """Points that are roots, one a person."""
-        return np.flatnonzero(self.parents < 0)
-
-    @cached_property
-    def starts(self) -> npt.NDArray[np.int64]:
-        """Where each point's unknowns start in a frame's step (N + 1,); the last entry is n."""
-        return np.concatenate([[0], np.cumsum(np.where(self.parents < 0, 3, 2))])
+        return len(self.topology.parents)
 
     @property
     def num_unknowns(self) -> int:
         """Unknowns n of one frame."""
-        return int(self.starts[-1])
-
-    @cached_property
-    def carries(self) -> Array:
-        """C (N, N): 1 where the bone (or root) of the row moves the point of the column."""
-        carries = np.eye(self.num_points)
-        for point in self.order[::-1]:
-            if self.parents[point] >= 0:
-                carries[self.parents[point]] += carries[point]
-        return carries
+        return int(self.topology.starts[-1])
 
     def state_of(self, positions_m: Array) -> BoneState:
         """Read roots and directions off positions (frame, N, 3); a bone of length zero points up."""
-        before = np.where(self.parents < 0, np.arange(self.num_points), self.parents)
-        directions = normalise(positions_m - positions_m[:, before], fallback=np.array([0.0, 1.0, 0.0]))
-        return BoneState(roots_m=np.array(positions_m[:, self.roots]), directions=directions)
+        directions = _directions(positions_m, self.topology.parents)
+        return BoneState(roots_m=positions_m[:, self.topology.roots], directions=directions)
 
     def positions(self, state: BoneState) -> Array:
         """Return positions (frame, N, 3), metres."""
-        positions = np.empty(state.directions.shape)
-        positions[:, self.roots] = state.roots_m
-        for point in self.order:
-            parent = self.parents[point]
-            if parent >= 0:
-                positions[:, point] = positions[:, parent] + self.lengths_m[point] * state.directions[:, point]
-        return positions
+        shape = self.topology
+        return _place(state.roots_m, state.directions, self.lengths_m, shape.parents, shape.order, shape.roots)
 
     def tangents(self, state: BoneState) -> Array:
         """Return two unit vectors square to each direction and to each other (frame, N, 3, 2)."""
-        direction = state.directions
-        helper = np.where(np.abs(direction[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-        first = normalise(np.cross(direction, helper))
-        return np.stack([first, np.cross(direction, first)], axis=-1)
+        return _tangents(state.directions)
 
     def retract(self, state: BoneState, tangents: Array, step: Array) -> BoneState:
         """Move by a step (frame, n): roots are translated, directions leave along their tangents, made unit again."""
-        roots = np.array(state.roots_m)
-        moved = np.array(state.directions)
-        for person, point in enumerate(self.roots):
-            roots[:, person] += step[:, self.starts[point] : self.starts[point] + 3]
-        is_bone = self.parents >= 0
-        at = self.starts[:-1][is_bone]
-        pair = np.stack([step[:, at], step[:, at + 1]], axis=-1)
-        moved[:, is_bone] = normalise(moved[:, is_bone] + np.einsum("tnij,tnj->tni", tangents[:, is_bone], pair))
-        return BoneState(roots_m=roots, directions=moved)
+        shape = self.topology
+        first = shape.starts[shape.roots]
+        roots = state.roots_m + step[:, first[:, None] + np.arange(3)]
+        return BoneState(roots, _turn(state.directions, tangents, step, shape.parents, shape.starts))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _directions(positions: Array, parents: Indices) -> Array:
+    """Return the unit vector of each bone; up for roots and where there is none."""
+    directions = np.empty(positions.shape)
+    for t in range(positions.shape[0]):
+        for point in range(positions.shape[1]):
+            before = parents[point] if parents[point] >= 0 else point
+            x = positions[t, point, 0] - positions[t, before, 0]
+            y = positions[t, point, 1] - positions[t, before, 1]
+            z = positions[t, point, 2] - positions[t, before, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            if not length > _TINY:
+                x, y, z, length = 0.0, 1.0, 0.0, 1.0
+            directions[t, point, 0] = x / length
+            directions[t, point, 1] = y / length
+            directions[t, point, 2] = z / length
+    return directions
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _place(
+    roots_m: Array, directions: Array, lengths: Array, parents: Indices, order: Indices, roots: Indices
+) -> Array:
+    """Return positions: each point a bone's length from its parent."""
+    positions = np.empty(directions.shape)
+    for t in range(directions.shape[0]):
+        for person in range(roots.shape[0]):
+            for axis in range(3):
+                positions[t, roots[person], axis] = roots_m[t, person, axis]
+        for point in order:
+            if parents[point] >= 0:
+                for axis in range(3):
+                    along = lengths[point] * directions[t, point, axis]
+                    positions[t, point, axis] = positions[t, parents[point], axis] + along
+    return positions
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _tangents(directions: Array) -> Array:
+    """Return two unit vectors across each direction, the first across x as well, or y where that is too near."""
+    tangents = np.empty((*directions.shape, 2))
+    for t in range(directions.shape[0]):
+        for point in range(directions.shape[1]):
+            x, y, z = directions[t, point, 0], directions[t, point, 1], directions[t, point, 2]
+            a, b, c = (0.0, z, -y) if abs(x) < 0.9 else (-z, 0.0, x)
+            length = np.sqrt(a * a + b * b + c * c)
+            a, b, c = (a / length, b / length, c / length) if length > _TINY else (0.0, 0.0, 0.0)
+            first, second = tangents[t, point, :, 0], tangents[t, point, :, 1]
+            first[0], first[1], first[2] = a, b, c
+            second[0], second[1], second[2] = y * c - z * b, z * a - x * c, x * b - y * a
+    return tangents
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _turn(directions: Array, tangents: Array, step: Array, parents: Indices, starts: Indices) -> Array:
+    """Return the directions of bones after a step along their tangents; roots' as they were."""
+    turned = directions.copy()
+    for t in range(directions.shape[0]):
+        for point in range(directions.shape[1]):
+            if parents[point] < 0:
+                continue
+            u, v = step[t, starts[point]], step[t, starts[point] + 1]
+            squared = 0.0
+            for axis in range(3):
+                moved = directions[t, point, axis] + tangents[t, point, axis, 0] * u + tangents[t, point, axis, 1] * v
+                turned[t, point, axis] = moved
+                squared += moved * moved
+            length = np.sqrt(squared)
+            for axis in range(3):
+                turned[t, point, axis] = turned[t, point, axis] / length if length > _TINY else 0.0
+    return turned

@@ -142,11 +142,11 @@ def _energy(terms: Sequence[Term], positions: Array) -> float:
 
 
 def _damped(matrix: BlockMatrix, damping: float) -> BlockMatrix:
-    diagonal = np.array(matrix.diagonal)
-    index = np.arange(diagonal.shape[-1])
-    diagonal[:, index, index] *= 1.0 + damping
-    diagonal[:, index, index] += _SMALLEST_CURVATURE
-    return BlockMatrix(diagonal=diagonal, below=matrix.below)
+    blocks = np.array(matrix.diagonal)
+    entries = np.einsum("tii->ti", blocks)  # a view
+    entries *= 1.0 + damping
+    entries += _SMALLEST_CURVATURE
+    return BlockMatrix(diagonal=blocks, below=matrix.below)
 
 
 def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
@@ -155,7 +155,7 @@ def _carry(forest: BoneForest, normal: Normal) -> tuple[Array, Array, Array]:
     Between frames K is a diagonal l, and C l C' has an entry only where one bone carries the other: the sum of l over
     what the further one carries.
     """
-    carries = forest.carries
+    carries = forest.topology.carries
     within = carries @ normal.matrix @ carries.T
     return np.ascontiguousarray(within), normal.lag1 @ carries.T, normal.lag2 @ carries.T
 
@@ -165,28 +165,23 @@ def _reduce(
 ) -> tuple[BlockMatrix, Array]:
     """Return the normal equations in the unknowns of the step."""
     frames, points = state.directions.shape[:2]
-    n = forest.num_unknowns
-    carries = forest.carries
+    shape, n = forest.topology, forest.num_unknowns
+    carries, starts = shape.carries, shape.starts
     basis = np.zeros((frames, points, AXES, 3))
     basis[..., :2] = tangents * forest.lengths_m[:, None, None]
-    basis[:, forest.roots] = np.eye(3)
-    summed = np.einsum("gi,tia->tga", carries, normal.gradient, optimize=True)
+    basis[:, shape.roots] = np.eye(3)
+    summed = carries @ normal.gradient
     full = np.einsum("tga,tgak->tgk", summed, basis)
-    gradient = np.empty((frames, n))
-    columns, generators = _unknown_columns(forest)
-    gradient[:] = full[:, generators, columns]
+    gradient = full[:, shape.unknown_points, shape.unknown_columns]
     bending = np.maximum(-(summed * state.directions).sum(axis=-1) * forest.lengths_m, 0.0)
-    bending[:, forest.roots] = 0.0
+    bending[:, shape.roots] = 0.0
 
-    starts = forest.starts
     diagonal = np.zeros((frames, n, n))
     below = np.zeros((frames, 2, n, n))
     _reduce_within(carried[0], basis, bending, starts, diagonal)
-    related = np.argwhere((carries > 0) | (carries.T > 0))
-    further = np.where(carries[related[:, 0], related[:, 1]] > 0, related[:, 1], related[:, 0])
     for lag in (1, 2):
         if frames > lag:
-            _reduce_between(carried[lag], basis, related, further, starts, lag, below)
+            _reduce_between(carried[lag], basis, shape.related, shape.further, starts, lag, below)
     for pairs, weights, unit in normal.pairs:
         points = np.broadcast_to(pairs, (frames, *pairs.shape))
         shares = np.broadcast_to(np.array([-1.0, 1.0]), points.shape)
@@ -194,14 +189,6 @@ def _reduce(
     for points, shares, weights, unit in normal.stencils:
         _add_stencils(points, shares, weights, unit, carries, basis, starts, diagonal)
     return BlockMatrix(diagonal=diagonal, below=below), gradient
-
-
-def _unknown_columns(forest: BoneForest) -> tuple[Indices, Indices]:
-    """Return for each unknown of a frame its column (0..2) and its point."""
-    widths = np.diff(forest.starts)
-    generators = np.repeat(np.arange(forest.num_points), widths)
-    columns = np.arange(forest.num_unknowns) - forest.starts[:-1][generators]
-    return columns, generators
 
 
 @numba.njit(cache=True, nogil=True)

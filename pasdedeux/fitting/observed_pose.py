@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.fitting.bones import BoneForest
+from pasdedeux.fitting.bones import BoneForest, topology_of
 from pasdedeux.fitting.levenberg import FitSettings, fit_bones
 from pasdedeux.fitting.terms import DifferenceTerm, Normal, PointTerm, Term
 from pasdedeux.settings import Settings
@@ -62,9 +62,8 @@ class BoneVectorTerm(Term):
         object.__setattr__(self, "targets_m", np.where(weights > 0, self.targets_m, 0.0))
 
     def _residual(self, positions_m: Array) -> Array:
-        parents = np.array(self.skeleton.parents)
-        parents[self.skeleton.root] = self.skeleton.root
-        return np.asarray(positions_m - positions_m[:, parents] - self.targets_m)
+        # The root's own row reads another joint and has weight 0.
+        return np.asarray(positions_m - positions_m[:, topology_of((self.skeleton,)).parents] - self.targets_m)
 
     def energy(self, positions_m: Array) -> float:
         """Return E."""
@@ -73,19 +72,21 @@ class BoneVectorTerm(Term):
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
         """Add half the gradient."""
         pull = self.weights * self._residual(positions_m)
-        for parent, child in self.skeleton.bones:
-            normal.gradient[:, child] += pull[:, child]
-            normal.gradient[:, parent] -= pull[:, child]
+        normal.gradient += pull - self._children @ pull
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the curvature."""
-        weights = np.moveaxis(self.weights, -1, 0)
-        for parent, child in self.skeleton.bones:
-            weight = weights[:, :, child]
-            normal.matrix[:, :, child, child] += weight
-            normal.matrix[:, :, parent, parent] += weight
-            normal.matrix[:, :, child, parent] -= weight
-            normal.matrix[:, :, parent, child] -= weight
+        weights = self.weights.transpose(2, 0, 1)
+        parents, children = np.array(self.skeleton.bones).T
+        normal.diagonal[...] += weights + weights @ self._children.T
+        normal.matrix[:, :, children, parents] -= weights[..., children]
+        normal.matrix[:, :, parents, children] -= weights[..., children]
+
+    @property
+    def _children(self) -> Array:
+        """Return 1 where the joint of the row is the parent of that of the column (N, N)."""
+        parents = topology_of((self.skeleton,)).parents
+        return (parents == np.arange(len(parents))[:, None]).astype(np.float64)
 
 
 class ObservedFitSettings(Settings):

@@ -53,6 +53,11 @@ class Normal:
             lag2=np.zeros((AXES, max(num_frames - 2, 0), num_points)),
         )
 
+    @property
+    def diagonal(self) -> Array:
+        """Curvature of each point with itself (axis=3, T, N), a view to write to."""
+        return np.asarray(np.einsum("atii->ati", self.matrix))
+
 
 class Term(ABC):
     """One sum of weighted squares."""
@@ -104,8 +109,7 @@ class PointTerm(Term):
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the curvature."""
-        points = np.arange(positions_m.shape[1])
-        normal.matrix[:, :, points, points] += np.moveaxis(self.weights, -1, 0)
+        normal.diagonal[...] += self.weights.transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -144,11 +148,11 @@ class DifferenceTerm(Term):
 
     def add_curvature(self, positions_m: Array, normal: Normal) -> None:
         """Add half the curvature."""
-        stencil, points = _STENCILS[self.order], np.arange(positions_m.shape[1])
-        weights = np.moveaxis(self.weights, -1, 0)
+        stencil, diagonal = _STENCILS[self.order], normal.diagonal
+        weights = self.weights.transpose(2, 0, 1)
         count = weights.shape[1]
         for i, left in enumerate(stencil):
-            normal.matrix[:, i : i + count, points, points] += left * left * weights
+            diagonal[:, i : i + count] += left * left * weights
             for j in range(i + 1, len(stencil)):
                 lag = normal.lag1 if j - i == 1 else normal.lag2
                 lag[:, i : i + count] += left * stencil[j] * weights

@@ -107,7 +107,7 @@ def test_energy_never_rises_and_bones_stay_exact(seed: int, frames: int) -> None
     result = fit_bones(forest, forest.state_of(start), _terms(generator, frames), FitSettings(max_iterations=15))
     assert np.all(np.diff(result.energies) <= 0)
     pair = result.positions_m.reshape(frames, 2, 5, 3)
-    lengths = np.where(forest.parents < 0, 0.0, forest.lengths_m).reshape(2, 5)
+    lengths = np.where(forest.topology.parents < 0, 0.0, forest.lengths_m).reshape(2, 5)
     np.testing.assert_allclose(bone_lengths(CHAIN, pair), np.broadcast_to(lengths, (frames, 2, 5)), atol=1e-12)
 
 

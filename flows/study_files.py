@@ -71,7 +71,8 @@ class StudyTree:
             if problem:
                 problems.append(f"{origin}: {problem}")
             self._say_folder(path, here)
-        if "extends" in self.values.get(HEAD, {}):
+        head = self.values.get(HEAD)
+        if isinstance(head, dict) and "extends" in head:
             problems.append(f"{HEAD}.extends: can be said in a study's file only")
         return problems
 

@@ -25,8 +25,9 @@ class ArtifactWriter:
         folder: Empty folder that the files grow in.
         where: What a message calls the place when the disk is full.
         facts: Small JSON facts that later planning reads; may be changed until the block ends.
-        timings: Seconds by name, in no digest; may be changed until the block ends.
         sources: Licence and credit of new sources; those of the inputs are added by themselves.
+
+    `timings` are seconds by name, in no digest; they may be set until the block ends.
     """
 
     def __init__(
@@ -35,11 +36,10 @@ class ArtifactWriter:
         *,
         where: Path,
         facts: Mapping[str, Any],
-        timings: Mapping[str, float],
         sources: Sequence[SourceCredit],
     ) -> None:
         self.facts: dict[str, Any] = dict(facts)
-        self.timings: dict[str, float] = dict(timings)
+        self.timings: dict[str, float] = {}
         self.sources: list[SourceCredit] = list(sources)
         self._folder = folder
         self._where = where

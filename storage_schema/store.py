@@ -72,7 +72,6 @@ class Store(StoreReader):
         attachments: Mapping[str, bytes] | None = None,
         facts: Mapping[str, Any] | None = None,
         sources: Sequence[SourceCredit] = (),
-        timings: Mapping[str, float] | None = None,
         **described: Unpack[ArtifactFields],
     ) -> ArtifactRef:
         """Write an artifact under its key, whole or not at all.
@@ -84,7 +83,6 @@ class Store(StoreReader):
             attachments: Files of their own format, by file name.
             facts: Small JSON facts that later planning reads.
             sources: Licence and credit of new sources.
-            timings: Seconds by name, in no digest.
             described: What the artifact says about itself.
 
         Raises:
@@ -93,7 +91,7 @@ class Store(StoreReader):
             FullDisk: There is no room left.
             NewerSchema: The store was written by a newer program.
         """
-        with self.writer(facts=facts, sources=sources, timings=timings, **described) as writer:
+        with self.writer(facts=facts, sources=sources, **described) as writer:
             for table, columns in tables.items():
                 writer.append(table, columns)
             for file_name, data in (attachments or {}).items():
@@ -106,7 +104,6 @@ class Store(StoreReader):
         *,
         facts: Mapping[str, Any] | None = None,
         sources: Sequence[SourceCredit] = (),
-        timings: Mapping[str, float] | None = None,
         **described: Unpack[ArtifactFields],
     ) -> Iterator[ArtifactWriter]:
         """Write an artifact piece by piece: rows are streamed to the disk, and the block's end commits.
@@ -124,7 +121,6 @@ class Store(StoreReader):
                 staging.path,
                 where=self.root,
                 facts=facts or {},
-                timings=timings or {},
                 sources=sources,
             ) as writer:
                 yield writer

@@ -106,7 +106,7 @@ class Shard:
         return artifact_key(
             stage=self.stage,
             version=self.version,
-            parameters={"partition": self.partition, "name": self.name, **self.values},
+            parameters={"partition": self.partition, "name": self.name, "told": self.values},
             input_digests=digests + [file.sha256 for file in self.files],
             after=self.after,
             seed=self.seed,

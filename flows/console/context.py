@@ -19,6 +19,7 @@ __all__ = [
     "SettingOption",
     "StoreOption",
     "StudyArgument",
+    "graph_of",
     "open_store",
     "print_json",
 ]
@@ -42,6 +43,13 @@ class Context:
     def graph(self) -> Graph:
         """Return the graph of all stages."""
         return self.given_graph if self.given_graph is not None else load_graph()
+
+
+def graph_of(context: typer.Context) -> Graph:
+    """Return the graph of all stages that a command is called with."""
+    found = context.find_object(Context)
+    assert found is not None
+    return found.graph
 
 
 def open_store(folder: Path) -> Store:

@@ -24,6 +24,7 @@ __all__ = [
     "make_listener",
     "outcome_lines",
     "plan_lines",
+    "print_table",
     "verdict_text",
 ]
 
@@ -192,6 +193,12 @@ def format_table(
         return "  ".join(aligned).rstrip()
 
     return [line(header), *(line(row) for row in rows)]
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, text_columns: Collection[int] = (0,)) -> None:
+    """Print rows as `format_table` aligns them, on standard output."""
+    for line in format_table(header, rows, text_columns=text_columns):
+        typer.echo(line)
 
 
 def _stage_words(stage: StagePlan) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.console.context import Context, JsonOption, SettingOption, StoreOption, open_store
+from flows.console.context import JsonOption, SettingOption, StoreOption, graph_of, open_store
 from flows.console.run import build_and_report
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
@@ -73,7 +73,7 @@ def restart(
         tree["chains"]["num_chains"] = num_chains
     study, graph = study_from_tree(
         StudyTree(name, tree, {(): Path.cwd()}),
-        context.find_object(Context).graph,  # type: ignore[union-attr]
+        graph_of(context),
         here=Path.cwd(),
         settings=settings or (),
     )

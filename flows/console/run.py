@@ -11,11 +11,11 @@ from typing import Annotated
 import typer
 
 from flows.console.context import (
-    Context,
     JsonOption,
     SettingOption,
     StoreOption,
     StudyArgument,
+    graph_of,
     open_store,
     print_json,
 )
@@ -85,7 +85,7 @@ def run(
 ) -> None:
     """Build a study."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     build_and_report(
         chosen,
         graph,
@@ -148,7 +148,7 @@ def plan(
 ) -> None:
     """Say what a run would compute and why."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, graph = load_study(study, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     made = make_plan(chosen, graph, open_store(store), selection)
     if as_json:
         print_json({**made.to_json(), "settings": chosen.resolved()})

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import format_table
+from flows.console.display import print_table
 from flows.exports import EXPORT_FORMATS, export_reference
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
@@ -63,8 +63,7 @@ def show(
     typer.echo(f"{described['table']}: {described['meaning']}")
     typer.echo(f"{described['num_rows']} rows in {len(described['artifacts'])} artifacts")
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
-    for line in format_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4)):
-        typer.echo(line)
+    print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
         typer.echo("first rows:" if described["row"] is None else "the row:")
     for row in described["rows"]:

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import format_table, verdict_text
+from flows.console.display import print_table, verdict_text
 from flows.planning import stage_verdict
 from flows.records import describe_runs, read_last_run
 from pasdedeux.verdict import Verdict
@@ -49,8 +49,7 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
             for s in study["stages"]
         ]
         header = ("  stage", "shards", "there", "size", "verdict")
-        for line in format_table(header, rows, text_columns=(0, 4)):
-            typer.echo(line)
+        print_table(header, rows, text_columns=(0, 4))
     for record in described["runs"][-5:]:
         typer.echo(f"run {record['run_id']}: {record['status']}")
 

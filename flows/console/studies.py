@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from flows.console import fetch
-from flows.console.context import Context, JsonOption, SettingOption, print_json
-from flows.console.display import format_table
+from flows.console.context import JsonOption, SettingOption, graph_of, print_json
+from flows.console.display import print_table
 from flows.study import load_study
 from flows.study_files import HEAD, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
@@ -62,15 +62,14 @@ def register(app: typer.Typer) -> None:
 
 def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the studies that ship."""
-    graph = context.find_object(Context).graph  # type: ignore[union-attr]
+    graph = graph_of(context)
     found = [_describe(name, graph) for name in shipped_studies()]
     if as_json:
         print_json(found)
         return
     header = ("name", "what it is", "stages", "data it needs")
     rows = [(d["name"], d["title"], _stage_words(d["stages"], graph), d["data"]) for d in found]
-    for line in format_table(header, rows, text_columns=range(4)):
-        typer.echo(line)
+    print_table(header, rows, text_columns=range(4))
 
 
 def show(
@@ -86,7 +85,7 @@ def show(
     if not is_resolved and not as_json and not settings:
         typer.echo(study_text(name, Path.cwd()), nl=False)
         return
-    study, _ = load_study(name, context.find_object(Context).graph, settings=settings or ())  # type: ignore[union-attr]
+    study, _ = load_study(name, graph_of(context), settings=settings or ())
     if as_json:
         print_json(study.resolved())
         return
@@ -100,7 +99,7 @@ def keys(
     as_json: JsonOption = False,
 ) -> None:
     """Print the keys of a study."""
-    graph = context.find_object(Context).graph  # type: ignore[union-attr]
+    graph = graph_of(context)
     found = study_keys(graph, section)
     if not found:
         raise typer.BadParameter(f"there is no section '{section}'; sections: {', '.join((HEAD, *graph.names))}")
@@ -108,8 +107,7 @@ def keys(
         print_json([asdict(key) for key in found])
         return
     rows = [(k.name, k.type, "needed" if k.is_needed else _short(k.default), k.unit, k.meaning) for k in found]
-    for line in format_table(("key", "type", "default", "unit", "meaning"), rows, text_columns=range(5)):
-        typer.echo(line)
+    print_table(("key", "type", "default", "unit", "meaning"), rows, text_columns=range(5))
 
 
 def new(
@@ -174,7 +172,7 @@ def _toml(value: Any) -> str:
         return "{ " + ", ".join(f"{_key(k)} = {_toml(v)}" for k, v in value.items() if v is not None) + " }"
     if isinstance(value, list):
         return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return json.dumps(value, ensure_ascii=False)
+    return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
 def _key(name: str) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +107,13 @@ def test_a_resolved_study_is_toml_that_resolves_to_the_same(
         answers.append(json.loads(capsys.readouterr().out))
     assert answers[0] == answers[1]
     assert answers[0]["grow"]["num_takes"] == 4
+
+
+def test_a_resolved_study_writes_infinity_as_toml_has_it(capsys: pytest.CaptureFixture[str]) -> None:
+    setting = "ingest.virtual_video.pitch_deviation_deg=inf"
+    assert run_command_line(["study", "show", "--resolved", "duets", "--set", setting]) == 0
+    resolved = tomllib.loads(capsys.readouterr().out)
+    assert resolved["ingest"]["virtual_video"]["pitch_deviation_deg"] == math.inf
 
 
 def test_a_fresh_run_leaves_no_new_record(built: tuple[str, str]) -> None:

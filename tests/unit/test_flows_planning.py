@@ -33,6 +33,13 @@ def reasons(plan: object, stage: str) -> set[str]:
     return {item.reason for item in plan.stage(stage).shards if item.reason}  # type: ignore[attr-defined]
 
 
+def test_the_name_of_a_shard_is_in_its_key_whatever_its_parameters_are_called() -> None:
+    class Named(Parameters):
+        name: str = "given"
+
+    assert Shard("grow", 1, "t0", "a", Named()).key != Shard("grow", 1, "t0", "b", Named()).key
+
+
 def test_before_the_first_run_everything_is_missing_or_pending(study: Path, store: Path) -> None:
     plan = plan_toys(study, store)
     assert states(plan) == {"aside": "1 missing", "grow": "6 missing", "bend": "pending", "judge": "pending"}

@@ -90,16 +90,16 @@ def test_an_unknown_key_inside_a_list_is_named_with_its_full_path(tmp_path: Path
 def test_an_old_key_or_value_gets_the_sentence_that_is_kept_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(RENAMED_KEYS, "grow.min_takes", "is grow.num_takes now")
+    monkeypatch.setitem(RENAMED_KEYS, "grow.least_takes", "is grow.num_takes now")
     monkeypatch.setitem(RENAMED_KEYS, "load.people.unit", "is metres_per_unit now")
     monkeypatch.setitem(RENAMED_KEYS, "grow.scale=big", "numbers are needed now")
     monkeypatch.setitem(RENAMED_KEYS, "ben?", "is bend now")
     text = '[grow]\nleast_takes = 2\nscale = "big"\n[[load.people]]\npath = "a.bvh"\nunit = 1\n'
-    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__MIN_TAKES": "3"})
+    found = problems(write(tmp_path, text), "bent.step=1", environment={"PASDEDEUX_SET__GROW__LEAST_TAKES": "3"})
     said = [problem.split(": ", 1)[1] for problem in found]
     assert sorted(said) == [
         "bent: is bend now",
-        "grow.min_takes: is grow.num_takes now",
+        "grow.least_takes: is grow.num_takes now",
         "grow.scale: numbers are needed now",
         "load.people.0.unit: is metres_per_unit now",
     ]
@@ -240,6 +240,14 @@ def test_a_study_that_extends_nothing_or_itself_is_one_sentence(
     found = problems(chain_of(tmp_path, **{name: f"[study]\n{text}\n" for name, text in texts.items()}))
     assert len(found) == 1
     assert sentence in found[0]
+
+
+def test_a_head_that_is_no_table_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("study = 3\n")
+    (found,) = problems(path)
+    assert "study: " in found
+    assert "dictionary" in found
 
 
 def test_what_a_study_extends_is_said_in_its_file_only(tmp_path: Path) -> None:

@@ -46,7 +46,6 @@ def test_a_commit_is_found_and_its_manifest_says_what_it_is(store: Store) -> Non
         files=(("a.bvh", "ab"),),
         facts={"takes": ["waltz"], "num_frames": 7},
         attachments={"note.txt": b"hello"},
-        timings={"read": 0.5},
     )
     manifest = store.find("ingest", ref.key)
     assert manifest is not None
@@ -57,7 +56,6 @@ def test_a_commit_is_found_and_its_manifest_says_what_it_is(store: Store) -> Non
     assert manifest.tables["poses"].rows == 7
     assert manifest.attachments["note.txt"].bytes == 5
     assert manifest.facts == {"takes": ["waltz"], "num_frames": 7}
-    assert manifest.timings == {"read": 0.5}
     assert manifest.schema_version == 1
     assert len(manifest.source_digest) == 64
     assert {"python", "numpy", "pyarrow"} <= set(manifest.package_versions)
@@ -83,9 +81,12 @@ def test_a_store_travels_by_pickle_as_its_path(store: Store) -> None:
 
 
 def test_times_and_timings_are_in_no_digest(tmp_path: Path) -> None:
-    one = commit_rows(Store(tmp_path / "one"), timings={"solve": 1.0})
-    other = commit_rows(Store(tmp_path / "other"), timings={"solve": 2.0})
-    assert one == other
+    refs = set()
+    for seconds in (1.0, 2.0):
+        with Store(tmp_path / str(seconds)).writer(**about()) as writer:
+            writer.timings["solve"] = seconds
+        refs.add(writer.ref)
+    assert len(refs) == 1
 
 
 def test_columns_and_rows_can_be_chosen(store: Store) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.linear_model import LogisticRegression
 
 from pasdedeux.errors import InputError
 
@@ -52,6 +51,8 @@ class Combination:
         Raises:
             InputError: There is no kind, or one without pairs.
         """
+        from sklearn.linear_model import LogisticRegression  # here: a second that planning need not wait for
+
         if not real or len(real) != len(corrupted):
             raise InputError(f"a combination is fitted to kinds of pairs, found {len(real)} and {len(corrupted)}")
         rows = [np.stack([one[name] for name in terms], axis=1) for one in (*real, *corrupted)]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
-from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 
 __all__ = [
@@ -77,17 +77,11 @@ def coverage_scores(
                 for at, value in points
             ]
         if method != "real_frames":
-            scores += [
-                Score(
-                    f"as_good_as_real_frames_{measure}",
-                    method,
-                    as_good_as_real_frames(float(own[-1]), real, levels.num_draws),
-                    "frames",
-                    is_baseline,
-                    split,
-                )
+            worth = {
+                f"as_good_as_real_frames_{measure}": as_good_as_real_frames(float(own[-1]), real, levels.num_draws)
                 for (measure, own, _), (_, real, _) in zip(_measures(curve), _measures(levels), strict=True)
-            ]
+            }
+            scores += scores_of(worth, method, "frames", is_baseline=is_baseline, split=split)
             scores.append(Score("num_draws", method, float(curve.num_draws[-1]), "", is_baseline, split))
     return scores
 

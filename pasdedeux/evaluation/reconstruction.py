@@ -15,7 +15,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
     scale_free_error_m,
 )
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 from pasdedeux.spread import evenly_spread
@@ -60,19 +60,9 @@ def reconstruction_scores(person: Reconstructed, *, split: str) -> list[Score]:
             "error_scale_free": float(scale_free_error_m(found, person.truth_m).mean()),
             "jitter": jitter_m(found),
         }
-        scores += [
-            Score(
-                metric=metric,
-                method=method,
-                value=value,
-                unit="m",
-                is_baseline=method in (_BASELINE, "standing_still"),
-                split=split,
-                item=person.item,
-                count=len(person.truth_m),
-            )
-            for metric, value in figures.items()
-        ]
+        is_baseline = method in (_BASELINE, "standing_still")
+        more = {"split": split, "item": person.item, "count": len(person.truth_m)}
+        scores += scores_of(figures, method, "m", is_baseline=is_baseline, **more)
     scores.append(Score("jitter", "truth", jitter_m(person.truth_m), "m", True, split, person.item))
     return scores
 
@@ -99,23 +89,12 @@ def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item
     scores = []
     for method, found in between.items():
         figures = {
-            "pair_distance_error": np.abs(np.linalg.norm(found, axis=-1) - np.linalg.norm(true, axis=-1)),
-            "pair_place_error": np.linalg.norm(found - true, axis=-1),
-            "pair_depth_error": np.abs(found[:, 2] - true[:, 2]),
+            "pair_distance_error": np.abs(np.linalg.norm(found, axis=-1) - np.linalg.norm(true, axis=-1)).mean(),
+            "pair_place_error": np.linalg.norm(found - true, axis=-1).mean(),
+            "pair_depth_error": np.abs(found[:, 2] - true[:, 2]).mean(),
         }
-        scores += [
-            Score(
-                metric,
-                method,
-                float(values.mean()),
-                "m",
-                method in (_BASELINE, "equal_depth"),
-                split,
-                item,
-                count=len(common),
-            )
-            for metric, values in figures.items()
-        ]
+        is_baseline = method in (_BASELINE, "equal_depth")
+        scores += scores_of(figures, method, "m", is_baseline=is_baseline, split=split, item=item, count=len(common))
     return scores
 
 

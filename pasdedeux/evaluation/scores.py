@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["COLUMNS", "Score", "columns_of", "summarise"]
+__all__ = ["COLUMNS", "Score", "columns_of", "scores_of", "summarise"]
 
 COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
 """Columns of the `scores` table beside `topic`, which says who measured."""
@@ -48,6 +48,11 @@ def columns_of(topic: str, scores: Iterable[Score]) -> dict[str, list[object]]:
     return {"topic": [topic] * len(rows), **{name: [getattr(row, name) for row in rows] for name in COLUMNS}}
 
 
+def scores_of(figures: Mapping[str, float], method: str, unit: str = "", **more: Any) -> list[Score]:
+    """Return the figures of a method by metric, with what else a score says (split, item, count, is_baseline)."""
+    return [Score(metric, method, float(value), unit, **more) for metric, value in figures.items()]
+
+
 def summarise(values: npt.NDArray[np.float64], *, metric: str, method: str, unit: str, **more: Any) -> list[Score]:
     """Return mean, median and 90th percentile of `values` (n,) as scores `<metric>_mean`, `_median`, `_p90`.
 
@@ -59,7 +64,5 @@ def summarise(values: npt.NDArray[np.float64], *, metric: str, method: str, unit
     if finite.size == 0:
         return []
     figures = {"mean": finite.mean(), "median": np.median(finite), "p90": np.percentile(finite, 90)}
-    return [
-        Score(f"{metric}_{name}", method, float(value), unit, count=int(finite.size), **more)
-        for name, value in figures.items()
-    ]
+    named = {f"{metric}_{name}": value for name, value in figures.items()}
+    return scores_of(named, method, unit, count=int(finite.size), **more)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
@@ -72,33 +72,17 @@ def quality_scores(qualities: VariantQualities) -> list[Score]:
         finite = values[np.isfinite(values)]
         if not len(finite):
             continue
-        for kind, value in (("mean", finite.mean()), ("worst", finite.max())):
-            scores.append(
-                Score(
-                    metric=f"{name.removesuffix('_m')}_{kind}",
-                    method=method,
-                    value=float(value),
-                    unit=QUALITY_COLUMNS[name],
-                    is_baseline=is_baseline,
-                    item=qualities.take_id,
-                    count=len(finite),
-                )
-            )
+        metric = name.removesuffix("_m")
+        figures = {f"{metric}_mean": finite.mean(), f"{metric}_worst": finite.max()}
+        more = {"is_baseline": is_baseline, "item": qualities.take_id, "count": len(finite)}
+        scores += scores_of(figures, method, QUALITY_COLUMNS[name], **more)
     return scores
 
 
 def verdict_scores(qualities: VariantQualities) -> list[Score]:
     """Count the variants that passed, warned and failed."""
-    return [
-        Score(
-            metric=f"variants_{verdict}",
-            method="interaction_mesh",
-            value=float(sum(found == verdict for found in qualities.verdicts)),
-            item=qualities.take_id,
-            count=len(qualities.verdicts),
-        )
-        for verdict in ("pass", "warn", "fail")
-    ]
+    counts = {f"variants_{level}": list(qualities.verdicts).count(level) for level in ("pass", "warn", "fail")}
+    return scores_of(counts, "interaction_mesh", item=qualities.take_id, count=len(qualities.verdicts))
 
 
 def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:

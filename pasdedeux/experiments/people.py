@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.experiments.detections import film, people_of
 from pasdedeux.experiments.detector_faults import KINDS, JointCounts, count_joints, inject
 from pasdedeux.reconstruction.faults import repair_faults
@@ -79,21 +79,17 @@ def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: floa
             found = repair_faults(faulty.keypoints_px, faulty.confidence, rate_hz=rate_hz)
             counts[kind] += count_joints(faulty, points, found)
     split = _noise(noise_px)
-    scores = [
-        Score(metric, "repaired", value, "", False, split, f"fault: {kind}", count=one.wrong)
-        for kind, one in counts.items()
-        for metric, value in {
+    scores = []
+    for kind, one in counts.items():
+        figures = {
             "share_of_wrong_joints_found": one.recall,
             "share_of_changed_joints_that_were_wrong": one.precision,
             "share_of_wrong_joints_put_right": one.repaired_share,
             "share_of_wrong_joints_left": one.left_share,
-        }.items()
-    ]
-    share = touched / joints if joints else float("nan")
-    return [
-        *scores,
-        Score("share_of_good_joints_touched", "repaired", share, "", False, split, "no fault", count=joints),
-    ]
+        }
+        scores += scores_of(figures, "repaired", split=split, item=f"fault: {kind}", count=one.wrong)
+    share = {"share_of_good_joints_touched": touched / joints if joints else float("nan")}
+    return [*scores, *scores_of(share, "repaired", split=split, item="no fault", count=joints)]
 
 
 def _noise(noise_px: float) -> str:

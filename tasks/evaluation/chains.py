@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
-from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
@@ -92,17 +92,9 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
         for name, (unit, kind) in _FIGURES.items():
-            scores.append(
-                Score(
-                    metric=f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}",
-                    method=density,
-                    value=float(_REDUCE[kind](table[name])),
-                    unit=unit,
-                    is_baseline=density == "prior_only",
-                    item=f"seed {seed}",
-                    count=table.num_rows,
-                )
-            )
+            figure = {f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
+            more = {"is_baseline": density == "prior_only", "item": f"seed {seed}", "count": table.num_rows}
+            scores += scores_of(figure, density, unit, **more)
         notable = np.flatnonzero(table["verdict"] != "pass")
         if len(notable):
             levels = ", ".join(sorted({str(table["verdict"][row]) for row in notable}))

@@ -190,7 +190,7 @@ class Plan:
             return ()
         shown = ", ".join(names) if len(names) <= 3 else f"{names[0]} and {len(names) - 1} more stages"
         since = f"since {shown} {'was' if len(names) == 1 else 'were'} computed"
-        advice = "if results change, raise the stage's VERSION or use --force"
+        advice = "if results change, raise the stage's version in its `Stage(...)`, or use --force STAGE"
         return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
 
     def to_json(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from storage_schema.columns import Column, Table
 from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.datasets import Dataset, create_dataset, list_datasets, open_dataset
 from storage_schema.errors import (
+    BadName,
     CorruptArtifact,
     DatasetExists,
     FullDisk,
@@ -51,6 +52,7 @@ __all__ = [
     "ArtifactFields",
     "ArtifactRef",
     "ArtifactWriter",
+    "BadName",
     "Column",
     "CorruptArtifact",
     "Dataset",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import CorruptArtifact, DatasetExists, StorageError, UnknownReference
+from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
 from storage_schema.keys import canonical_json
 from storage_schema.manifest import ArtifactRef, refuse_newer
 from storage_schema.staging import StagingFolder
@@ -75,7 +75,8 @@ def create_dataset(
     Raises:
         DatasetExists: This name and version are taken.
         MissingArtifact: An artifact is not in the store.
-        StorageError: The list is empty, or a name is not allowed.
+        StorageError: The list is empty.
+        BadName: A name is not allowed.
         FullDisk: There is no room left.
     """
     _check_names(name, version or "1", *(attachments or {}))
@@ -165,4 +166,4 @@ def _is_number(dataset: Dataset) -> bool:
 def _check_names(*names: str) -> None:
     for name in names:
         if not _NAME.fullmatch(name) or name == _FILE:
-            raise StorageError(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")
+            raise BadName(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")

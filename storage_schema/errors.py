@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 __all__ = [
+    "BadName",
     "CorruptArtifact",
     "DatasetExists",
     "FullDisk",
@@ -59,6 +60,12 @@ class FullDisk(StorageError):
 
 class UnknownReference(StorageError):
     """A reference names nothing, or more than one thing: says which, and what is there."""
+
+    is_input: ClassVar[bool] = True
+
+
+class BadName(StorageError):
+    """A name that was given to something cannot be that of a folder on every machine."""
 
     is_input: ClassVar[bool] = True
 

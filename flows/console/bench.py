@@ -24,7 +24,10 @@ __all__ = ["find_benchmarks", "register"]
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("bench", help="Measure the fast forms here, each beside its plain baseline in the same run.")(bench)
+    app.command(
+        "bench",
+        help="Measure the speed of what is compiled on this machine, each beside its plain form in the same run.",
+    )(bench)
 
 
 def bench(

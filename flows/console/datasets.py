@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
+from flows.console.display import counted
 from flows.planning import PlanError
 from flows.records import read_last_run, report_folder
 from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
@@ -56,7 +57,7 @@ def create(
     if as_json:
         print_json(_describe(dataset))
     else:
-        typer.echo(f"{dataset.label} {words}: {len(dataset.refs)} artifacts, digest {dataset.digest[:12]}")
+        typer.echo(f"{dataset.label} {words}: {counted(len(dataset.refs), 'artifact')}, digest {dataset.digest[:12]}")
 
 
 def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
@@ -66,7 +67,9 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
         print_json([_describe(dataset) for dataset in found])
         return
     for dataset in found:
-        typer.echo(f"{dataset.label}  {len(dataset.refs)} artifacts  {dataset.created_at}  {dataset.note}".rstrip())
+        typer.echo(
+            f"{dataset.label}  {counted(len(dataset.refs), 'artifact')}  {dataset.created_at}  {dataset.note}".rstrip()
+        )
     if not found:
         typer.echo(f"store {store}: no datasets yet")
 

@@ -20,6 +20,7 @@ from tasks.shards import ShardDone
 __all__ = [
     "BarListener",
     "LineListener",
+    "counted",
     "format_table",
     "make_listener",
     "outcome_lines",
@@ -29,6 +30,11 @@ __all__ = [
 ]
 
 _BETWEEN_LINES_S = 5.0
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: "1 shard", "2 shards"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def make_listener(*, is_quiet: bool = False) -> Listener:
@@ -57,7 +63,7 @@ class LineListener(Listener):
         self._num_done, self._num_todo = 0, len(plan.todo)
         self._last_line = time.monotonic()
         if plan.todo:
-            self._say(f"{plan.stage.name}: {len(plan.todo)} of {len(plan.shards)} shards to compute")
+            self._say(f"{plan.stage.name}: {len(plan.todo)} of {counted(len(plan.shards), 'shard')} to compute")
 
     def shard_done(self, done: ShardDone) -> None:
         """Say now and then how far the stage is."""
@@ -72,7 +78,7 @@ class LineListener(Listener):
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
         """Say that the stage is done, and whether it is good."""
-        done = f"done in {seconds:.1f} s" if plan.todo else f"all {len(plan.shards)} shards are fresh"
+        done = f"done in {seconds:.1f} s" if plan.todo else f"{counted(len(plan.shards), 'shard')}, all fresh"
         words = [plan.empty_reason or done, *([verdict_text(verdict)] if verdict else [])]
         self._say(f"{plan.stage.name}: {'; '.join(words)}")
 
@@ -129,7 +135,9 @@ def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
         lines.append(f"{stage.stage.name:<16}{_stage_words(stage)}")
         if stage.is_pending:
             if is_long:
-                lines.extend(f"    {name:<28} {count} shards last time" for name, count in stage.last_partitions)
+                lines.extend(
+                    f"    {name:<28} {counted(count, 'shard')} last time" for name, count in stage.last_partitions
+                )
             continue
         groups: dict[tuple[str, str], list[str]] = {}
         for name, items in stage.partitions().items():
@@ -209,9 +217,9 @@ def _stage_words(stage: StagePlan) -> str:
         return f"{stage.empty_reason}{suffix}"
     if stage.is_fresh:
         verdict = f"; {verdict_text(stage.verdict)}" if stage.verdict else ""
-        return f"fresh, {len(stage.shards)} shards{suffix}{verdict}"
+        return f"fresh, {counted(len(stage.shards), 'shard')}{suffix}{verdict}"
     counts = [f"{stage.count(state)} {state.value}" for state in State if stage.count(state)]
-    return f"{', '.join(counts)} of {len(stage.shards)} shards{suffix}"
+    return f"{', '.join(counts)} of {counted(len(stage.shards), 'shard')}{suffix}"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from flows.console.context import (
     open_store,
     print_json,
 )
-from flows.console.display import make_listener, outcome_lines, plan_lines
+from flows.console.display import counted, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.planning import Plan, PlanError, Selection, make_plan
 from flows.study import Study, load_study
@@ -129,7 +129,7 @@ def build_and_report(
         typer.echo(f"everything is fresh, nothing to do ({seconds:.1f} s)")
     else:
         memory = f", at most {outcome.peak_memory_bytes / _GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
-        typer.echo(f"done: {outcome.num_computed} shards computed in {seconds:.1f} s{memory}")
+        typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
 

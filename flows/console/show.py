@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import print_table
+from flows.console.display import counted, print_table
 from flows.exports import EXPORT_FORMATS, export_reference
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
@@ -28,9 +28,10 @@ _SHOW = """Show what a reference names: columns, rows, a look at the first ones,
 _EXPORT = """Write what a reference names into files, with licence and credits beside them.
 
 \b
-  bvh   motion files: poses (the source's own skeleton), variants (body22), motions (op14)
-  npz   numpy arrays, one file
-  csv   one line per row, arrays as columns
+  npz   numpy arrays, one file: every table
+  csv   one line per row, arrays as columns: every table
+  bvh   motion files: poses (the source's own skeleton), variants (body22), motions (op14), seeds, one draw
+  json  both people with named joints, for editing: seeds, one draw
 \b
   pasdedeux export variants:duets/waltz --format bvh --out waltz_variants
 """
@@ -61,7 +62,7 @@ def show(
         print_json(described)
         return
     typer.echo(f"{described['table']}: {described['meaning']}")
-    typer.echo(f"{described['num_rows']} rows in {len(described['artifacts'])} artifacts")
+    typer.echo(f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}")
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
     print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:

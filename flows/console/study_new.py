@@ -152,7 +152,7 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
             if kind.is_file_per_frame:
                 raise InputError("a single file of this format is one frame; give the folder")
             found = kind.read({path.name: loaded.data}, sequence_id=_identifier(path.stem))
-            return _Annotations(path, kind.name, f"{found.num_rows} people in all frames together")
+            return _Annotations(path, kind.name, f"poses of one person in one frame: {found.num_rows}")
         companion = find_companion(path, kind)
         motion = kind.read(loaded.data, read_again(companion) if companion else b"")
         return _Motion(path, motion.num_frames, guess_motion(motion))

@@ -21,5 +21,6 @@ def test_errors_that_a_user_can_put_right_say_so() -> None:
         "NewerSchema",
         "NotAStore",
         "UnknownReference",
+        "BadName",
         "DatasetExists",
     }

@@ -41,7 +41,7 @@ def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
     """
     frames, n = rhs.shape
     lower = matrix.diagonal
-    panels = np.empty((frames, 2 * n, n))
+    panels = np.zeros((frames, 2 * n, n))
     pending = np.zeros((2 * n, 2 * n))
     solution = np.array(rhs)
     carry = np.zeros(2 * n)
@@ -49,18 +49,21 @@ def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
         factor, info = dpotrf((matrix.diagonal[t] - pending[:n, :n]).T, lower=1, overwrite_a=1)
         if info != 0:
             raise NotPositiveDefinite(f"frame {t}: pivot {info} is not positive")
+        solved = dtrsm(1.0, factor, (solution[t] - carry[:n])[:, None], side=0, lower=1)[:, 0]
+        solution[t] = solved
+        lower[t] = factor
+        if t + 1 == frames:
+            break  # nothing comes after
         panel = matrix.below[t].reshape(2 * n, n).copy()
         panel[:n] -= pending[n:, :n]
         panel = dtrsm(1.0, factor, panel.T, side=0, lower=1, overwrite_b=1).T
         update = panel @ panel.T
         update[:n, :n] += pending[n:, n:]
         pending = update
-        solved = dtrsm(1.0, factor, (solution[t] - carry[:n])[:, None], side=0, lower=1)[:, 0]
-        solution[t] = solved
         carry[:n] = carry[n:]
         carry[n:] = 0.0
         carry += panel @ solved
-        lower[t], panels[t] = factor, panel
+        panels[t] = panel
     padded = np.zeros((frames + 2, n))
     for t in range(frames - 1, -1, -1):
         known = solution[t] - panels[t].T @ padded[t + 1 : t + 3].reshape(-1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,7 @@ __all__ = ["WindowFit", "WindowFitOptions"]
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
+_POSE = (OP14.num_joints, 3)
 _NUM_HELD = 2
 _HOLD = 1e3
 """Weight of poses that were given out, against that of time."""
@@ -66,7 +67,7 @@ class WindowFitOptions(Settings):
 
 @dataclass
 class _Frame:
-    """A frame that waits for its pose to be due; signs and pose of its last fit, None before the first."""
+    """A frame that waits for its pose to be due; its signs and what follows from them, and the pose of its last fit."""
 
     frame: int
     image_m: Array
@@ -77,7 +78,9 @@ class _Frame:
     trust_m: float
     distance_m: float
     sign: Array | None = None
-    fitted_m: Array | None = None
+    mean_m: Array = field(default_factory=lambda: np.zeros(_POSE))
+    depth_m: Array = field(default_factory=lambda: np.zeros(OP14.num_joints))
+    fitted_m: Array = field(default_factory=lambda: np.zeros(_POSE))
 
 
 class WindowFit:
@@ -154,42 +157,50 @@ class WindowFit:
         window = list(self._waiting)[: options.max_ahead + 1]
         share = share_of_followed(self._noise_m)
         noise = np.maximum(self._joint_noise_m, max(self._noise_m, options.min_noise_m))
-        bones, robust = np.empty((len(window), OP14.num_joints, 3)), np.ones((len(window), OP14.num_joints))
-        guesses: list[Array] = []
+        image_m = np.stack([one.image_m for one in window])
+        distance_m = np.array([one.distance_m for one in window])
+        guess_m, bones, is_kept = np.empty((len(window), *_POSE)), np.empty((len(window), *_POSE)), []
         for at, one in enumerate(window):
             followed = one.vectors_m[ranks[at]]
-            mean, depth = bones_by_votes(
-                one.step, signs[at], one.vectors_m, one.log_weight, REFERENCE_LENGTHS_M, options.depth
-            )
-            bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * mean)
-            if one.fitted_m is None or one.sign is None or not np.array_equal(one.sign, signs[at]):
-                guesses.append(_first_guess(one, proportions[:, None] * followed, proportions * depth))
-            else:
-                guesses.append(one.fitted_m)
-                off = np.nan_to_num(_residuals(one, one.fitted_m)) / (3.0 * noise)
-                robust[at] = 1.0 / (1.0 + off**2)
-            one.sign = signs[at]
-        fitted = self._fit(window, guesses, bones, robust / noise**2, REFERENCE_LENGTHS_M * proportions)
+            is_kept.append(one.sign is not None and np.array_equal(one.sign, signs[at]))
+            if not is_kept[at]:
+                one.sign = signs[at]
+                one.mean_m, one.depth_m = bones_by_votes(
+                    one.step, one.sign, one.vectors_m, one.log_weight, REFERENCE_LENGTHS_M, options.depth
+                )
+                one.fitted_m = _first_guess(one, proportions[:, None] * followed, proportions * one.depth_m)
+            guess_m[at] = one.fitted_m
+            bones[at] = proportions[:, None] * (share * followed + (1.0 - share) * one.mean_m)
+        off = np.nan_to_num(_residuals(image_m, guess_m, distance_m)) / (3.0 * noise)
+        robust = np.where(np.array(is_kept)[:, None], 1.0 / (1.0 + off**2), 1.0)
+        believed = robust / noise**2 * np.stack([one.weight for one in window])
+        fitted = self._fit(window, image_m, believed, distance_m, guess_m, bones, REFERENCE_LENGTHS_M * proportions)
         for one, pose in zip(window, fitted, strict=True):
             one.fitted_m = pose
         due = self._waiting.popleft()
-        of_joint = _residuals(due, fitted[0]) / MEAN_OF_RAYLEIGH
+        of_joint = _residuals(image_m[0], fitted[0], distance_m[0]) / MEAN_OF_RAYLEIGH
         known = np.isfinite(of_joint)
         self._joint_noise_m[known] += _NOISE_GAIN * (of_joint[known] - self._joint_noise_m[known])
         self._held.append((due.frame, fitted[0]))
         return np.asarray(fitted[0] - mid_hip(fitted[0]))
 
     def _fit(
-        self, window: Sequence[_Frame], guess_m: Sequence[Array], bones_m: Array, believed: Array, lengths_m: Array
+        self,
+        window: Sequence[_Frame],
+        image_m: Array,
+        believed: Array,
+        distance_m: Array,
+        guess_m: Array,
+        bones_m: Array,
+        lengths_m: Array,
     ) -> Array:
         """Return the poses (n, 14, 3) of a window behind the poses that are held."""
         options, held = self._options, len(self._held)
-        start = np.stack([*(pose for _, pose in self._held), *guess_m])
+        start = np.concatenate([np.reshape([pose for _, pose in self._held], (held, *_POSE)), guess_m])
         frames = np.array([*(frame for frame, _ in self._held), *(one.frame for one in window)])
         image, weight = np.zeros((*start.shape[:2], 2)), np.zeros(start.shape[:2])
-        image[held:] = [one.image_m for one in window]
-        weight[held:] = believed * [one.weight for one in window]
-        distance = np.array([np.inf] * held + [one.distance_m for one in window])
+        image[held:], weight[held:] = image_m, believed
+        distance = np.concatenate([np.full(held, np.inf), distance_m])
         per_time = (self._rate_hz**2 / options.acceleration_m_s2) ** 2
         points = image_term(image, weight, start, distance)
         points.targets_m[:held], points.weights[:held] = start[:held], _HOLD * per_time
@@ -208,9 +219,10 @@ class WindowFit:
         return fit_bones(forest, forest.state_of(start), terms, stop).positions_m[held:]
 
 
-def _residuals(one: _Frame, pose_m: Array) -> Array:
-    """Return how far each joint (14,) of a pose is from its image; NaN where not seen."""
-    return np.asarray(np.hypot(*(flatten_image(one.image_m, pose_m, one.distance_m) - pose_m[:, :2]).T))
+def _residuals(image_m: Array, pose_m: Array, distance_m: Array) -> Array:
+    """Return how far each joint (*batch, 14) of poses is from its image; NaN where not seen."""
+    off = flatten_image(image_m, pose_m, distance_m) - pose_m[..., :2]
+    return np.asarray(np.hypot(off[..., 0], off[..., 1]))
 
 
 def _first_guess(one: _Frame, followed_m: Array, depth_m: Array) -> Array:

@@ -40,8 +40,8 @@ def normalise(vector: Array, *, fallback: Array | None = None) -> Array:
 
 def multiply(left: Array, right: Array) -> Array:
     """Compose rotations: `right` first, then `left`; unit quaternions (*batch, 4)."""
-    x1, y1, z1, w1 = np.moveaxis(left, -1, 0)
-    x2, y2, z2, w2 = np.moveaxis(right, -1, 0)
+    x1, y1, z1, w1 = (left[..., at] for at in range(4))
+    x2, y2, z2, w2 = (right[..., at] for at in range(4))
     return np.stack(
         [
             w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,

@@ -183,7 +183,7 @@ def wild_joints(
     """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone of impossible length.
 
     Per joint the cheapest chain of kept frames: dropping a frame costs `mask_cost`, going from one kept frame to the
-    next costs the way beyond what the speed allows.
+    next costs the distance beyond what the speed allows.
     """
     options = options or FaultOptions()
     size = _size(keypoints_px)
@@ -262,7 +262,7 @@ def _hold(states: Array, longest: int) -> Array:
     return held
 
 
-def _kept(frames: Integers, places: Array, free_way: float, reach: int, options: FaultOptions) -> Booleans:
+def _kept(frames: Integers, places: Array, free_distance: float, reach: int, options: FaultOptions) -> Booleans:
     """Return which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
     count = len(frames)
     cost = np.zeros(count)
@@ -273,8 +273,8 @@ def _kept(frames: Integers, places: Array, free_way: float, reach: int, options:
         if start == index:
             continue
         others = np.arange(start, index)
-        way = np.linalg.norm(places[index] - places[others], axis=-1)
-        excess = np.maximum(way - free_way * (frames[index] - frames[others]), 0.0)
+        distance = np.linalg.norm(places[index] - places[others], axis=-1)
+        excess = np.maximum(distance - free_distance * (frames[index] - frames[others]), 0.0)
         total = cost[others] + excess + options.mask_cost * (index - others - 1)
         best = int(np.argmin(total))
         if total[best] < cost[index]:

@@ -83,7 +83,7 @@ def match_costs(
     max_share: float,
     size_cost: float,
 ) -> Array:
-    """Return what each detection (n,) costs a person: mean way of its joints from the prediction, by the body's size.
+    """Return what each detection (n,) costs a person: mean distance of its joints from the prediction in sizes.
 
     A single joint that is far off is a detector's fault and not another person: it counts `max_share` at most.  Where
     the two have too few joints in common only the place of the whole tells.

@@ -104,7 +104,7 @@ def floor_offset(reconstructions: Sequence[Reconstruction], camera: DatabaseCame
 def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height_m: float) -> Reconstruction:
     """Return a reconstruction at the size that puts the floor as far below the camera as it is known to be.
 
-    One camera does not see how large people are: body and way may grow together about the camera.  So does the floor
+    One camera does not see how large people are: body and path may grow together about the camera.  So does the floor
     below it, which the ankles of standing feet tell; a camera of known height and pitch therefore gives the size.  A
     person whose feet are not below the camera, or who would come out twice or half as large, keeps the size.
 

@@ -383,15 +383,15 @@ def _smooth_path(path: Array, window: int) -> Array:
 
 
 def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> Array:
-    """Smooth each joint's way (frame, 14, 2) over time across its gaps; NaN stays where it was not seen."""
+    """Smooth each joint's path (frame, 14, 2) over time across its gaps; NaN stays where it was not seen."""
     frames = np.arange(len(points))
     smooth = np.full(points.shape, np.nan)
     for joint in range(points.shape[1]):
         seen = is_seen[:, joint]
         if not seen.any():
             continue
-        way = np.stack([np.interp(frames, frames[seen], axis[seen]) for axis in points[:, joint].T], axis=-1)
-        smooth[seen, joint] = _smooth_path(way, window)[seen]
+        path = np.stack([np.interp(frames, frames[seen], axis[seen]) for axis in points[:, joint].T], axis=-1)
+        smooth[seen, joint] = _smooth_path(path, window)[seen]
     return smooth
 
 

@@ -81,6 +81,12 @@ def _arcsin(value: float) -> float:
 
 
 @inner_kernel
+def _angle(sine: float, cosine: float) -> float:
+    """Return the angle of a sine and a cosine of any common size; 0, not half a turn, where an empty bone has -0."""
+    return math.atan2(sine, cosine + 0.0)
+
+
+@inner_kernel
 def _wrap(angle: float) -> float:
     return (angle + math.pi) % _TWO_PI - math.pi
 
@@ -107,7 +113,9 @@ def _change(index: int, value: float, slack: float, limits: Array, work: Array, 
 
 @inner_kernel
 def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine: float, sine: float) -> None:
-    """Turn joints `first` to `last` (inclusive) about a unit axis through joint `pivot`."""
+    """Turn joints `first` to `last` about a unit axis through joint `pivot`; not at all about an empty one."""
+    if dot(axis, axis) == 0.0:
+        return
     px, py, pz = points[pivot, 0], points[pivot, 1], points[pivot, 2]
     for joint in range(first, last + 1):
         v = (points[joint, 0] - px, points[joint, 1] - py, points[joint, 2] - pz)
@@ -161,7 +169,7 @@ def _girdle(
     one, two = bone_of(points, centre, left), bone_of(points, centre, right)
     one = mix(1.0, one, -dot(one, up), up)
     two = mix(1.0, two, -dot(two, up), up)
-    spread = math.atan2(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
+    spread = _angle(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
     change = _change(spread_index, spread, 0.0, limits, work, move)
     if change != 0.0:
         cosine, sine = math.cos(0.5 * change), math.sin(0.5 * change)
@@ -189,7 +197,7 @@ def _swing(
     sideways = _arcsin(dot(direction, left))
     change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
     sideways += change_sideways
-    flexion = math.atan2(dot(direction, front), dot(direction, up))
+    flexion = _angle(dot(direction, front), dot(direction, up))
     slack = SLACK_RAD * (1.0 / max(math.cos(sideways), TINY) - 1.0)
     change_flexion = _change(index, flexion, slack, limits, work, move)
     if change_sideways == 0.0 and change_flexion == 0.0:
@@ -253,11 +261,11 @@ def _hinge(
     along = dot(above, below)
     across = mix(1.0, below, -along, above)
     sine = length(across)
-    flexion = math.atan2(sine, along)
+    flexion = _angle(sine, along)
     change_flexion = _change(flexion_index, flexion, 0.0, limits, work, move)
     certainty = sine if along > 0 else 1.0
     carried_bend, carried_out = carry(rest, above, bend), carry(rest, above, outward)
-    rotation = math.atan2(dot(across, carried_out), dot(across, carried_bend)) if sine > TINY else 0.0
+    rotation = _angle(dot(across, carried_out), dot(across, carried_bend)) if sine > TINY else 0.0
     slack = SLACK_RAD / max(certainty, TINY)
     change = _change(rotation_index, rotation, slack, limits, work, move)
     if change_flexion != 0.0:
@@ -283,7 +291,7 @@ def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
     )  # fmt: skip
     shoulders_x = frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     carried = carry(y, up, x)
-    torsion = math.atan2(dot(cross(carried, shoulders_x), up), dot(carried, shoulders_x))
+    torsion = _angle(dot(cross(carried, shoulders_x), up), dot(carried, shoulders_x))
     change = _change(_TORSION, torsion, 0.0, limits, work, move)
     if change != 0.0:
         _turn(points, NECK, RIGHT_WRIST, CHEST, up, math.cos(change), math.sin(change))

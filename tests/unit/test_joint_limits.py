@@ -118,6 +118,18 @@ def test_the_walk_over_one_pose_at_a_time_agrees_with_the_plain_one_over_arrays(
     np.testing.assert_allclose(nearest.squared_distance_m2, ((moved - poses) ** 2).sum(axis=(1, 2)), atol=1e-12)
 
 
+@pytest.mark.parametrize("joint", [name for name in PAIR17.joint_names if name != "pelvis"])
+def test_an_empty_bone_has_the_angles_and_the_nearest_valid_pose_of_the_plain_form(joint: str) -> None:
+    poses = np.stack([standing(), -standing(), *wild(3, 20)])
+    index = PAIR17.index(joint)
+    poses[:, index] = poses[:, PAIR17.parents[index]]
+    np.testing.assert_array_equal(LIMITS.invalid_angles(poses), plain_invalid(LIMITS, poses))
+    moved = LIMITS.nearest_valid(poses).positions
+    np.testing.assert_allclose(bone_lengths(PAIR17, moved), bone_lengths(PAIR17, poses), atol=1e-9)
+    if joint != "spine":  # without it legs have no frame, and a knee may bend to either side
+        np.testing.assert_allclose(moved, plain_nearest_valid(LIMITS, poses), atol=1e-9)
+
+
 def test_collapsed_poses_have_a_nearest_valid_one() -> None:
     for pose in (np.zeros((17, 3)), np.ones((17, 3)), standing() * [0, 1, 0]):
         assert np.isfinite(LIMITS.nearest_valid(pose).positions).all()

@@ -16,6 +16,7 @@ from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interac
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
+from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.chain import ChainState, run_segment
@@ -30,8 +31,6 @@ __all__ = ["BENCHMARKS"]
 
 NUM_ANNOTATIONS, NUM_VIEWS, NUM_CANDIDATES = 8000, 20, 500
 NUM_SAMPLES, NUM_GROWN = 200, 300
-NUM_ANGLES = 29
-"""Angles of a person that may be out of range."""
 _SIZE = f"34 joints, {NUM_ANNOTATIONS} annotations, {NUM_VIEWS} views, {NUM_CANDIDATES} candidates a view"
 
 

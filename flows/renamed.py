@@ -25,6 +25,8 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
     "chains.reference": "the truncation refers to the seed's own density alone: leave it out",
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
+    "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
+    "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.kernel": "chains.kernel is now chains.proposal",
     "chains.variants.*.most_blocks": "chains.most_blocks is now chains.max_blocks",
     "chains.variants.*.most_invalid_angles": "chains.most_invalid_angles is now chains.max_invalid_angles",

@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.density import Evaluation
-from pasdedeux.sampling.proposals.moves import Move
-from pasdedeux.sampling.proposals.proposal import Context, Proposed
+from pasdedeux.sampling.proposals.proposal import Blocks, Context, Proposed
 
 __all__ = [
     "ChainState",
@@ -44,7 +43,7 @@ class StepInfo:
     """What a person wants to know of a step, and what learns scales from it."""
 
     is_accepted: bool
-    move: Move | None = None
+    blocks: Blocks | None = None
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ def step(
     proposed = propose(state.parameters, state.context, rng)
     uncorrected = state.evaluation.log_density - rng.standard_exponential()
     level = uncorrected - proposed.log_ratio
-    refused = state, StepInfo(is_accepted=False, move=proposed.move)
+    refused = state, StepInfo(is_accepted=False, blocks=proposed.blocks)
     evaluation = log_density(proposed.parameters, level)
     if not (evaluation.log_density >= level and evaluation.log_density > -np.inf):
         return refused
@@ -94,7 +93,7 @@ def step(
         if not evaluation.log_density >= uncorrected - correction.log_ratio:
             return refused
         context = correction.context
-    return ChainState(proposed.parameters, evaluation, context), StepInfo(is_accepted=True, move=proposed.move)
+    return ChainState(proposed.parameters, evaluation, context), StepInfo(is_accepted=True, blocks=proposed.blocks)
 
 
 def run_segment(

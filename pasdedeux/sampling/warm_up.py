@@ -40,7 +40,7 @@ def warm_up(
 ) -> tuple[ChainState, P]:
     """Run a chain for some steps; return where it arrived, with the proposal whose scales it learned.
 
-    A step of `few` teaches each of its blocks; any other teaches its own move, and one without a move nothing.
+    A step teaches each of its blocks; one that does not say which they are teaches nothing.
 
     Args:
         rng: Source of randomness; it moves on.
@@ -59,24 +59,17 @@ def warm_up(
             f"a warm-up takes 0 steps or more towards an acceptance between 0 and 1, found {num_steps} steps and "
             f"{target_acceptance:g}"
         )
-    scales = propose.scales
-    blocks, moves = scales.log_block.copy(), scales.log_move.copy()
-    block_count, move_count = np.zeros(len(blocks)), np.zeros(len(moves))
+    learned = propose.scales.log_block.copy()
+    num_taught = np.zeros(len(learned))
     for _ in range(num_steps):
         state, info = step(rng, state, log_density, propose)
-        if info.move is None:
+        if info.blocks is None:
             continue
         error = float(info.is_accepted) - target_acceptance
-        if info.move.index == 0:
-            own = list(info.move.blocks)
-            block_count[own] += 1.0
-            blocks[own] += error * block_count[own] ** -GAIN_EXPONENT
-        else:
-            own = [info.move.index]
-            move_count[own] += 1.0
-            moves[own] += error * move_count[own] ** -GAIN_EXPONENT
-        blocks, moves = blocks.clip(-MAX_LOG, MAX_LOG), moves.clip(-MAX_LOG, MAX_LOG)
-        propose = propose.with_scales(Scales(blocks, moves))
+        num_taught[info.blocks] += 1.0
+        learned[info.blocks] += error * num_taught[info.blocks] ** -GAIN_EXPONENT
+        learned = learned.clip(-MAX_LOG, MAX_LOG)
+        propose = propose.with_scales(Scales(learned.copy()))
     if gauge is not None and num_steps:
         state = ChainState(gauge(state.parameters), state.evaluation, state.context)
     return state, propose
@@ -87,7 +80,6 @@ def proposal_to_json(scales: Scales, context: Context | None) -> str:
     return json.dumps(
         {
             "log_block": scales.log_block.tolist(),
-            "log_move": scales.log_move.tolist(),
             "context": None if context is None else context.tolist(),
         }
     )
@@ -101,7 +93,7 @@ def proposal_from_json(text: str) -> tuple[Scales, Context | None]:
     """
     try:
         state = json.loads(text)
-        scales = Scales(np.array(state["log_block"], dtype=float), np.array(state["log_move"], dtype=float))
+        scales = Scales(np.array(state["log_block"], dtype=float))
         context = None if state["context"] is None else np.array(state["context"], dtype=np.int64)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"not the state of a proposal: {error}") from error

@@ -1,4 +1,4 @@
-"""Every registered proposal keeps detailed balance: it samples what it is told to, whatever moves together.
+"""Every registered proposal keeps detailed balance: it samples what it is told to.
 
 Targets are known: positions of the roots skewed, truncated and normal, bones normal.  As in the tests of the chain
 itself, comparisons are gated on the effective sample size.  A proposal that states a wrong ratio is caught.
@@ -20,7 +20,6 @@ from pasdedeux.sampling import (
     Correction,
     Evaluation,
     InteractionLikelihood,
-    MoveKind,
     PairChart,
     PairDensity,
     PhysicalPrior,
@@ -44,8 +43,6 @@ X, Y, Z = POSITION_INDICES[0]
 KNEE = block_indices(PAIR17.index("left_knee"))[0]
 SHOULDER = block_indices(17 + PAIR17.index("right_shoulder"))[1]
 BONES = np.array([index for block in range(34) if block % 17 for index in block_indices(block)[:2]])
-ROOTS_ONLY = {MoveKind.ROOTS: 1.0}
-EVERYTHING = {MoveKind.FEW: 4.0, MoveKind.LIMB: 4.0, MoveKind.PERSON: 1.0, MoveKind.ROOTS: 4.0}
 
 
 def log_target(parameters: np.ndarray, at_least: float) -> Evaluation:
@@ -89,10 +86,11 @@ def nearest(pair_m: np.ndarray) -> Context:
     return np.array([int(x > 2.5), 4 if z > 0.3 else 6, 2 if knee > KNEE_TO_NECK else 7, -1])
 
 
-def proposal(name: str, moves: dict[MoveKind, float], **settings: float) -> Proposal:
-    """A registered proposal with large steps, as far as it has such settings."""
+def proposal(name: str, **settings: float) -> Proposal:
+    """A registered proposal with large steps of many blocks, as far as it has such settings."""
     kind = PROPOSALS[name]
-    wanted = {"root_rotation_rad": 0.2, "root_position_m": 0.3, "joint_rotation_rad": 0.35, "moves": moves, **settings}
+    steps = {"root_rotation_rad": 0.2, "root_position_m": 0.7, "joint_rotation_rad": 0.12, "max_blocks": 34}
+    wanted = {**steps, **settings}
     own = {key: value for key, value in wanted.items() if key in kind.settings.model_fields}
     return kind.build(kind.settings(**own), ProposalInputs(CHART, nearest, speeds()))
 
@@ -135,27 +133,21 @@ def worst_error(draws: np.ndarray, known: dict[int, tuple[float, float]]) -> flo
 
 
 @pytest.mark.parametrize("name", PROPOSALS)
-def test_roots_moved_together_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) -> None:
-    propose = proposal(name, ROOTS_ONLY)
-    assert worst_error(sample(propose, propose, num_draws=700, thin=20), KNOWN) < NUM_ERRORS
-
-
-@pytest.mark.parametrize("name", PROPOSALS)
-def test_a_mixture_of_all_moves_has_the_moments_of_its_target(name: str) -> None:
-    propose = proposal(name, EVERYTHING)
-    draws = sample(propose, propose, num_draws=350, thin=50)
+def test_draws_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) -> None:
+    propose = proposal(name)
+    draws = sample(propose, propose, num_draws=350, thin=90)
     assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
 
 
 def test_a_proposal_that_states_a_wrong_ratio_is_caught() -> None:
-    right = proposal("velocity", ROOTS_ONLY)
-    assert worst_error(sample(WithoutRatio(right), right, num_draws=400, thin=20), KNOWN) > 2 * NUM_ERRORS
+    right = proposal("velocity", root_position_m=0.3, joint_rotation_rad=1e-3)
+    assert worst_error(sample(WithoutRatio(right), right, num_draws=400, thin=40), KNOWN) > 2 * NUM_ERRORS
 
 
 @pytest.mark.parametrize("name", PROPOSALS)
 def test_giving_up_early_changes_nothing(name: str) -> None:
     """A bound on the ratio only saves work: a target that never stops early gives the same draws."""
-    propose = proposal(name, EVERYTHING)
+    propose = proposal(name)
 
     def impatient(parameters: np.ndarray, at_least: float) -> Evaluation:
         evaluation = log_target(parameters, at_least)
@@ -173,7 +165,7 @@ def test_giving_up_early_changes_nothing(name: str) -> None:
 
 
 def test_warm_up_finds_scales_with_the_acceptance_asked_for_and_then_the_target_is_still_right() -> None:
-    begun = proposal("velocity", EVERYTHING, joint_rotation_rad=3.0, root_position_m=12.0)
+    begun = proposal("velocity", joint_rotation_rad=3.0, root_position_m=12.0)
     start = CHART.seed_parameters()
     start[[X, Y, Z]] = [3.0, 0.5, 0.0]
     rng = np.random.default_rng(5)
@@ -188,7 +180,10 @@ def test_warm_up_finds_scales_with_the_acceptance_asked_for_and_then_the_target_
 
 
 def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_unbiased_ones() -> None:
-    """On a real density, over 30 annotations: limb angles and distances have the same means and spreads."""
+    """On a real density, over 30 annotations: angles and distances have the same means and spreads.
+
+    Bones hardly turn, so that chains of a few seconds say much about the roots.
+    """
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 60, spread_rad=0.05)
     annotated = random_annotations(rng, pairs, 30)
@@ -197,18 +192,20 @@ def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_un
     chart = PairChart(gauge_fix(pairs[0]))
     target = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)
     turn, shift = (0.08 * rng.random((30, 34))) ** 2, (0.04 * rng.random((30, 2))) ** 2
+    turn[:, np.arange(34) % 17 > 0] = 0.0
     known = ProposalInputs(chart, likelihood.nearest, Speeds(turn, shift))
     watched = []
     for name, scale in (("unbiased", 0.03), ("velocity", 0.015)):
-        steps = {"root_rotation_rad": scale, "root_position_m": scale / 2, "joint_rotation_rad": 0.1}
-        propose = PROPOSALS[name].build(PROPOSALS[name].settings(**steps, moves=ROOTS_ONLY), known)
+        steps = {"root_rotation_rad": scale, "root_position_m": scale / 2, "joint_rotation_rad": 1e-9}
+        settings = PROPOSALS[name].settings(**steps, length_change=0.0, max_blocks=34)
+        propose = PROPOSALS[name].build(settings, known)
         chains = []
         for chain in range(2):
             rng = np.random.default_rng([19, chain])
             start = chart.seed_parameters()
             state = ChainState(start, target.seed_evaluation, propose.prepare(start))
             state, _ = run_segment(rng, state, target, propose, num_draws=20, thin=20, gauge=chart.gauge_fixed)
-            _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=30, gauge=chart.gauge_fixed)
+            _, segment = run_segment(rng, state, target, propose, num_draws=220, thin=60, gauge=chart.gauge_fixed)
             chains.append(invariants(chart.positions(segment.parameters)))
         watched.append(np.stack(chains))
     moving = np.flatnonzero(np.ptp(watched[0], axis=(0, 1)) > 1e-6)

@@ -143,16 +143,12 @@ def test_prior_only_does_not_depend_on_annotations_or_the_likelihood(inputs: Any
     assert [shard.key for shard in chains.plan(other, changed)] == base
 
 
-ALL_MOVES = {"few": 2.0, "limb": 1.0, "person": 1.0, "roots": 1.0}
-
-
 @pytest.mark.parametrize(
     "options",
     [
         {"num_warm_up": 0},
         {
             "proposal": "velocity",
-            "moves": ALL_MOVES,
             "num_warm_up": 6,
             "joint_limits": "learned",
         },
@@ -201,14 +197,13 @@ def test_log_density_recomputed_from_stored_draws_is_the_stored_one(inputs: Any)
 def test_warm_up_learns_scales_that_every_later_segment_keeps(inputs: Any) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1)
-    options = {**QUICK, "proposal": "velocity", "moves": ALL_MOVES, "num_warm_up": 20, "num_chains": 1}
+    options = {**QUICK, "proposal": "velocity", "num_warm_up": 20, "num_chains": 1}
     made = run(chains.plan(given, ChainsParameters(**options)), chains, store)
     states = [store.read(one.ref, "chain_states") for one in made if "chain_states" in one.tables]
     for first, second in zip(states[::2], states[1::2], strict=True):
         learned = [proposal_from_json(str(one["proposal_state"][0]))[0] for one in (first, second)]
         assert np.count_nonzero(learned[0].log_block) > 10
         np.testing.assert_array_equal(learned[0].log_block, learned[1].log_block)
-        np.testing.assert_array_equal(learned[0].log_move, learned[1].log_move)
         assert list(first["num_draws"]) == [4]
 
 
@@ -260,8 +255,6 @@ def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], message: 
 
 
 def test_proposals_that_cannot_be_are_refused_before_anything_runs() -> None:
-    with pytest.raises(ValueError, match="every kind of move the weight 0"):
-        ChainsParameters(moves={"few": 0.0})
     with pytest.raises(ValueError, match="needs positive root_rotation_rad"):
         ChainsParameters(proposal="velocity", root_position_m=0.0)
     with pytest.raises(ValueError, match="there is no proposal 'faster'; there are: unbiased, velocity"):

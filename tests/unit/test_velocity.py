@@ -11,8 +11,6 @@ from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.sampling import (
     PROPOSALS,
-    MoveKind,
-    MoveMixture,
     Scales,
     Speeds,
     annotation_speeds,
@@ -146,30 +144,15 @@ def test_the_ratio_is_that_of_two_normal_densities() -> None:
     assert log_normal_ratio(3, float(noise @ noise), here, there, False) == pytest.approx(expected)
 
 
-def test_every_move_is_drawn_as_often_as_its_weight_says_and_moves_what_it_names() -> None:
-    rng = np.random.default_rng(2)
-    weights = {MoveKind.FEW: 1.0, MoveKind.LIMB: 2.0, MoveKind.PERSON: 0.0, MoveKind.ROOTS: 1.0}
-    moves = [MoveMixture(weights=weights).draw(rng) for _ in range(4000)]
-    share = np.mean([move.index == 0 for move in moves]), np.mean([move.blocks == (0, 17) for move in moves])
-    # Four standard errors of a share of a quarter among 4,000.
-    assert share == pytest.approx((0.25, 0.25), abs=0.028)
-    limbs = {move.blocks for move in moves if 0 < move.index <= 10}
-    assert len(limbs) == 10
-    assert sorted(block for limb in limbs for block in limb) == [block for block in range(34) if block % 17]
-    with pytest.raises(InputError, match="one must be positive"):
-        MoveMixture(weights={MoveKind.FEW: 0.0})
-
-
 def test_a_proposal_survives_being_written_down() -> None:
     rng = np.random.default_rng(3)
-    scales = Scales(rng.normal(size=NUM_BLOCKS), rng.normal(size=MoveMixture.NUM_MOVES))
+    scales = Scales(rng.normal(size=NUM_BLOCKS))
     read, context = proposal_from_json(proposal_to_json(scales, np.array([3, -1, 8])))
     np.testing.assert_array_equal(read.log_block, scales.log_block)
-    np.testing.assert_array_equal(read.log_move, scales.log_move)
     assert context is not None
     assert context.tolist() == [3, -1, 8]
     assert proposal_from_json(proposal_to_json(scales, None))[1] is None
-    for text in ("{}", "[", '{"log_block": [1], "log_move": [2], "context": null}'):
+    for text in ("{}", "[", '{"log_block": [1], "context": null}'):
         with pytest.raises(InputError):
             proposal_from_json(text)
 

@@ -3,7 +3,6 @@
 from typing import Any
 
 from pasdedeux.sampling.proposals.blocks import GaussianBlocks, StepSettings, UnbiasedKind
-from pasdedeux.sampling.proposals.moves import MoveKind, MoveMixture
 from pasdedeux.sampling.proposals.proposal import (
     Context,
     Correction,
@@ -20,8 +19,6 @@ __all__ = [
     "Context",
     "Correction",
     "GaussianBlocks",
-    "MoveKind",
-    "MoveMixture",
     "Proposal",
     "ProposalInputs",
     "ProposalKind",

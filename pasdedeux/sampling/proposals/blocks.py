@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.sampling.proposals.kernels import move_blocks
-from pasdedeux.sampling.proposals.moves import MoveKind, MoveMixture
-from pasdedeux.sampling.proposals.proposal import Context, Proposal, ProposalInputs, ProposalKind, Proposed, Scales
+from pasdedeux.sampling.proposals.proposal import (
+    Blocks,
+    Context,
+    Proposal,
+    ProposalInputs,
+    ProposalKind,
+    Proposed,
+    Scales,
+)
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
@@ -23,26 +30,13 @@ Array = npt.NDArray[np.float64]
 
 
 class StepSettings(Settings):
-    """How far steps go, and what they move together."""
+    """How far steps go, and how much they move together."""
 
     root_rotation_rad: float = Field(default=0.02, ge=0, description="Step of a root's rotation, radians")
     root_position_m: float = Field(default=0.005, ge=0, description="Step of a root's position, metres")
     joint_rotation_rad: float = Field(default=0.04, ge=0, description="Step of a bone's rotation, radians")
     length_change: float = Field(default=0.005, ge=0, description="Step of a bone's relative length")
-    max_blocks: int = Field(
-        default=4, ge=1, le=NUM_BLOCKS, description="Roots and bones moved by one step of `few`, at most"
-    )
-    moves: dict[MoveKind, Annotated[float, Field(ge=0)]] = Field(
-        default={MoveKind.FEW: 1.0},
-        min_length=1,
-        description="How often steps move what together, as weights: few (bones or roots), limb, person, roots (both)",
-    )
-
-    @model_validator(mode="after")
-    def _something_moves(self) -> Self:
-        if not sum(self.moves.values()) > 0.0:
-            raise ValueError("moves gives every kind of move the weight 0; one must be drawn")
-        return self
+    max_blocks: int = Field(default=4, ge=1, le=NUM_BLOCKS, description="Roots and bones moved by one step, at most")
 
 
 @dataclass(frozen=True)
@@ -54,18 +48,12 @@ class GaussianBlocks:
     length, together with its counterpart on the other side of the body.
 
     Args:
-        settings: Standard deviations, and which blocks move together.
+        settings: Standard deviations, and how many blocks move together.
         scales: Learned factors on them.
     """
 
     settings: StepSettings = field(default_factory=StepSettings)
     scales: Scales = field(default_factory=Scales)
-    mixture: MoveMixture = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Make the mixture of moves."""
-        mixture = MoveMixture(weights=self.settings.moves, max_blocks=self.settings.max_blocks)
-        object.__setattr__(self, "mixture", mixture)
 
     def with_scales(self, scales: Scales) -> Self:
         """Return the same proposal with other learned factors."""
@@ -77,10 +65,17 @@ class GaussianBlocks:
 
     def __call__(self, parameters: Array, context: Context | None, rng: np.random.Generator) -> Proposed:
         """Propose a step from parameters (108,)."""
-        move = self.mixture.draw(rng)
-        blocks = np.array(move.blocks, dtype=np.int64)
+        blocks = self._drawn(rng)
         noise = rng.standard_normal((len(blocks), 6))
-        return Proposed(self._moved(parameters, blocks, noise, self.scales.of(move), *self._deviations), move=move)
+        moved = self._moved(parameters, blocks, noise, self.scales.of(blocks), *self._deviations)
+        return Proposed(moved, blocks=blocks)
+
+    def _drawn(self, rng: np.random.Generator) -> Blocks:
+        """Return the blocks of a step, 1 to `max_blocks` of them: with chances that do not depend on the place."""
+        # A number that nothing uses: chains keep the random numbers, and so the draws, that they have always had.
+        rng.random()
+        count = int(rng.integers(1, self.settings.max_blocks + 1))
+        return rng.choice(NUM_BLOCKS, size=count, replace=False, shuffle=False)
 
     def _moved(
         self, parameters: Array, blocks: npt.NDArray[np.int64], noise: Array, factors: Array, turn: Array, shift: Array

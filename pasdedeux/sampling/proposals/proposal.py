@@ -12,15 +12,15 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.parameters import NUM_BLOCKS, PairChart
-from pasdedeux.sampling.proposals.moves import Move, MoveMixture
 from pasdedeux.sampling.speeds import Speeds
 from pasdedeux.settings import Settings
 
-__all__ = ["Context", "Correction", "Proposal", "ProposalInputs", "ProposalKind", "Proposed", "Scales"]
+__all__ = ["Blocks", "Context", "Correction", "Proposal", "ProposalInputs", "ProposalKind", "Proposed", "Scales"]
 
 Array = npt.NDArray[np.float64]
 Context = npt.NDArray[np.int64]
 """What a proposal must know of a point before it can leave it: the annotations that are nearest to it, (view,)."""
+Blocks = npt.NDArray[np.int64]
 
 S = TypeVar("S", bound=Settings)
 
@@ -48,13 +48,13 @@ class Proposed:
             bound of it when there is `correct`.
         correct: Prepares the proposal at the proposed point, which is dear, for the ratio itself; None where it is
             known.
-        move: Which parameters moved together, for those who learn scales.
+        blocks: Blocks that moved (see `block_indices`), for those who learn scales; None where scales are not learned.
     """
 
     parameters: Array
     log_ratio: float = 0.0
     correct: Callable[[], Correction] | None = None
-    move: Move | None = None
+    blocks: Blocks | None = None
 
 
 @dataclass(frozen=True)
@@ -63,25 +63,23 @@ class Scales:
 
     Args:
         log_block: Logarithm of each block's factor, (34,).
-        log_move: Logarithm of each move's factor on top, (14,).
 
     Raises:
-        InputError: Shapes that do not fit, or a value that is not finite.
+        InputError: A shape that does not fit, or a value that is not finite.
     """
 
     log_block: Array = field(default_factory=lambda: np.zeros(NUM_BLOCKS))
-    log_move: Array = field(default_factory=lambda: np.zeros(MoveMixture.NUM_MOVES))
 
     def __post_init__(self) -> None:
-        """Check shapes and finiteness."""
-        if self.log_block.shape != (NUM_BLOCKS,) or self.log_move.shape != (MoveMixture.NUM_MOVES,):
-            raise InputError(f"scales have shapes {self.log_block.shape} and {self.log_move.shape}")
-        if not (np.isfinite(self.log_block).all() and np.isfinite(self.log_move).all()):
+        """Check shape and finiteness."""
+        if self.log_block.shape != (NUM_BLOCKS,):
+            raise InputError(f"scales have the shape {self.log_block.shape}, not ({NUM_BLOCKS},)")
+        if not np.isfinite(self.log_block).all():
             raise InputError("a scale of a proposal is not finite")
 
-    def of(self, move: Move) -> Array:
-        """Return the factor of each block of a move."""
-        return np.asarray(np.exp(self.log_block[list(move.blocks)] + self.log_move[move.index]))
+    def of(self, blocks: Blocks) -> Array:
+        """Return the factor of each of these blocks."""
+        return np.asarray(np.exp(self.log_block[blocks]))
 
 
 class Proposal(Protocol):

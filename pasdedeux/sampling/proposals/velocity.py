@@ -48,7 +48,7 @@ class VelocityBlocks(GaussianBlocks):
     """Gaussian steps, wider where annotations nearby move.
 
     Args:
-        settings: Standard deviations without speed (sigma_0 of eq. 12), and which blocks move together.
+        settings: Standard deviations without speed (sigma_0 of eq. 12), and how many blocks move together.
         scales: Learned factors.
         speeds: Squared speeds of the annotated pairs.
         nearest: Gives, for parameters (108,), the annotated pair nearest to each projection (D* of eq. 12); -1 for
@@ -64,11 +64,10 @@ class VelocityBlocks(GaussianBlocks):
 
     def __call__(self, parameters: Array, context: Context | None, rng: np.random.Generator) -> Proposed:
         """Propose a step from parameters (108,); `context` is what `prepare` returns there."""
-        move = self.mixture.draw(rng)
-        blocks = np.array(move.blocks, dtype=np.int64)
+        blocks = self._drawn(rng)
         noise = rng.standard_normal((len(blocks), 6))
         turn, shift = self._widened(context)
-        proposed = self._moved(parameters, blocks, noise, self.scales.of(move), turn, shift)
+        proposed = self._moved(parameters, blocks, noise, self.scales.of(blocks), turn, shift)
 
         def correct() -> Correction:
             there = self.prepare(proposed)
@@ -76,7 +75,7 @@ class VelocityBlocks(GaussianBlocks):
             return Correction(float(known), there)
 
         most = log_ratio_of_steps(blocks, noise, turn, shift, *self._deviations, True, NUM_JOINTS)
-        return Proposed(proposed, float(most), correct, move)
+        return Proposed(proposed, float(most), correct, blocks)
 
     def _widened(self, context: Context | None) -> tuple[Array, Array]:
         """Return eq. 12's standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""

@@ -252,16 +252,16 @@ def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, wid
             squared = turned_squares(turn, limbs[limb], other_limbs[one, limb])
             work[2 + limb, one] = weight - 0.5 * squared / (widths[2] * widths[2])
     every = _log_sum(work[0])
-    least = np.inf
+    lowest = np.inf
     for limb in range(num_limbs):
-        least = min(least, _log_sum(work[2 + limb]) - every)
-    return every - log_count, _log_sum(work[1]) - every, least
+        lowest = min(lowest, _log_sum(work[2 + limb]) - every)
+    return every - log_count, _log_sum(work[1]) - every, lowest
 
 
 @numba.njit(cache=True, nogil=True)
 def _log_sum(logs):  # type: ignore[no-untyped-def]
-    most = logs.max()
+    highest = logs.max()
     total = 0.0
     for value in logs:
-        total += np.exp(value - most)
-    return most + np.log(total)
+        total += np.exp(value - highest)
+    return highest + np.log(total)

@@ -153,8 +153,8 @@ def build_bank(
         order = order[np.sort(first)][:num_candidates]
         num_similar = int(np.searchsorted(angle[order], view_bandwidth_rad, side="right"))
         chosen.append(order[: max(num_similar, MIN_CANDIDATES)])
-    most = max(len(own) for own in chosen)
-    candidates = np.full((len(directions), most), -1, dtype=np.int64)
+    max_count = max(len(own) for own in chosen)
+    candidates = np.full((len(directions), max_count), -1, dtype=np.int64)
     for row, own in enumerate(chosen):
         candidates[row, : len(own)] = own
     return ViewBank(

@@ -96,12 +96,12 @@ def plain_log_likelihood(
 
 
 def log_mean(best: Array, sigma_l: float) -> float:
-    """Return the log of eq. 6 of the least d_I of each view."""
-    least = float(best.min())
-    if not np.isfinite(least):
+    """Return the log of eq. 6 of the smallest d_I of each view."""
+    smallest = float(best.min())
+    if not np.isfinite(smallest):
         return -np.inf
     scale = 2.0 * sigma_l**2
-    return float(np.log(np.mean(np.exp(-(best - least) / scale))) - least / scale)
+    return float(np.log(np.mean(np.exp(-(best - smallest) / scale))) - smallest / scale)
 
 
 class InteractionLikelihood:

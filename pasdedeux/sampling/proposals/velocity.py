@@ -74,8 +74,8 @@ class VelocityBlocks(GaussianBlocks):
             known = log_ratio_of_steps(blocks, noise, turn, shift, *self._widened(there), False, NUM_JOINTS)
             return Correction(float(known), there)
 
-        most = log_ratio_of_steps(blocks, noise, turn, shift, *self._deviations, True, NUM_JOINTS)
-        return Proposed(proposed, float(most), correct, blocks)
+        bound = log_ratio_of_steps(blocks, noise, turn, shift, *self._deviations, True, NUM_JOINTS)
+        return Proposed(proposed, float(bound), correct, blocks)
 
     def _widened(self, context: Context | None) -> tuple[Array, Array]:
         """Return eq. 12's standard deviations before learned factors: of turns (34,) and of the roots' shifts (2,)."""

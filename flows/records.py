@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import os
 import platform
-import sys
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from flows.machine import PACKAGES, installed_version, python_version
 from storage_schema import (
     ArtifactRef,
     CorruptArtifact,
@@ -37,7 +36,6 @@ __all__ = [
     "report_folder",
 ]
 
-_PACKAGES = ("pasdedeux", "numpy", "scipy", "numba", "pyarrow", "prefect", "dask", "distributed", "pydantic")
 _RUN, _STUDY, _PLAN, _ENVIRONMENT = "run.json", "study.json", "plan.json", "environment.json"
 
 
@@ -121,17 +119,11 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 
 def _environment() -> dict[str, Any]:
     """Return what the run ran on, for the record; nothing of it enters a key."""
-    versions = {}
-    for package in _PACKAGES:
-        try:
-            versions[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            versions[package] = "not installed"
     return {
-        "python": sys.version.split()[0],
+        "python": python_version(),
         "platform": platform.platform(),
         "num_cores": os.cpu_count(),
-        "packages": versions,
+        "packages": {name: installed_version(name) or "not installed" for name in ("pasdedeux", *PACKAGES)},
     }
 
 

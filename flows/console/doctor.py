@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import tempfile
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 import typer
 
 from flows.console.context import JsonOption, StoreOption, print_json
+from flows.machine import (
+    GIB,
+    PACKAGES,
+    free_bytes,
+    installed_version,
+    memory_bytes,
+    nearest_folder,
+    python_version,
+    usable_cores,
+)
 from flows.prefect_server import ServerError, check_server
 from tasks.shards import worker_environment
 
 __all__ = ["register"]
 
-_GIB = 1024**3
-_PACKAGES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "pyarrow",
-    "opencv-contrib-python-headless",
-    "prefect",
-    "distributed",
-    "pydantic",
-)
-_MIN_MEMORY_BYTES = 2 * _GIB
-_MIN_DISK_BYTES = _GIB
+_MIN_MEMORY_BYTES = 2 * GIB
+_MIN_DISK_BYTES = GIB
 
 
 @dataclass(frozen=True)
@@ -50,8 +47,8 @@ def register(app: typer.Typer) -> None:
 def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Look at the machine and say what is found."""
     findings = [
-        Finding("python", sys.version.split()[0], sys.version_info >= (3, 11)),
-        *(_package(name) for name in _PACKAGES),
+        Finding("python", python_version(), sys.version_info >= (3, 11)),
+        *(_package(name) for name in PACKAGES),
         _cores(),
         _memory(),
         _store(store),
@@ -69,33 +66,27 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
 
 
 def _package(name: str) -> Finding:
-    try:
-        return Finding(name, metadata.version(name))
-    except metadata.PackageNotFoundError:
-        return Finding(name, "not installed", is_ok=False)
+    version = installed_version(name)
+    return Finding(name, version or "not installed", version is not None)
 
 
 def _cores() -> Finding:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Finding("cores", f"{usable} usable of {os.cpu_count()}; a run starts one worker per usable core")
+    return Finding("cores", f"{usable_cores()} usable of {os.cpu_count()}; a run starts one worker per usable core")
 
 
 def _memory() -> Finding:
     try:
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        total = memory_bytes()
     except (ValueError, OSError):
         return Finding("memory", "unknown")
-    return Finding("memory", f"{total / _GIB:.1f} GB; 2 GB per worker is planned for", total >= _MIN_MEMORY_BYTES)
+    return Finding("memory", f"{total / GIB:.1f} GB; 2 GB per worker is planned for", total >= _MIN_MEMORY_BYTES)
 
 
 def _store(store: Path) -> Finding:
-    folder = store.absolute()
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free
-    if not os.access(folder, os.W_OK):
+    if not os.access(nearest_folder(store), os.W_OK):
         return Finding("store", f"{store} cannot be written to", is_ok=False)
-    return Finding("store", f"{store} can be written to, {free / _GIB:.1f} GB free", free >= _MIN_DISK_BYTES)
+    free = free_bytes(store)
+    return Finding("store", f"{store} can be written to, {free / GIB:.1f} GB free", free >= _MIN_DISK_BYTES)
 
 
 def _kernel_cache() -> Finding:

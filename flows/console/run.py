@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import time
 from pathlib import Path
 from typing import Annotated
@@ -21,6 +19,7 @@ from flows.console.context import (
 )
 from flows.console.display import counted, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
+from flows.machine import GIB, free_bytes, memory_bytes, usable_cores
 from flows.planning import Plan, PlanError, Selection, make_plan
 from flows.study import Study, load_study
 from storage_schema import Store
@@ -30,7 +29,6 @@ from tasks.shards import ClusterSettings
 __all__ = ["build_and_report", "register"]
 
 MIN_FREE_BYTES = 64 * 1024**2
-_GIB = 1024**3
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
 
@@ -116,7 +114,7 @@ def build_and_report(
         outcome = outcome_of_fresh(Run(chosen, graph, opened, selection), made)
     else:
         _refuse_full_disk(opened)
-        worker_bytes = int(worker_memory * _GIB)
+        worker_bytes = int(worker_memory * GIB)
         cluster = ClusterSettings(_num_workers(workers, worker_bytes), worker_bytes, scheduler)
         outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
@@ -128,7 +126,7 @@ def build_and_report(
     if made.is_fresh:
         typer.echo(f"everything is fresh, nothing to do ({seconds:.1f} s)")
     else:
-        memory = f", at most {outcome.peak_memory_bytes / _GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
+        memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
@@ -176,17 +174,12 @@ def _num_workers(asked: int | None, worker_bytes: int) -> int:
     """Return the number of workers asked for, else one per usable core as far as the memory reaches."""
     if asked is not None:
         return asked
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return max(1, min(cores, memory // worker_bytes))
+    return max(1, min(usable_cores(), memory_bytes() // worker_bytes))
 
 
 def _refuse_full_disk(store: Store) -> None:
     """Refuse to begin where next to nothing can be written."""
-    folder = store.root
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free
+    free = free_bytes(store.root)
     if free < MIN_FREE_BYTES:
         raise PlanError(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
 

@@ -159,6 +159,8 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
         return message
     if message.startswith("Input should"):
         message = message.replace("Input should", "should", 1)
+    if item["type"] in ("model_type", "dict_type"):
+        message = "should be a table"
     found = item["input"]
     return f"{path}: {message}" + ("" if isinstance(found, dict | BaseModel) else f"; found {found!r}")
 

@@ -8,7 +8,7 @@ from pydantic import Field
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import read_cameras
+from tasks.evaluation.truth import rate_of, read_cameras
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC"]
@@ -51,7 +51,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     is_here = data["sequence_id"] == sequence_id
     is_here &= data["time_s"] < options.clip_seconds + data["time_s"][is_here].min()
     keypoints, times = _by_frame(data, is_here)
-    step = _step(times, options.clip_rate_hz)
+    step = max(1, round(rate_of(times) / options.clip_rate_hz))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
     camera = read_cameras(store, [annotations]).get(sequence_id)
     name = f"clip-{sequence_id.replace('/', '-')}.webp"
@@ -59,7 +59,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         OP14,
         keypoints,
         image_size_px=size,
-        rate_hz=min(options.clip_rate_hz, _rate(times)),
+        rate_hz=min(options.clip_rate_hz, rate_of(times)),
         floor_px=None if camera is None else floor_grid(camera),
         labels=[f"{time:.1f} s" for time in times[::step]],
     )
@@ -75,14 +75,6 @@ def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndar
     times = np.zeros(len(frames))
     times[rows] = data["time_s"][is_here]
     return keypoints, times
-
-
-def _rate(times: np.ndarray) -> float:
-    return 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else 25.0
-
-
-def _step(times: np.ndarray, rate_hz: float) -> int:
-    return max(1, round(_rate(times) / rate_hz))
 
 
 def _image(keypoints: np.ndarray, width: float, height: float) -> tuple[np.ndarray, tuple[int, int]]:

@@ -21,7 +21,7 @@ from pasdedeux.experiments.exploration import exploration_table
 from pasdedeux.sampling.coverage import coverage_curve
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
-from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
 from tasks.evaluation.truth import read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -84,11 +84,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Measure coverage on one part of the real frames."""
     options = shard.options(CoverageParameters)
     split, take_refs, draw_refs = options.split, shard.refs("takes"), shard.refs("draws")
-    held_out = {f["take_id"] for ref in take_refs if (f := store.manifest(ref).facts)["is_held_out"]}
-    for ref in draw_refs:
-        refuse_overlap(
-            f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], sorted(held_out)
-        )
+    held_out = held_out_takes(store, take_refs)
+    refuse_learned(store, draw_refs, held_out)
     takes = read_takes(store, take_refs, "pair17_m")
     annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
     generator = stream(shard.seed, TOPIC.name, split)
@@ -165,7 +162,7 @@ def _map(truth: np.ndarray, draws: dict[str, np.ndarray], seed: np.ndarray | Non
 
 
 def _split(
-    takes: dict[str, np.ndarray], annotated: set[tuple[str, int]], held_out: set[str], split: str
+    takes: dict[str, np.ndarray], annotated: set[tuple[str, int]], held_out: list[str], split: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the real pairs of the part, and the other real pairs of takes that are not held out."""
     wanted, others = [], []

@@ -17,9 +17,9 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
-from storage_schema import ArtifactRef, Store
+from storage_schema import Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
-from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -71,7 +71,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _lifted(shard: Shard, store: Store) -> TopicResult:
     take_refs, annotation_refs = shard.refs("takes"), shard.refs("annotations")
     takes = read_takes(store, take_refs, "pair17_m")
-    held_out = _held_out(store, take_refs)
+    held_out = held_out_takes(store, take_refs)
     frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
     found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
@@ -134,9 +134,8 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
 def _completed(shard: Shard, store: Store) -> TopicResult:
     count = shard.options(LiftedPairsSettings).num_completed_pairs
     take_refs, draw_refs = shard.refs("takes"), shard.refs("draws")
-    takes, held_out = read_takes(store, take_refs, "pair17_m"), _held_out(store, take_refs)
-    for ref in draw_refs:
-        refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
+    takes, held_out = read_takes(store, take_refs, "pair17_m"), held_out_takes(store, take_refs)
+    refuse_learned(store, draw_refs, held_out)
     sets = read_draw_sets(store, draw_refs)
     nothing = np.zeros((0, 2, PAIR17.num_joints, 3), dtype=np.float32)
     # Neighbouring draws of a chain are alike: a spread of them is enough, grown seeds are all taken.
@@ -167,11 +166,6 @@ def _spans(takes: Sequence[np.ndarray], gap: int, count: int, generator: np.rand
         return []
     chosen = generator.permutation(len(starts))[:count]
     return [takes[starts[at][0]][starts[at][1] : starts[at][1] + gap + 1] for at in chosen]
-
-
-def _held_out(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:
-    facts = [store.manifest(ref).facts for ref in refs]
-    return sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
 
 
 def _split(facts: dict[str, object], is_held_out: bool) -> str:

@@ -18,7 +18,7 @@ from pasdedeux.evaluation.reconstruction import (
 from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
-from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.evaluation.truth import rate_of, read_cameras, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC", "search_notes"]
@@ -85,7 +85,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keypoints = _read_keypoints(store, annotations, shard.name)
     camera = cameras[str(table["sequence_id"][0])]
     camera_m = camera.camera_from_world_rotmat @ camera.position_m
-    pictures[clip_name] = _clip(people, keypoints, camera_m=camera_m, rate_hz=_rate_of(table))
+    pictures[clip_name] = _clip(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))
     captions[clip_name] = (
         f"{shard.name}: the image (left), what {list(people[0].found_m)[-1]} made of it as the camera sees it (middle) "
         "and from its side (right), everybody in their place to each other; truth in grey."
@@ -117,11 +117,6 @@ def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_i
         for row in np.flatnonzero(table["sequence_id"] == sequence_id):
             keypoints[int(table["person_id"][row]), int(table["frame"][row])] = table["op14_px"][row]
     return keypoints
-
-
-def _rate_of(table: TableData) -> float:
-    times = np.unique(table["time_s"])
-    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
 
 
 def _clip(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,17 @@ from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs
 
-__all__ = ["STAGE_NAME", "VERSION", "Topic", "TopicResult", "commit_topic", "read_people", "refuse_overlap"]
+__all__ = [
+    "STAGE_NAME",
+    "VERSION",
+    "Topic",
+    "TopicResult",
+    "commit_topic",
+    "held_out_takes",
+    "read_people",
+    "refuse_learned",
+    "refuse_overlap",
+]
 
 STAGE_NAME = "evaluation"
 VERSION = 17
@@ -115,6 +125,18 @@ def read_people(store: Store, ref: ArtifactRef, column: str) -> np.ndarray:
     num_persons = int(store.manifest(ref).facts["num_persons"])
     data = store.read(ref, "poses", columns=[column])[column].astype(np.float64)
     return np.swapaxes(data.reshape(num_persons, -1, *data.shape[1:]), 0, 1)
+
+
+def held_out_takes(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:
+    """Return the names of the takes that are held out among these takes, sorted."""
+    facts = [store.manifest(ref).facts for ref in refs]
+    return sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
+
+
+def refuse_learned(store: Store, refs: Iterable[ArtifactRef], held_out: Sequence[str]) -> None:
+    """Refuse artifacts that learned from a take that is held out, as `refuse_overlap` does."""
+    for manifest in map(store.manifest, refs):
+        refuse_overlap(f"artifact {manifest.partition}", manifest.facts["takes"], held_out)
 
 
 def refuse_overlap(what: str, learned_from: Sequence[str], evaluated: Sequence[str]) -> None:

@@ -10,7 +10,13 @@ from pasdedeux.cameras import PinholeCamera
 from storage_schema import ArtifactRef, Store
 from tasks.evaluation.topic import read_people
 
-__all__ = ["read_cameras", "read_take_frames", "read_takes"]
+__all__ = ["rate_of", "read_cameras", "read_take_frames", "read_takes"]
+
+
+def rate_of(times_s: np.ndarray) -> float:
+    """Return the frames per second of times (row,), rising; 25 of a single one."""
+    times = np.unique(times_s)
+    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 25.0
 
 
 def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, PinholeCamera]:

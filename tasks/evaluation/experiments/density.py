@@ -28,7 +28,7 @@ from pasdedeux.sampling.growth import GrowthOptions, grow
 from pasdedeux.sampling.prior import PenetrationWeight, PriorSettings
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
-from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
 from tasks.evaluation.truth import read_takes
 from tasks.priors import read_limits, read_occupancy
 from tasks.stage import Parameters, Shard, StageInputs, stream
@@ -258,10 +258,8 @@ def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 def _read(shard: Shard, store: Store) -> _Material:
     take_refs = shard.refs("takes")
-    facts = [store.manifest(ref).facts for ref in take_refs]
-    held_out = sorted(str(fact["take_id"]) for fact in facts if fact["is_held_out"])
-    for ref in (ref for name in shard.inputs if name != "takes" for ref in shard.refs(name)):
-        refuse_overlap(f"artifact {store.manifest(ref).partition}", store.manifest(ref).facts["takes"], held_out)
+    held_out = held_out_takes(store, take_refs)
+    refuse_learned(store, (ref for name in shard.inputs if name != "takes" for ref in shard.refs(name)), held_out)
     take_of: dict[str, str | None] = {}
     for ref in shard.refs("annotations"):
         table = store.read(ref, "annotations", columns=["sequence_id", "take_id"])

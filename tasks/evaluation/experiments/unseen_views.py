@@ -143,7 +143,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     captions: dict[str, str] = {}
     for item, world, person in _people(shard, store, rate_hz):
         labels = ("evaluation", setting.value, take_id, person, kind, options.condition)
-        draw = partial(_stream, shard.seed, labels)
+        draw = partial(stream, shard.seed, *labels)
         if kind != "condition":
             points = level_scores(
                 searcher,
@@ -205,7 +205,7 @@ def _run_left_out(shard: Shard, store: Store) -> TopicResult:
                 rate_hz=rate_hz,
                 item=item,
                 yaws_deg=yaws_deg,
-                stream=partial(_stream, shard.seed, labels),
+                stream=partial(stream, shard.seed, *labels),
                 methods=_LEFT_OUT_METHODS,
                 has_clean_up=False,
             )
@@ -215,10 +215,6 @@ def _run_left_out(shard: Shard, store: Store) -> TopicResult:
 def _books(inputs: StageInputs, parts: Sequence[Manifest]) -> list[Manifest]:
     keys = {part.ref.key for part in parts}
     return [book for book in inputs.of("codebook") if set(book.facts["part_keys"]) == keys]
-
-
-def _stream(seed: int, labels: Sequence[str | int], *more: int) -> np.random.Generator:
-    return stream(seed, *labels, *more)
 
 
 def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, Codebook | None, float]:

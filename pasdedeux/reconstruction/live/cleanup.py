@@ -30,7 +30,7 @@ class LiveCleanUpOptions(ContactOptions):
     """What counts as a planted foot, and how far a motion may be changed."""
 
     contact_speed_m_s: float = Field(0.45, gt=0, description="Feet slower than this may be planted")
-    ashift_share: float = Field(
+    away_share: float = Field(
         0.25, ge=0, description="Part of the speed along z, away from the camera, that counts: one camera sees it badly"
     )
     shift_s: float = Field(0.2, gt=0, description="The body follows its planted feet within this time")
@@ -86,7 +86,7 @@ class LiveCleanUp:
             self._shift_m,
             (
                 one.contact_speed_m_s,
-                one.ashift_share,
+                one.away_share,
                 one.contact_height_m,
                 one.shift_s,
                 one.hold_s,
@@ -117,7 +117,7 @@ def _clean_pose(
     options: tuple[float, float, float, float, float, float, float, float],
 ) -> Array:
     """Return the cleaned pose (14, 3) and bring the state of both feet and of the path up to it."""
-    speed_limit, ashift_share, height_limit, shift_s, hold_s, blend_s, max_bend, max_drift = options
+    speed_limit, away_share, height_limit, shift_s, hold_s, blend_s, max_bend, max_drift = options
     legs, up = _LEGS, _UP
     lower = min(positions[legs[0, 2], up], positions[legs[1, 2], up])
     wanted = np.zeros(3)
@@ -131,7 +131,7 @@ def _clean_pose(
             for axis in range(3):
                 part = (positions[ankle, axis] - raw[foot, axis]) / passed
                 if axis == _AWAY:
-                    part *= ashift_share
+                    part *= away_share
                 squared += part * part
             is_slow = squared < (slack * speed_limit) ** 2
         height = positions[ankle, up]

@@ -43,13 +43,25 @@ def test_the_nearest_pairs_are_the_best_of_both_orders_by_brute_force(
     weights = rng.uniform(0, 1, (4, 2, 14))
     found = search_pairs(build_index(database), query, weights, num_neighbours=num_neighbours)
     both = [
-        search_brute_force(
-            database, one.reshape(4, 28, 2), weight.reshape(4, 28), num_neighbours=num_neighbours
-        ).distance_m
+        search_brute_force(database, one.reshape(4, 28, 2), weight.reshape(4, 28), num_neighbours=num_neighbours)
         for one, weight in ((query, weights), (query[:, ::-1], weights[:, ::-1]))
     ]
-    expected = np.sort(np.concatenate(both, axis=1), axis=1)[:, :num_neighbours]
-    np.testing.assert_array_equal(found.neighbours.distance_m, expected)
+    for at in range(4):
+        ways = [
+            (distance, is_exchanged, projection)
+            for is_exchanged, way in enumerate(both)
+            for distance, projection in zip(way.distance_m[at], way.projection[at], strict=True)
+            if projection >= 0
+        ]
+        distance, is_exchanged, projection = np.array(sorted(ways)[:num_neighbours]).reshape(-1, 3).T
+        count = len(projection)
+        np.testing.assert_array_equal(found.neighbours.distance_m[at, :count], distance)
+        np.testing.assert_array_equal(found.is_exchanged[at, :count], is_exchanged)
+        np.testing.assert_array_equal(found.neighbours.projection[at, :count], projection)
+        np.testing.assert_array_equal(found.neighbours.row[at, :count], projection // num_yaws)
+        np.testing.assert_array_equal(found.neighbours.yaw_index[at, :count], projection % num_yaws)
+        assert (found.neighbours.projection[at, count:] == -1).all()
+        assert not found.is_exchanged[at, count:].any()
     single = search_pairs(build_index(database), query[1], weights[1], num_neighbours=num_neighbours)
     np.testing.assert_array_equal(single.neighbours.projection, found.neighbours.projection[1])
 
@@ -69,7 +81,9 @@ def test_one_person_hidden_is_filled_in_by_the_pair() -> None:
     query = database.project()[23, 4].astype(np.float64).reshape(2, 14, 2)
     query[1] = np.nan
     found = search_pairs(build_index(database), query, np.ones((2, 14)), num_neighbours=1)
+    assert (found.neighbours.row[0], found.neighbours.yaw_index[0]) == (23, 4)
     assert found.neighbours.distance_m[0] == 0.0
+    assert not found.is_exchanged[0]
 
 
 def test_pairs_do_not_depend_on_where_they_stood_and_lie_along_x() -> None:
@@ -92,5 +106,9 @@ def test_a_distant_pinhole_sees_pairs_as_parallel_rays_do() -> None:
 def test_pairs_of_another_shape_are_refused() -> None:
     with pytest.raises(InputError, match="expected"):
         centre_pairs(np.zeros((3, 14, 3)))
+    with pytest.raises(InputError, match="at least one pose"):
+        pair_database(np.zeros((0, 2, 14, 3)), camera=CAMERAS[0])
+    with pytest.raises(InputError, match="row 1: a value is not finite"):
+        pair_database(np.array([np.zeros((2, 14, 3)), np.full((2, 14, 3), np.nan)]), camera=CAMERAS[0])
     with pytest.raises(InputError, match="pair query"):
         search_pairs(build_index(pair_database(make_pairs(2), camera=CAMERAS[0])), np.zeros((14, 2)), np.ones(14))

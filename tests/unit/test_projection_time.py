@@ -147,6 +147,15 @@ def test_smoothing_does_not_depend_on_quaternion_signs() -> None:
         assert angle_between(smooth(unitquat), smooth(flipped)).max() < 1e-6
 
 
+def test_smoothing_makes_signs_continuous_without_changing_rotations() -> None:
+    turn = unitquat_from_rotvec(np.linspace(0, 1.0, 60)[:, None, None] * np.eye(3))
+    flipped = turn * np.random.default_rng(1).choice([-1.0, 1.0], (60, 3, 1))
+    assert (np.sum(flipped[1:] * flipped[:-1], axis=-1) < 0).any(axis=0).all()
+    smooth = smooth_savitzky_golay(flipped)
+    assert (np.sum(smooth[1:] * smooth[:-1], axis=-1) > 0.99).all()
+    assert angle_between(smooth, turn).max() < 1e-4
+
+
 def test_a_steady_turn_passes_savitzky_golay_unchanged_and_noise_shrinks() -> None:
     turn = unitquat_from_rotvec(np.linspace(0, 1.0, 60)[:, None, None] * np.array([[0.0, 1.0, 0.0]]))
     assert angle_between(smooth_savitzky_golay(turn), turn).max() < 1e-4

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.optimize import least_squares
 
+from pasdedeux.fitting.observed_pose import image_noise
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.depth import bone_vectors
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
+from pasdedeux.reconstruction.reconstruct import bone_deviation_m
+from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk
 
 RATE_HZ = 24.0
@@ -40,6 +46,72 @@ def seen_walk(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.nda
         np.take_along_axis(candidates, order[..., None, None], axis=1),
         np.take_along_axis(match, order, axis=1),
     )
+
+
+def posed(unknowns: np.ndarray) -> np.ndarray:
+    """Poses of unknowns (frame, 14, 3): the root's place, and for every other joint a vector along its bone."""
+    poses = np.zeros(unknowns.shape)
+    for joint in OP14.order:
+        parent, vector = OP14.parents[joint], unknowns[:, joint]
+        if parent < 0:
+            poses[:, joint] = vector
+        else:
+            length = np.linalg.norm(vector, axis=-1, keepdims=True)
+            poses[:, joint] = poses[:, parent] + REFERENCE_LENGTHS_M[joint] * vector / length
+    return poses
+
+
+def plain_fit(
+    held: np.ndarray, image: np.ndarray, weight: np.ndarray, bones: np.ndarray, trust: float, even: np.ndarray
+) -> tuple[np.ndarray, Callable[[np.ndarray], float]]:
+    """Poses of least energy behind held ones, image weights (frame, 14), and the energy of poses.
+
+    Second differences count where `even`; their standard deviation is that of 8 m/s2.
+    """
+
+    def residuals(poses: np.ndarray) -> np.ndarray:
+        seen = np.sqrt(weight)[..., None] * (poses[..., :2] - image)
+        off = (bone_vectors(poses) - bones) / trust
+        bent = np.diff(np.concatenate([held, poses]), n=2, axis=0)[even] * RATE_HZ**2 / 8.0
+        adrift = 0.01 * poses[:, OP14.root, 2]
+        return np.concatenate([seen.ravel(), off.ravel(), bent.ravel(), adrift])
+
+    start = bones.copy()
+    start[:, OP14.root] = 0.0
+    found = least_squares(lambda unknowns: residuals(posed(unknowns.reshape(bones.shape))), start.ravel(), method="lm")
+    return posed(found.x.reshape(bones.shape)), lambda poses: float((residuals(poses) ** 2).sum())
+
+
+def test_windows_have_the_least_energy_of_a_plain_fit_behind_poses_that_stay(rng: np.random.Generator) -> None:
+    truth, candidates, _ = seen_walk(rng, 7)
+    frames = np.array([0, 1, 2, 3, 4, 6])
+    truth, candidates = truth[frames], candidates[frames, :1]
+    image = truth[..., :2] + rng.normal(0, 0.03, (6, 14, 2))
+    confidence = rng.uniform(0.2, 1.0, (6, 14)) * (rng.uniform(size=(6, 14)) > 0.1)
+    options = WindowFitOptions(min_noise_m=1e-3, max_steps=100, max_steps_missing=100, tolerance=0.0)
+    live = WindowFit(RATE_HZ, options)
+    far_off = np.array([1.0])
+    for at, frame in enumerate(frames):
+        live.see(int(frame), image[at], confidence[at], candidates[at], far_off, 1e9, ONES)
+    track = np.full((7, 14, 2), np.nan)
+    track[frames] = np.where(confidence[..., None] > 0, image, np.nan)
+    noise = image_noise(track, np.isfinite(track[..., 0]))
+    assert 0.015 < noise < 0.06
+    trust = float(bone_deviation_m(1.0, noise, options.trust_per_misfit))
+    bones, robust, given = bone_vectors(candidates[:, 0]), np.ones((6, 14)), np.zeros((0, 14, 3))
+    for due in range(3):
+        held = given[-2:]
+        whole = frames[due - len(held) :]
+        even = whole[2:] == whole[:-2] + 2
+        weight = confidence[due:] * robust / noise**2
+        plain, energy = plain_fit(held, image[due:], weight, bones[due:], trust, even)
+        found = live.fit(np.zeros(6 - due, dtype=np.int64), ONES)
+        np.testing.assert_allclose(found, plain[0] - mid_hip(plain[:1])[0], atol=2e-3)
+        placed = np.concatenate([found[None] + mid_hip(plain[:1]), plain[1:]])
+        assert energy(placed) < energy(plain) * (1.0 + 1e-3)
+        given = np.concatenate([given, placed[:1]])
+        off = np.where(confidence[due:] > 0, np.linalg.norm(plain[..., :2] - image[due:], axis=-1), 0.0)
+        robust = (1.0 / (1.0 + (off / (3.0 * noise)) ** 2))[1:]
 
 
 def test_fitted_poses_are_nearer_than_the_matches_and_keep_their_lengths(rng: np.random.Generator) -> None:

@@ -14,28 +14,31 @@ __all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
 
 RENAMED_KEYS: dict[str, str] = {
     "augmentation.solver=descent": "say polished, which comes to the same energy in a third of the time",
-    "projections.least_cluster_change": "projections.least_cluster_change is now projections.min_cluster_change",
-    "views.least_weight": "views.least_weight is now views.min_weight",
-    "views.least_root_distance_m": "views.least_root_distance_m is now views.min_root_distance_m",
+    "projections.least_cluster_change": "it is now called projections.min_cluster_change",
+    "views.least_weight": "it is now called views.min_weight",
+    "views.least_root_distance_m": "it is now called views.min_root_distance_m",
     "views.calibrate_sizes": "the ratio of body sizes is always learned: leave it out",
     "seeds.num_hypotheses": "more than the likeliest view of an annotation brought nothing: leave it out",
-    "chains.kernel": "chains.kernel is now chains.proposal",
-    "chains.most_blocks": "chains.most_blocks is now chains.max_blocks",
-    "chains.most_invalid_angles": "chains.most_invalid_angles is now chains.max_invalid_angles",
+    "chains.kernel": "it is now called chains.proposal",
+    "chains.most_blocks": "it is now called chains.max_blocks",
+    "chains.most_invalid_angles": "it is now called chains.max_invalid_angles",
     "chains.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
     "chains.reference": "the truncation refers to the seed's own density alone: leave it out",
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
-    "chains.variants.*.kernel": "chains.kernel is now chains.proposal",
-    "chains.variants.*.most_blocks": "chains.most_blocks is now chains.max_blocks",
-    "chains.variants.*.most_invalid_angles": "chains.most_invalid_angles is now chains.max_invalid_angles",
+    "chains.variants.*.kernel": "it is now called proposal",
+    "chains.variants.*.most_blocks": "it is now called max_blocks",
+    "chains.variants.*.most_invalid_angles": "it is now called max_invalid_angles",
     "chains.variants.*.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
     "chains.variants.*.reference": "the truncation refers to the seed's own density alone: leave it out",
     "chains.variants.*.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
-"""Old study key, or key=value, to one sentence with the new name or what became of it."""
+"""Old study key, or key=value, to one sentence with the new name or what became of it.
+
+The key itself, as it was given, stands before the sentence and is not said again.
+"""
 
 RENAMED_COMMANDS: dict[str, str] = {}
 """Old command of `pasdedeux` to one sentence with the new one."""

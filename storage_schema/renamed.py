@@ -8,7 +8,7 @@ RENAMED_TABLES: dict[str, str] = {}
 """Old table to one sentence with the new name or what became of it."""
 
 RENAMED_COLUMNS: dict[str, str] = {
-    "chain_states.kernel_state": "chain_states.kernel_state is now chain_states.proposal_state",
-    "seeds.gap_m": "seeds.gap_m is now seeds.image_distance_m",
+    "chain_states.kernel_state": "it is now called proposal_state",
+    "seeds.gap_m": "it is now called image_distance_m",
 }
 """Old column, with its table (`"draws.old_column"`), to one sentence with the new name or what became of it."""

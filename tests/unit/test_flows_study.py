@@ -105,6 +105,16 @@ def test_an_old_key_or_value_gets_the_sentence_that_is_kept_for_it(
     ]
 
 
+def test_the_sentence_of_an_old_key_says_the_key_once(tmp_path: Path) -> None:
+    path = write(tmp_path, '[chains]\nkernel = "blocks"\n')
+    with pytest.raises(StudyError) as caught:
+        load_study(str(path), load_graph(), environment={})
+    assert [problem.split(": ", 1)[1] for problem in caught.value.problems] == [
+        "chains.kernel: it is now called chains.proposal"
+    ]
+    assert not [old for old, sentence in RENAMED_KEYS.items() if old in sentence]
+
+
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:
     found = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
     assert len(found) == 4

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from storage_schema.datasets import open_dataset
-from storage_schema.errors import MissingArtifact, UnknownReference
+from storage_schema.errors import CorruptArtifact, MissingArtifact, UnknownReference
 from storage_schema.manifest import ArtifactRef, Manifest
 from storage_schema.renamed import RENAMED_TABLES
 from storage_schema.runs import latest_studies, read_latest
@@ -220,7 +220,18 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     for ref in refs:
         if ref not in whole and (ref.stage in stages or not stages):
             raise MissingArtifact(
-                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' is incomplete in the store "
+                f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' {_what_is_wrong(ref, store)} "
                 f"{store.root}; run the study again"
             )
     return list(whole)
+
+
+def _what_is_wrong(ref: ArtifactRef, store: Store) -> str:
+    """Say why an artifact that a study recorded cannot be read; the store's path follows."""
+    try:
+        outdated = store.outdated_tables(store.load(ref.stage, ref.key))
+    except (MissingArtifact, CorruptArtifact):
+        outdated = []
+    if not outdated:
+        return "is incomplete in the store"
+    return f"has columns of an earlier version ({', '.join(outdated)}) in the store"

@@ -161,14 +161,21 @@ class StoreReader:
 
     def _is_whole(self, manifest: Manifest) -> bool:
         """Tell whether every file is there with the right size, and every table has the declared columns."""
+        if self.outdated_tables(manifest):
+            return False
         folder = self.folder(manifest.ref.stage, manifest.ref.key)
-        for table, part in manifest.tables.items():
-            if table not in TABLES or part.schema != schema_digest(TABLES[table]):
-                return False
         try:
             return all((folder / name).stat().st_size == entry.bytes for name, entry in manifest.data_files.items())
         except OSError:
             return False
+
+    def outdated_tables(self, manifest: Manifest) -> list[str]:
+        """Return the tables of an artifact that were written with other columns than this program declares."""
+        return [
+            table
+            for table, part in manifest.tables.items()
+            if table not in TABLES or part.schema != schema_digest(TABLES[table])
+        ]
 
     def table_path(self, ref: ArtifactRef, table: str) -> Path:
         """Return the path of the artifact's part of a table, for reading only; MissingArtifact where it has none."""

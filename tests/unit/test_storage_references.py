@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from storage_schema import (
     resolve,
 )
 from storage_schema.renamed import RENAMED_COLUMNS, RENAMED_TABLES
+from storage_schema.tables import TABLES
 from tests.builders.storage_rows import commit_rows, random_columns
 
 
@@ -171,6 +173,19 @@ def test_a_recorded_artifact_that_is_gone_is_said(store: Store, refs: list[Artif
     store.discard(refs[1])
     with pytest.raises(MissingArtifact, match=r"ingest@.* of study 'duets' is incomplete .* run the study again"):
         open_table("poses:duets/waltz", store)
+
+
+def test_columns_of_an_earlier_version_are_said(
+    store: Store, refs: list[ArtifactRef], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = TABLES["poses"]
+    monkeypatch.setitem(TABLES, "poses", replace(now, columns=now.columns[:-1]))
+    said = (
+        r"artifact ingest@\w+ of study 'duets' has columns of an earlier version \(poses\) in the store .*; "
+        "run the study again"
+    )
+    with pytest.raises(MissingArtifact, match=said):
+        resolve("poses:duets/waltz", store)
 
 
 def test_a_table_is_read_whatever_other_stages_have_lost(store: Store, refs: list[ArtifactRef]) -> None:

@@ -130,6 +130,16 @@ def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(inputs
     assert "lie farther than 1e-06 m" in verdict.reason
 
 
+def test_growth_that_reaches_nothing_has_failed(inputs: Any) -> None:
+    store, tables = inputs
+    frames = [SeedFrame(take="two", frame=7)]
+    made = with_seeds(store, tables, frames=frames, num_grown=30, farthest_m=1e-12).of("seeds")
+    verdict = verdict_of(made[-1])
+    assert verdict is not None
+    assert verdict.level is Level.FAIL
+    assert "0 of 30 pairs grew" in verdict.reason
+
+
 def test_seeds_asked_of_annotations_that_are_not_there_are_refused() -> None:
     with pytest.raises(InputError, match="there are no annotated pairs with views"):
         seeds.plan(StageInputs({}, seed=1), SeedsParameters(num_seeds=0, num_lifted=2))

@@ -121,13 +121,12 @@ class ProjectionsParameters(Parameters):
 
 
 class PoseShard(Parameters):
-    """What a shard of poses is told: where they come from, their rate, and which draws are wanted."""
+    """What a shard of poses is told: where they come from, their rate, and how they are seen."""
 
     origin: Literal["take", "draw", "variant"]
     rate_hz: float
     views: ViewsOfPoses
     source_rate_hz: float | None = None
-    densities: tuple[str, ...] = ()
 
 
 class CodebookShard(Parameters):
@@ -153,17 +152,13 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             facts = manifest.facts
             if facts.get("is_held_out", False):
                 continue
-            densities: tuple[str, ...] = ()
-            if origin == "draw":
-                if "density" in facts and facts["density"] not in parameters.densities:
-                    continue
-                densities = parameters.densities
+            if origin == "draw" and facts["density"] not in parameters.densities:
+                continue
             options = PoseShard(
                 origin=origin,
                 rate_hz=parameters.rate_hz,
                 views=parameters.views,
                 source_rate_hz=None if origin == "draw" else facts.get("rate_hz"),
-                densities=densities,
             )
             shards.append(
                 Shard(
@@ -226,7 +221,7 @@ def _run_poses(shard: Shard, options: PoseShard, store: Store) -> ArtifactRef:
     }
     verdict = Verdict(
         Level.PASS if len(positions) else Level.WARN,
-        "" if len(positions) else f"the {options.origin}s hold no pose of the densities {', '.join(options.densities)}",
+        "" if len(positions) else f"the {options.origin}s hold no pose",
         figure="poses",
         value=len(positions),
     )
@@ -324,11 +319,10 @@ def _take_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, 
 
 def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Return both people of every draw; draws have no past, so each is a motion of its own."""
-    draws = store.read(ref, "draws", columns=["density", "pair17_m", "take_id"])
-    is_wanted = np.isin(np.array(list(draws["density"]), dtype=object), list(options.densities))
-    rows = np.flatnonzero(is_wanted)
-    pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64)[rows], PAIR17)
-    take_ids = [list(draws["take_id"])[row] or "" for row in rows]
+    draws = store.read(ref, "draws", columns=["pair17_m", "take_id"])
+    pairs = op14_from_working(np.asarray(draws["pair17_m"], dtype=np.float64), PAIR17)
+    rows = np.arange(len(pairs))
+    take_ids = [take_id or "" for take_id in draws["take_id"]]
     parts = []
     for person in range(2):
         parts.append(

@@ -110,28 +110,31 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
 
 def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
     rng = np.random.default_rng(0)
-    drawn_pairs = rng.normal(size=(3, 2, 17, 3))
-    draws = put_artifact(
-        store,
-        "chains",
-        "draws",
-        {
-            "draws": {
-                "density": ["ic", "prior_only", "ic"],
-                "seed_index": [0, 0, 0],
-                "chain": [0, 0, 1],
-                "draw": [0, 1, 2],
-                "pair17_m": drawn_pairs,
-                "parameters": np.zeros((3, 108)),
-                "log_density": np.zeros(3),
-                "log_prior": np.zeros(3),
-                "log_likelihood": np.zeros(3),
-                "num_accepted": [0, 0, 0],
-                "take_id": ["a", None, None],
-            }
-        },
-        {"takes": ["a", "c"]},
-    )
+    drawn_pairs = rng.normal(size=(2, 2, 17, 3))
+    draws = [
+        put_artifact(
+            store,
+            "chains",
+            density,
+            {
+                "draws": {
+                    "density": [density] * 2,
+                    "seed_index": [0, 0],
+                    "chain": [0, 1],
+                    "draw": [0, 0],
+                    "pair17_m": drawn_pairs if density == "ic" else -drawn_pairs,
+                    "parameters": np.zeros((2, 108)),
+                    "log_density": np.zeros(2),
+                    "log_prior": np.zeros(2),
+                    "log_likelihood": np.zeros(2),
+                    "num_accepted": [0, 0],
+                    "take_id": ["a", None],
+                }
+            },
+            {"takes": ["a", "c"], "density": density},
+        )
+        for density in ("prior_only", "ic")
+    ]
     variants = put_artifact(
         store,
         "augmentation",
@@ -148,12 +151,13 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
         },
         {"takes": ["a"]},
     )
-    take, drawn, varied = build(store, [put_take(store, "a")], draws=[draws], variants=[variants])
+    take, drawn, varied = build(store, [put_take(store, "a")], draws=draws, variants=[variants])
     assert take.facts["takes"] == ["a"]
     assert drawn.facts["takes"] == ["a", "c"]
     table = open_table(drawn.ref, store)
     assert table["origin"][0] == "draw"
-    assert table["frame"].tolist() == [0, 2, 0, 2]
+    assert drawn.inputs == (draws[1].ref,)
+    assert table["frame"].tolist() == [0, 1, 0, 1]
     assert table["is_sequence_start"].all()
     assert list(table["take_id"]) == ["a", "", "a", ""]
     table = open_table(varied.ref, store)
@@ -166,7 +170,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     assert len(projections.read_pairs(store, refs, max_pairs=30)) == 24 + 1 + 2  # every third
     # The people of a draw stand to each other as they were drawn: retargeting keeps the mid-hips.
     across = np.diff(mid_hip(pairs[72:74]), axis=1)[:, 0]
-    truth = np.diff(mid_hip(op14_from_working(np.asarray(drawn_pairs), PAIR17)), axis=1)[[0, 2], 0]
+    truth = np.diff(mid_hip(op14_from_working(drawn_pairs, PAIR17)), axis=1)[:, 0]
     np.testing.assert_allclose(across[:, 1], truth[:, 1], atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(across, axis=-1), np.linalg.norm(truth, axis=-1), atol=1e-5)
     np.testing.assert_allclose(across[:, 2], 0.0, atol=1e-5)

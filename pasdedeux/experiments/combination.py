@@ -17,7 +17,7 @@ __all__ = ["Combination"]
 
 Array = npt.NDArray[np.float64]
 
-_MOST = 4.0
+_MAX_TERM = 4.0
 """Standardised terms end here on both sides: no term may decide alone."""
 _RIDGE = 0.02
 """Weight of the squared weights against the mean log loss: terms say much the same."""
@@ -74,4 +74,4 @@ class Combination:
         return np.asarray(self._standardised(np.stack([values[name] for name in self.terms], axis=1)) @ self.weights)
 
     def _standardised(self, values: Array) -> Array:
-        return np.clip((values - self.centre) / self.spread, -_MOST, _MOST)
+        return np.clip((values - self.centre) / self.spread, -_MAX_TERM, _MAX_TERM)

@@ -55,8 +55,8 @@ __all__ = [
     "CONDITIONS",
     "LIVE",
     "Condition",
-    "Seen",
     "Setting",
+    "ViewedMotion",
     "best_candidates",
     "level_scores",
     "reconstruct_seen",
@@ -142,7 +142,7 @@ CONDITIONS: Mapping[Setting, tuple[Condition, ...]] = {
 
 
 @dataclass(frozen=True)
-class Seen:
+class ViewedMotion:
     """A motion as a camera sees it.
 
     Args:
@@ -160,7 +160,7 @@ class Seen:
 
 def see(
     world_m: Array, setting: Setting, condition: Condition, *, yaw_deg: float, rate_hz: float, rng: np.random.Generator
-) -> Seen:
+) -> ViewedMotion:
     """Return what a camera `yaw_deg` about +Y sees of a motion.
 
     Args:
@@ -201,7 +201,7 @@ def see(
         options = ReconstructionOptions()
         height = float(camera.position_m[1]) if condition.has_height else None
     px = np.where(hidden[..., None], np.nan, clear + noise_px)
-    return Seen(Track(px, np.where(hidden, 0.0, 1.0), rate_hz, lens), truth, options, height)
+    return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), rate_hz, lens), truth, options, height)
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
@@ -222,7 +222,7 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
 
 def reconstruct_seen(
     searcher: Searcher,
-    seen: Seen,
+    seen: ViewedMotion,
     *,
     methods: Sequence[Method] = tuple(Method),
     codebook: Codebook | None = None,
@@ -270,7 +270,7 @@ def reconstruct_seen(
     return motions, recalls
 
 
-def live_motion(searcher: Searcher, seen: Seen, *, has_clean_up: bool) -> Array:
+def live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> Array:
     """Return a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
     options = seen.options
     fit = WindowFitOptions()
@@ -325,8 +325,9 @@ def unseen_view_scores(
         has_clean_up: Also with the clean-up.
         has_live: Also as it leaves the live chain.
     """
-    # Parallel rays of unknown scale leave the depth of the way open: a thousandth of scale is a thousandth of infinity.
-    has_way = setting is Setting.PINHOLE or condition.has_scale
+    # Parallel rays of unknown scale leave the depth of the trajectory open: a thousandth of scale is a thousandth of
+    # infinity.
+    has_trajectory = setting is Setting.PINHOLE or condition.has_scale
     figures: dict[tuple[str, str], list[float]] = {}
     motions: dict[str, list[Array]] = {}
     for view, yaw in enumerate(yaws_deg):
@@ -336,11 +337,11 @@ def unseen_view_scores(
         )
         for method, positions in made.items():
             motions.setdefault(method, []).append(positions)
-            way_hz = rate_hz if has_way and method != BEST_MARK else None
-            for metric, value in _figures(positions, seen.truth_m, way_hz=way_hz).items():
+            slide_hz = rate_hz if has_trajectory and method != BEST_MARK else None
+            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
                 figures.setdefault((metric, method), []).append(value)
         for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, way_hz=rate_hz)[metric]
+            value = _figures(seen.truth_m, seen.truth_m, rate_hz=rate_hz)[metric]
             figures.setdefault((metric, "truth"), []).append(value)
         for metric, value in recalls.items():
             figures.setdefault((metric, AS_PUBLISHED), []).append(value)
@@ -415,8 +416,8 @@ def level_scores(
     return scores
 
 
-def _figures(found: Array, truth: Array, *, way_hz: float | None) -> dict[str, float]:
-    """Return errors of a motion, and of feet where it has a way, at so many frames per second."""
+def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
+    """Return errors of a motion, and how far its feet slide where a rate is given (its trajectory must be known)."""
     is_known = np.isfinite(found).all(axis=(1, 2))
     known = found[is_known]
     centred = known - mid_hip(known)[:, None]
@@ -426,7 +427,7 @@ def _figures(found: Array, truth: Array, *, way_hz: float | None) -> dict[str, f
         "error_scale_free": _mean(scale_free_error_m(known, truth[is_known])),
         "jitter": jitter_m(centred),
     }
-    return figures if way_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=way_hz)}
+    return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=rate_hz)}
 
 
 def _mean(values: Array) -> float:

@@ -120,7 +120,7 @@ class _Waiting:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _ProportionFrame:
     """A frame that proportions are taken from: own and matched images, metres."""
 
     weights: Array
@@ -154,7 +154,7 @@ class LivePerson:
             searcher.database, rate_hz=rate_hz, lag=self._options.lag, weights=self._options.temporal
         )
         window = max(3, round(self._options.window_s * rate_hz))
-        self._spread: list[_Seen] = []
+        self._spread: list[_ProportionFrame] = []
         self._stride = 1
         self._scales: deque[float] = deque(maxlen=window)
         self._waiting: deque[_Waiting] = deque()
@@ -237,7 +237,7 @@ class LivePerson:
             self._scales.append(ratio)
         own = (straight - centre) * scale
         if self._options.has_own_proportions:
-            self._learn_proportions(_Seen(weights, own, matched))
+            self._learn_proportions(_ProportionFrame(weights, own, matched))
         refined = refine_yaws(database, found, retarget_image(own, self._proportions), weights)
         order = np.argsort(refined.distance_m, kind="stable")[: np.count_nonzero(found.projection >= 0)]
         row, yaw_steps = found.row[order], refined.yaw_steps[order]
@@ -263,7 +263,7 @@ class LivePerson:
         off_mean = np.nan_to_num(points) - reference.mean_m / scale
         return np.asarray(share @ off_mean / share.sum())
 
-    def _learn_proportions(self, seen: _Seen) -> None:
+    def _learn_proportions(self, seen: _ProportionFrame) -> None:
         """Estimate the proportions now and then, from frames spread over all that was seen: a body does not change."""
         if self._num_seen % self._stride == 0:
             self._spread.append(seen)

@@ -92,10 +92,6 @@ class TableData:
         one = self.slice(index % self.num_rows, index % self.num_rows + 1)
         return {name: one[name][0] for name in one}
 
-    def to_arrow(self) -> pa.Table:
-        """Return the rows as an Arrow table with the declared schema and its metadata."""
-        return self.rows
-
 
 def concatenate(table: Table, parts: Iterable[TableData]) -> TableData:
     """Return the rows of all parts as one; no parts give no rows of the whole table."""

@@ -99,11 +99,6 @@ class Contact:
     stop_s: float
     distance_m: float
 
-    def distances_m(self, positions_m: Array) -> Array:
-        """Return the distance of the points in every frame (frame,), whether the contact holds or not."""
-        apart = self.point_a.position_m(positions_m) - self.point_b.position_m(positions_m)
-        return np.asarray(np.linalg.norm(apart, axis=-1))
-
 
 @dataclass(frozen=True)
 class Stance:

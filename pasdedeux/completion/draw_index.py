@@ -23,7 +23,6 @@ __all__ = ["DrawIndex", "Nearest"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 MIN_SEEN = 4
 """Joints of both people together that must be seen for a comparison to mean anything."""

@@ -15,18 +15,18 @@ from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = ["INVARIANT_NAMES", "ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
+__all__ = ["ChainReport", "diagnose", "effective_sample_size", "invariants", "rhat"]
 
 Array = npt.NDArray[np.float64]
 
 _LIMB_ANGLES = tuple(
-    (name, PAIR17.indices(joints))
+    PAIR17.indices(joints)
     for side in ("left", "right")
-    for name, joints in (
-        (f"{side} elbow", (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist")),
-        (f"{side} upper arm", ("neck", f"{side}_shoulder", f"{side}_elbow")),
-        (f"{side} thigh", ("spine", f"{side}_hip", f"{side}_knee")),
-        (f"{side} knee", (f"{side}_hip", f"{side}_knee", f"{side}_ankle")),
+    for joints in (
+        (f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist"),
+        ("neck", f"{side}_shoulder", f"{side}_elbow"),
+        ("spine", f"{side}_hip", f"{side}_knee"),
+        (f"{side}_hip", f"{side}_knee", f"{side}_ankle"),
     )
 )
 _JOINT_PAIRS = (
@@ -39,10 +39,6 @@ _JOINT_PAIRS = (
     ("left_ankle", "right_ankle"),
     ("right_ankle", "left_ankle"),
 )
-INVARIANT_NAMES = tuple(f"{person}: {name}" for person in "AB" for name, _ in _LIMB_ANGLES) + tuple(
-    f"A {one} - B {other}" for one, other in _JOINT_PAIRS
-)
-"""What is watched: limb angles of each person (radians) and distances between their joints (metres)."""
 
 MIN_ACCEPTANCE = 0.005
 """Accepted share of proposals below which a chain counts as stuck."""
@@ -84,7 +80,7 @@ def invariants(pair_m: Array) -> Array:
     """
     columns = []
     for person in range(2):
-        for _, (start, middle, end) in _LIMB_ANGLES:
+        for start, middle, end in _LIMB_ANGLES:
             points = pair_m[..., person, :, :]
             above, below = points[..., start, :] - points[..., middle, :], points[..., end, :] - points[..., middle, :]
             cross = np.linalg.norm(np.cross(above, below), axis=-1)

@@ -23,6 +23,7 @@ from pasdedeux.plausibility import (
     capsule_model,
     pair_penetration,
 )
+from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
@@ -34,7 +35,6 @@ Array = npt.NDArray[np.float64]
 Value = TypeVar("Value", float, Array)
 
 _TIE_TOLERANCE = 1e-9
-_NUM_ANGLES = 29
 
 
 class PenetrationWeight(Settings):
@@ -129,7 +129,7 @@ class PhysicalPrior:
         model: CapsuleModel = capsule_model(PAIR17)
         self._model = model
         self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
-        self._work = np.empty((2, _NUM_ANGLES))
+        self._work = np.empty((2, NUM_ANGLES))
         self._valid = np.empty((NUM_JOINTS, 3))
         self._sums = np.empty(3)
 

@@ -37,7 +37,7 @@ from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.priors import read_limits, read_occupancy
 from tasks.stage import Shard, commit, merge_takes, stream
 
-__all__ = ["ChainProblem", "SeedRow", "chain_problem", "forget_evidence", "read_seed_row", "run_shard"]
+__all__ = ["ChainProblem", "SeedRow", "chain_problem", "read_seed_row", "run_shard"]
 
 Refs = tuple[ArtifactRef, ...]
 
@@ -231,11 +231,6 @@ def _image_evidence(
         num_skipped=placed.gathered.num_skipped,
         num_swapped=num_swapped,
     )
-
-
-def forget_evidence() -> None:
-    """Read annotations anew when they are needed next."""
-    _image_evidence.cache_clear()
 
 
 def _read_grown(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:

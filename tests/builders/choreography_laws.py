@@ -53,7 +53,8 @@ def measure(duet: Duet) -> Measured:
 
 
 def _contact_error(duet: Duet, positions, contact) -> float:
-    distances = contact.distances_m(positions)[duet.frames(contact)]
+    apart = contact.point_a.position_m(positions) - contact.point_b.position_m(positions)
+    distances = np.linalg.norm(apart, axis=-1)[duet.frames(contact)]
     return float(np.abs(distances - contact.distance_m).max(initial=0.0))
 
 

@@ -78,7 +78,7 @@ def test_every_row_comes_back_as_it_was_given(rows: list[dict], cuts: tuple[int,
     columns = {column.name: [row[column.name] for row in rows] for column in ANY.columns}
     found, data = write_and_read(columns)
     assert found.num_rows == len(rows)
-    assert found.to_arrow().schema.equals(arrow_schema(ANY), check_metadata=True)
+    assert found.rows.schema.equals(arrow_schema(ANY), check_metadata=True)
     for name, values in columns.items():
         assert_same_values(found[name], values)
     assert write_and_read(columns, cuts=cuts)[1] == data

@@ -78,7 +78,7 @@ def plain_fit(
 
     start = bones.copy()
     start[:, OP14.root] = 0.0
-    found = least_squares(lambda unknowns: residuals(posed(unknowns.reshape(bones.shape))), start.ravel(), method="lm")
+    found = least_squares(lambda unknowns: residuals(posed(unknowns.reshape(bones.shape))), start.ravel(), ftol=1e-7)
     return posed(found.x.reshape(bones.shape)), lambda poses: float((residuals(poses) ** 2).sum())
 
 

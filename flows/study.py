@@ -156,7 +156,9 @@ def _in_words(model: type[BaseModel], section: str, item: Any) -> str:
         return f"{path}: missing, a value is needed"
     message = str(item["msg"]).removeprefix("Value error, ")
     if message.startswith(f"{section}."):
-        return message
+        key = message.partition(":")[0]
+        renamed = renamed_key(key.split("."))
+        return message if renamed is None else f"{key}: {renamed}"
     if message.startswith("Input should"):
         message = message.replace("Input should", "should", 1)
     if item["type"] in ("model_type", "dict_type"):

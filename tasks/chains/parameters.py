@@ -128,7 +128,7 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         own = dict(self.variants[name])
         unknown = sorted(set(own) - set(type(self).model_fields) - {"density"} | set(own) & {"variants", "densities"})
         if unknown:
-            raise ValueError(f"chains.variants.{name}: there is no setting '{unknown[0]}' of a variant")
+            raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting")
         density = own.pop("density", self.densities[0])
         given = self.model_dump(exclude={"variants", "densities"})
         try:

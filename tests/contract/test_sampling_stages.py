@@ -249,8 +249,8 @@ def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any
     [
         ({"ic": {}}, "'ic' is no name for a variant"),
         ({"Hot": {}}, "'Hot' is no name for a variant"),
-        ({"hot": {"sigma": 1.0}}, "there is no setting 'sigma' of a variant"),
-        ({"hot": {"variants": {}}}, "there is no setting 'variants'"),
+        ({"hot": {"sigma": 1.0}}, "variants.hot.sigma: a variant has no such setting"),
+        ({"hot": {"variants": {}}}, "variants.hot.variants: a variant has no such setting"),
         ({"hot": {"sigma_l": -1.0}}, r"chains\.variants\.hot: sigma_l"),
         ({"hot": {"density": "warm"}}, r"chains\.variants\.hot: densities"),
     ],

@@ -115,6 +115,12 @@ def test_the_sentence_of_an_old_key_says_the_key_once(tmp_path: Path) -> None:
     assert not [old for old, sentence in RENAMED_KEYS.items() if old in sentence]
 
 
+def test_an_old_key_of_a_variant_of_chains_gets_its_sentence_too(tmp_path: Path) -> None:
+    path = write(tmp_path, '[chains.variants.hot]\nkernel = "velocity"\n')
+    with pytest.raises(StudyError, match=r"chains\.variants\.hot\.kernel: it is now called proposal"):
+        load_study(str(path), load_graph(), environment={})
+
+
 def test_every_problem_is_listed_at_once(tmp_path: Path) -> None:
     found = problems(write(tmp_path, '[grow]\nnum_takes = 0\nscale = "big"\n'), "nonsense", "judge.nothing=1")
     assert len(found) == 4

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from storage_schema.columns import Table
@@ -41,11 +40,11 @@ class ArtifactWriter:
         self.facts: dict[str, Any] = dict(facts)
         self.timings: dict[str, float] = {}
         self.sources: list[SourceCredit] = list(sources)
+        self.ref: ArtifactRef
         self._folder = folder
         self._where = where
         self._tables: dict[str, TableWriter] = {}
         self._attachments: dict[str, FileEntry] = {}
-        self._ref: ArtifactRef | None = None
 
     def append(self, table: str, columns: Mapping[str, Any]) -> None:
         """Add rows to the artifact's part of a table, in the order given; no rows make an empty part.
@@ -87,27 +86,8 @@ class ArtifactWriter:
             tables = {name: self._tables[name].finish() for name in sorted(self._tables)}
         return tables, dict(sorted(self._attachments.items()))
 
-    def committed(self, ref: ArtifactRef) -> None:
-        """Note the artifact that stands under the key.  The store calls it."""
-        self._ref = ref
-
-    @property
-    def ref(self) -> ArtifactRef:
-        """The committed artifact.
-
-        Raises:
-            StorageError: The block has not ended yet.
-        """
-        if self._ref is None:
-            raise StorageError("the artifact is not committed before its block has ended")
-        return self._ref
-
-    def __enter__(self) -> ArtifactWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let go of the files, whether or not they are finished.  The store calls it."""
         for table in self._tables.values():
             table.abandon()
 

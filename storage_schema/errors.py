@@ -30,6 +30,12 @@ class StorageError(Exception):
     is_input: ClassVar[bool] = False
 
 
+class _InputError(StorageError):
+    """Something that was given or asked for, which the user can put right."""
+
+    is_input: ClassVar[bool] = True
+
+
 class MissingArtifact(StorageError):
     """An artifact, or a part of it that was asked for, is not in the store."""
 
@@ -42,35 +48,25 @@ class SchemaError(StorageError):
     """Values do not fit the table they are written to or read from: says which column and what is allowed."""
 
 
-class NewerSchema(StorageError):
+class NewerSchema(_InputError):
     """The store was written by a newer version of the program."""
 
-    is_input: ClassVar[bool] = True
 
-
-class NotAStore(StorageError):
+class NotAStore(_InputError):
     """What should be the folder of a store is something else."""
-
-    is_input: ClassVar[bool] = True
 
 
 class FullDisk(StorageError):
     """There is no room left where the store lies; nothing half-written stays behind."""
 
 
-class UnknownReference(StorageError):
+class UnknownReference(_InputError):
     """A reference names nothing, or more than one thing: says which, and what is there."""
 
-    is_input: ClassVar[bool] = True
 
-
-class BadName(StorageError):
+class BadName(_InputError):
     """A name that was given to something cannot be that of a folder on every machine."""
 
-    is_input: ClassVar[bool] = True
 
-
-class DatasetExists(StorageError):
+class DatasetExists(_InputError):
     """A dataset of this name and version was already made; datasets never change."""
-
-    is_input: ClassVar[bool] = True

@@ -92,18 +92,13 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
 
 
 def open_table(
-    ref: ArtifactRef | Reference | str,
-    store: Store | str | Path | None = None,
-    *,
-    table: str | None = None,
-    columns: Sequence[str] | None = None,
+    reference: Reference | str, store: Store | str | Path | None = None, *, columns: Sequence[str] | None = None
 ) -> TableData:
     """Read the rows that a reference names: the documented Python way in.
 
     Args:
-        ref: Text such as `poses:duets/waltz` or `draws@3fa9#17`, or an artifact.
+        reference: Such as `poses:duets/waltz` or `draws@3fa9#17`.
         store: Store or its folder; None is `$PASDEDEUX_STORE`, else the folder `store` here.
-        table: Table of the artifact, when `ref` is an artifact that holds more than one.
         columns: Columns to read, all when None.
 
     Returns:
@@ -114,28 +109,22 @@ def open_table(
         MissingArtifact: An artifact is not in the store.
         SchemaError: A column is not in the table.
     """
-    opened = store if isinstance(store, Store) else default_store(store)
-    name, row, refs = _opened(ref, opened, table)
-    if row is not None:
-        return _one_row(ref, opened, name, refs, row, columns)
-    return concatenate(TABLES[name], [opened.read(part, name, columns=columns) for part in refs])
+    opened, parsed, refs = _opened(reference, store)
+    if parsed.row is not None:
+        return _one_row(reference, opened, parsed.table, refs, parsed.row, columns)
+    return concatenate(TABLES[parsed.table], [opened.read(part, parsed.table, columns=columns) for part in refs])
 
 
 def iter_rows(
-    ref: ArtifactRef | Reference | str,
-    store: Store | str | Path | None = None,
-    *,
-    table: str | None = None,
-    columns: Sequence[str] | None = None,
+    reference: Reference | str, store: Store | str | Path | None = None, *, columns: Sequence[str] | None = None
 ) -> Iterator[TableData]:
     """Read what `open_table` reads some 10,000 rows at a time, so memory stays bounded; raises the same."""
-    opened = store if isinstance(store, Store) else default_store(store)
-    name, row, refs = _opened(ref, opened, table)
-    if row is not None:
-        yield _one_row(ref, opened, name, refs, row, columns)
+    opened, parsed, refs = _opened(reference, store)
+    if parsed.row is not None:
+        yield _one_row(reference, opened, parsed.table, refs, parsed.row, columns)
         return
     for part in refs:
-        yield from opened.iter_batches(part, name, columns=columns)
+        yield from opened.iter_batches(part, parsed.table, columns=columns)
 
 
 def table_files(reference: Reference | str, store: Store | str | Path | None = None) -> list[Path]:
@@ -143,9 +132,8 @@ def table_files(reference: Reference | str, store: Store | str | Path | None = N
 
     The files are for reading only.  The number of a row, if the reference has one, does not count.
     """
-    opened = store if isinstance(store, Store) else default_store(store)
-    parsed = parse_reference(reference) if isinstance(reference, str) else reference
-    return [opened.table_path(ref, parsed.table) for ref in resolve(parsed, opened)]
+    opened, parsed, refs = _opened(reference, store)
+    return [opened.table_path(ref, parsed.table) for ref in refs]
 
 
 def default_store(root: str | Path | None = None) -> Store:
@@ -153,22 +141,14 @@ def default_store(root: str | Path | None = None) -> Store:
     return Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
 
 
-def _opened(
-    ref: ArtifactRef | Reference | str, store: Store, table: str | None
-) -> tuple[str, int | None, list[ArtifactRef]]:
-    if not isinstance(ref, ArtifactRef):
-        reference = parse_reference(ref) if isinstance(ref, str) else ref
-        return reference.table, reference.row, resolve(reference, store)
-    there = list(store.manifest(ref).tables)
-    if table is None and len(there) != 1:
-        raise UnknownReference(
-            f"artifact {ref.stage}@{ref.key[:12]} holds {len(there)} tables; say which: {', '.join(there)}"
-        )
-    return table or there[0], None, [ref]
+def _opened(reference: Reference | str, store: Store | str | Path | None) -> tuple[Store, Reference, list[ArtifactRef]]:
+    opened = store if isinstance(store, Store) else default_store(store)
+    parsed = parse_reference(reference) if isinstance(reference, str) else reference
+    return opened, parsed, resolve(parsed, opened)
 
 
 def _one_row(
-    ref: ArtifactRef | Reference | str,
+    reference: Reference | str,
     store: Store,
     table: str,
     refs: Sequence[ArtifactRef],
@@ -181,7 +161,7 @@ def _one_row(
         if left < num_rows:
             return store.read(part, table, columns=columns, rows=slice(left, left + 1))
         left -= num_rows
-    raise UnknownReference(f"'{ref}': there is no row {row}, the table has {row - left} rows here")
+    raise UnknownReference(f"'{reference}': there is no row {row}, the table has {row - left} rows here")
 
 
 def _by_key(reference: Reference, store: Store) -> ArtifactRef:

@@ -112,21 +112,10 @@ class RunFolder:
     run_id: str
     path: Path
 
-    def write(self, name: str, content: str | bytes | Mapping[str, Any]) -> Path:
-        """Put a file in the folder, whole or not at all; a mapping is written as JSON.
-
-        Raises:
-            FullDisk: There is no room left.
-            StorageError: The name is no plain file name.
-        """
-        if not _NAME.fullmatch(name):
-            raise StorageError(f"'{name}' cannot name a file of a run: letters, digits, '.', '_' and '-' are allowed")
-        if isinstance(content, Mapping):
-            content = json.dumps(plain_json(dict(content), name), indent=1, ensure_ascii=False) + "\n"
+    def write(self, name: str, content: Mapping[str, Any]) -> None:
+        """Put a file of JSON in the folder, whole or not at all; FullDisk where there is no room left."""
         with write_errors(self.path):
-            data = content.encode() if isinstance(content, str) else content
-            replace_file(self.path / name, data, staging_root=self.path.parents[1] / "tmp")
-        return self.path / name
+            replace_file(self.path / name, _as_json(content, name), staging_root=self.path.parents[1] / "tmp")
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a file of the folder.
@@ -138,10 +127,6 @@ class RunFolder:
             return (self.path / name).read_bytes()
         except FileNotFoundError:
             raise MissingArtifact(f"run {self.run_id} has no file '{name}'") from None
-
-    def files(self) -> list[str]:
-        """Return the names of the folder's files."""
-        return sorted(path.name for path in self.path.iterdir() if not path.name.startswith("."))
 
 
 def new_run(store: Store, study: str) -> RunFolder:
@@ -215,8 +200,7 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)
         values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}
-        text = json.dumps(plain_json(values, "record"), indent=1, ensure_ascii=False) + "\n"
-        replace_file(path, text.encode(), staging_root=store.staging_root)
+        replace_file(path, _as_json(values, "record"), staging_root=store.staging_root)
     return latest
 
 
@@ -229,6 +213,10 @@ def _in_line(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+def _as_json(values: Mapping[str, Any], where: str) -> bytes:
+    return (json.dumps(plain_json(dict(values), where), indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _latest_path(store: Store, study: str) -> Path:

@@ -12,7 +12,7 @@ import logging
 import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -117,12 +117,7 @@ class Store(StoreReader):
         with write_errors(self.root):
             staging = StagingFolder(self.staging_root)
         try:
-            with ArtifactWriter(
-                staging.path,
-                where=self.root,
-                facts=facts or {},
-                sources=sources,
-            ) as writer:
+            with closing(ArtifactWriter(staging.path, where=self.root, facts=facts or {}, sources=sources)) as writer:
                 yield writer
                 parts, attachments = writer.finish()
             digests = {f"{table}.parquet": part.sha256 for table, part in parts.items()}
@@ -151,7 +146,7 @@ class Store(StoreReader):
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
-                writer.committed(self._publish(staging.path, manifest.ref))
+                writer.ref = self._publish(staging.path, manifest.ref)
         finally:
             staging.close()
 

@@ -124,10 +124,6 @@ class StoreReader:
             MissingArtifact: The artifact, or this attachment of it, is not in the store.
             CorruptArtifact: The file is not there though the manifest names it.
         """
-        return self.attachment_path(ref, name).read_bytes()
-
-    def attachment_path(self, ref: ArtifactRef, name: str) -> Path:
-        """Return the path of an attached file, for reading only; raises what `attachment` raises."""
         manifest = self.manifest(ref)
         if name not in manifest.attachments:
             there = ", ".join(manifest.attachments) or "none"
@@ -135,7 +131,7 @@ class StoreReader:
         path = self.folder(ref.stage, ref.key) / name
         if not path.is_file():
             raise CorruptArtifact(f"{path} is missing though its manifest names it")
-        return path
+        return path.read_bytes()
 
     def load(self, stage: str, key: str) -> Manifest:
         """Return the manifest that stands under a key, whether or not its files are there.

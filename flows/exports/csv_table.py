@@ -12,7 +12,8 @@ import numpy as np
 
 from flows.exports.export_format import Export, ExportFormat
 from pasdedeux.skeletons.working import WORKING_SKELETONS
-from storage_schema import TABLES, Column, TableData, iter_rows
+from storage_schema import TABLES, TableData, iter_rows
+from storage_schema.columns import Column
 
 
 class CsvTable(ExportFormat):

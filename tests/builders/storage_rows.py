@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, Table, artifact_key
+from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, artifact_key
 from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.columns import Table
 
 _WORDS = np.array(["waltz", "hug", "judo", "push", "", "Tänzer Ω", "a,b|c"], dtype=object)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from storage_schema import Store, open_table
+from storage_schema import Store
 from tasks import projections
 from tasks.evaluation import STAGE
 from tasks.evaluation.experiments.unseen_views import LEFT_OUT_CLIPS, PARALLEL_VIEWS, PINHOLE_VIEWS
@@ -22,7 +22,7 @@ def test_a_codebook_numbers_the_projections_of_all_takes_and_serves_the_held_out
     shards = projections.plan(StageInputs({"poses": [*takes, held_out]}, seed=0), parameters)
     assert [shard.name for shard in shards][-1] == "codebook"
     *parts, book = [store.manifest(projections.run_shard(shard, store)) for shard in shards]
-    members = np.concatenate([np.asarray(one) for one in open_table(book.ref, store)["members"]])
+    members = np.concatenate([np.asarray(one) for one in store.read(book.ref, "codebook")["members"]])
     assert sorted(members.tolist()) == list(range(30 * sum(part.facts["num_poses"] for part in parts)))
     assert book.facts["takes"] == ["a", "b"]
     inputs = StageInputs({"poses": [*takes, held_out], "projections": parts[::-1], "codebook": [book]}, seed=0)

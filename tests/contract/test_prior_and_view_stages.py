@@ -20,7 +20,7 @@ from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
 from pasdedeux.verdict import Level
-from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key, open_table
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 from tasks import priors, views
 from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.priors import read_limits
@@ -161,7 +161,7 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert verdict.value >= verdict.baseline > 0.0
     limits = read_limits(store, [ref])
     assert (limits.lower_rad <= JointLimits.published().lower_rad).all()
-    table = open_table(ref, store, table="joint_limits")
+    table = store.read(ref, "joint_limits")
     assert list(table["joint"]) == [angle.joint for angle in ANGLES]
     poses = np.asarray(store.read(takes[0].ref, "poses")["pair17_m"], dtype=np.float64)
     learned = Occupancy.empty().extended(poses)

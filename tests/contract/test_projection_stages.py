@@ -17,7 +17,7 @@ from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
-from storage_schema import TABLES, ArtifactRef, Manifest, Store, open_table
+from storage_schema import TABLES, ArtifactRef, Manifest, Store
 from tasks import projections, reconstruction
 from tasks.evaluation.reconstruction import search_notes
 from tasks.stage import StageInputs
@@ -100,7 +100,7 @@ def reconstruct(
 def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(store: Store) -> None:
     built = build(store, [put_take(store, "a"), put_take(store, "b", is_held_out=True)])
     assert [manifest.facts["takes"] for manifest in built] == [["a"]]
-    table = open_table(built[0].ref, store)
+    table = store.read(built[0].ref, "projections")
     assert table.num_rows == 2 * 72  # 90 frames at 30 Hz, 24 Hz
     assert np.flatnonzero(table["is_sequence_start"]).tolist() == [0, 72]
     np.testing.assert_allclose(mid_hip(np.asarray(table["op14_m"], dtype=float)), 0.0, atol=1e-6)
@@ -154,13 +154,13 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
     take, drawn, varied = build(store, [put_take(store, "a")], draws=draws, variants=[variants])
     assert take.facts["takes"] == ["a"]
     assert drawn.facts["takes"] == ["a", "c"]
-    table = open_table(drawn.ref, store)
+    table = store.read(drawn.ref, "projections")
     assert table["origin"][0] == "draw"
     assert drawn.inputs == (draws[1].ref,)
     assert table["frame"].tolist() == [0, 1, 0, 1]
     assert table["is_sequence_start"].all()
     assert list(table["take_id"]) == ["a", "", "a", ""]
-    table = open_table(varied.ref, store)
+    table = store.read(varied.ref, "projections")
     assert table["frame"].tolist() == [0, 1] * 4
     assert table["is_sequence_start"].tolist() == [True, False] * 4
     assert table["partner_row"].tolist() == [2, 3, 0, 1, 6, 7, 4, 5]
@@ -192,14 +192,14 @@ def test_a_sequence_is_never_matched_against_its_own_take(store: Store) -> None:
     assert allowed == {"a", "c"}
     ref = reconstruction.run_shard(shards[0], store)
     assert store.manifest(ref).facts["database_takes"] == ["a", "c"]
-    assert "b" not in set(open_table(ref, store)["match_take_id"])
+    assert "b" not in set(store.read(ref, "motions")["match_take_id"])
 
 
 def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> None:
     built = build(store, [put_take(store, name) for name in "abcd"])
     video, truth = put_video(store, "film", ["held"])
     (ref,) = reconstruct(store, [video], built)
-    table = open_table(ref, store)
+    table = store.read(ref, "motions")
     assert table.num_rows == 4 * 2 * 40
     method, person = np.array(table["method"]), np.asarray(table["person_id"])
     for name in ("nearest", "viterbi", "fit", "fit_clean"):
@@ -280,7 +280,7 @@ def test_people_listed_in_any_order_are_followed_when_asked(store: Store) -> Non
         (ref,) = reconstruct(
             store, [mixed], built, methods=("viterbi",), identities=choice, has_repair=False, has_clean_up=False
         )
-        motions = open_table(ref, store)
+        motions = store.read(ref, "motions")
         steps = [
             np.linalg.norm(
                 np.diff(np.asarray(motions["root_translation_m"])[np.asarray(motions["person_id"]) == one], axis=0),
@@ -296,7 +296,7 @@ def test_without_a_database_or_a_person_nothing_is_made_up_and_the_reason_is_kep
     video, _ = put_video(store, "film", ["a"])
     only_own = build(store, [put_take(store, "a")])
     (ref,) = reconstruct(store, [video], only_own)
-    assert open_table(ref, store).num_rows == 0
+    assert store.read(ref, "motions").num_rows == 0
     assert "no projection database" in store.manifest(ref).facts["skipped"][0]
 
 
@@ -309,14 +309,14 @@ def test_yaw_steps_and_cameras_of_a_study_reach_the_database_and_who_reads_it(st
     assert views.level_camera == PinholeCamera(0.0, 4.0)
     video, truth = put_video(store, "film", ["held"])
     (ref,) = reconstruct(store, [video], built, methods=("nearest", "fit"))
-    facts, table = store.manifest(ref).facts, open_table(ref, store)
+    facts, table = store.manifest(ref).facts, store.read(ref, "motions")
     assert facts["camera"] == "pinhole"
     assert facts["pitch_deg"] == pytest.approx(8.5)
     assert facts["num_projections"] == 15 * 4 * 72
     chosen = (np.array(table["method"]) == "fit") & (np.asarray(table["person_id"]) == 0)
     assert root_centred_error_m(np.asarray(table["op14_m"], dtype=float)[chosen], truth[0]).mean() < 0.12
     heights = [reconstruct(store, [video], built, methods=("nearest",), camera_height_m=h)[0] for h in (1.2, 1.8)]
-    scales = [np.asarray(open_table(one, store)["metres_per_pixel"]) for one in heights]
+    scales = [np.asarray(store.read(one, "motions")["metres_per_pixel"]) for one in heights]
     np.testing.assert_allclose(scales[1] / scales[0], 1.5)
 
 

@@ -12,8 +12,9 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from storage_schema import TABLES, Store, Table
+from storage_schema import TABLES, Store
 from storage_schema.arrow import Kind, column_kind
+from storage_schema.columns import Table
 from tests.builders.storage_rows import commit_rows, random_columns
 
 NUM_ROWS = 23

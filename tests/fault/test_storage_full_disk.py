@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from storage_schema import FullDisk, StorageError, Store, create_dataset, record_latest, verify
+from storage_schema import StorageError, Store, create_dataset, record_latest, verify
 from storage_schema.durable import HashingFile
+from storage_schema.errors import FullDisk
 from tests.builders.storage_rows import commit_rows
 
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from storage_schema import TABLES, SchemaError, Table
+from storage_schema import TABLES, SchemaError
 from storage_schema.arrow import arrow_schema
-from storage_schema.columns import array, boolean, float64, integer, text, text_list
+from storage_schema.columns import Table, array, boolean, float64, integer, text, text_list
 from storage_schema.encoding import encode
 from storage_schema.parquet_files import TableWriter, iter_table, read_table
 from storage_schema.table_data import TableData

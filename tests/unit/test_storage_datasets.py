@@ -7,15 +7,15 @@ import pytest
 from storage_schema import (
     ArtifactRef,
     CorruptArtifact,
-    DatasetExists,
     MissingArtifact,
     StorageError,
     Store,
     UnknownReference,
     create_dataset,
     list_datasets,
-    open_dataset,
 )
+from storage_schema.datasets import open_dataset
+from storage_schema.errors import DatasetExists
 from tests.builders.storage_rows import commit_rows
 
 

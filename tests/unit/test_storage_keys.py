@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from storage_schema import StorageError, artifact_key, canonical_json, content_digest, file_sha256
-from storage_schema.keys import plain_json
+from storage_schema import StorageError, artifact_key, canonical_json
+from storage_schema.keys import content_digest, file_sha256, plain_json
 
 
 def key(**changes: object) -> str:

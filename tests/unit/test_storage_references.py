@@ -123,27 +123,6 @@ def test_a_dataset_can_be_opened(store: Store, refs: list[ArtifactRef]) -> None:
         resolve("poses:released@2", store)
 
 
-def test_an_artifact_can_be_opened_without_naming_its_only_table(store: Store, refs: list[ArtifactRef]) -> None:
-    assert open_table(refs[0], store).num_rows == 3
-    both = store.commit(
-        **{
-            "stage": "ingest",
-            "key": "0" * 64,
-            "partition": "p",
-            "name": "n",
-            "version": 1,
-            "parameters": {},
-            "seed": 0,
-        },
-        inputs=[],
-        files=[],
-        tables={"poses": random_columns("poses", 2), "takes": random_columns("takes", 1)},
-    )
-    assert open_table(both, store, table="takes").num_rows == 1
-    with pytest.raises(UnknownReference, match="holds 2 tables; say which: poses, takes"):
-        open_table(both, store)
-
-
 def test_what_a_reference_does_not_find_is_said_with_what_is_there(store: Store, refs: list[ArtifactRef]) -> None:
     with pytest.raises(UnknownReference, match=r"study 'salsa' has not run .* studies that have: duets"):
         resolve("poses:salsa", store)

@@ -11,7 +11,6 @@ from storage_schema import (
     CorruptArtifact,
     InputRecord,
     MissingArtifact,
-    NewerSchema,
     ShardRecord,
     StorageError,
     Store,
@@ -22,6 +21,7 @@ from storage_schema import (
     read_latest,
     record_latest,
 )
+from storage_schema.errors import NewerSchema
 from tests.builders.storage_rows import commit_rows
 
 
@@ -92,13 +92,11 @@ def test_a_run_has_a_folder_of_its_own(store: Store) -> None:
     first, second = new_run(store, "duets"), new_run(store, "duets")
     assert first.run_id != second.run_id
     first.write("plan.json", {"chains": ["fresh", 3]})
-    first.write("study.toml", "[study]\n")
-    first.write("report.html", b"<html>")
-    first.write("report.html", b"<html></html>")
-    assert first.files() == ["plan.json", "report.html", "study.toml"]
+    first.write("run.json", {"status": "running"})
+    first.write("run.json", {"status": "finished"})
     again = open_run(store, first.run_id)
     assert json.loads(again.read("plan.json")) == {"chains": ["fresh", 3]}
-    assert again.read("report.html") == b"<html></html>"
+    assert json.loads(again.read("run.json")) == {"status": "finished"}
     record_latest(store, "duets", first.run_id, {})
     assert {run.run_id for run in list_runs(store)} == {first.run_id, second.run_id}
 
@@ -110,7 +108,5 @@ def test_files_and_runs_that_are_not_there_are_said(store: Store) -> None:
     for run_id in ("nothing", "latest"):
         with pytest.raises(MissingArtifact, match=f"there is no run '{run_id}'"):
             open_run(store, run_id)
-    with pytest.raises(StorageError, match="cannot name a file"):
-        run.write("../x", b"")
     with pytest.raises(StorageError, match="cannot name a study"):
         new_run(store, "a/b")

@@ -27,6 +27,8 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
+    "chains.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
+    "chains.variants.*.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
     "chains.variants.*.kernel": "it is now called proposal",
     "chains.variants.*.most_blocks": "it is now called max_blocks",
     "chains.variants.*.most_invalid_angles": "it is now called max_invalid_angles",

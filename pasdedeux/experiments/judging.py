@@ -25,7 +25,7 @@ from pasdedeux.experiments.image_odds import LiftDensity
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.plausibility import JointLimits, LearnedLimits, Occupancy, capsule_model
+from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model
 from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.coverage import Coverage
@@ -188,7 +188,6 @@ class TermComparer:
         """Return the terms of pairs (n, person=2, joint=17, 3), each (n,), larger where a pair is the likelier.
 
         - `joint_limits`, `penetration`: minus the squared distances of eq. 2 (Yin et al. 2018); `prior`: its log;
-          `learned_limits`: as the first, with the limits learned from capture;
         - `contact`: minus the penetration of one body by the other alone; `ground`: minus how much higher the lowest
           ankle of one person is than the other's, along both backbones;
         - `pose_prior`: the least likely bone of the learned prior; `pose_prior_sum`: the sum over the bones;
@@ -203,7 +202,6 @@ class TermComparer:
         pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
         found = pair_violations(pairs, self.limits)
         distance, inside = found.squared_distance_m2, found.penetration_m
-        learned = LearnedLimits(self.limits, self.occupancy).nearest_valid(pairs).squared_distance_m2.sum(axis=-1)
         prior = self.prior.log_prior(self.prior.violation_m2(distance, inside.sum(axis=1)))
         # So wide that no view is left out as too far behind the best.
         matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)
@@ -213,7 +211,6 @@ class TermComparer:
         lowest = np.einsum("npki,ni->npk", pairs[:, :, _ANKLES], up).min(axis=-1)
         terms = {
             "joint_limits": -distance,
-            "learned_limits": -learned,
             "penetration": -(inside.sum(axis=1) ** 2),
             "contact": -inside[:, 2],
             "ground": -np.abs(lowest[:, 1] - lowest[:, 0]),

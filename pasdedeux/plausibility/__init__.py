@@ -9,7 +9,6 @@ from pasdedeux.plausibility.capsules import (
     segment_distance,
 )
 from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits, NearestValid
-from pasdedeux.plausibility.learned_limits import LearnedLimits
 from pasdedeux.plausibility.occupancy import BONES, NUM_ABOVE, NUM_CELLS, Occupancy
 from pasdedeux.plausibility.ranges import ANGLES, AngleRange
 
@@ -23,7 +22,6 @@ __all__ = [
     "AngleRange",
     "CapsuleModel",
     "JointLimits",
-    "LearnedLimits",
     "NearestValid",
     "Occupancy",
     "body_height_m",

@@ -57,11 +57,6 @@ class NearestValid:
     num_invalid: npt.NDArray[np.int64]
     squared_distance_m2: Array
 
-    @classmethod
-    def of(cls, shape: tuple[int, ...], valid: Array, count: npt.NDArray[np.int64], squared: Array) -> NearestValid:
-        """Return what was found for poses one by one, (n, 17, 3), (n,) and (n,), in the batch axes of `shape`."""
-        return cls(valid.reshape(shape), count.reshape(shape[:-2]), squared.reshape(shape[:-2]))
-
 
 @dataclass(frozen=True)
 class JointLimits:
@@ -142,7 +137,9 @@ class JointLimits:
         Bone lengths and the root are kept; what hangs on a moved bone moves with it.  This is the nearest pose joint by
         joint and an upper bound of the distance to the nearest pose overall.
         """
-        return NearestValid.of(np.shape(pair17_m), *move_poses(as_poses(pair17_m), self.ranges_rad))
+        shape = np.shape(pair17_m)
+        valid, count, squared = move_poses(as_poses(pair17_m), self.ranges_rad)
+        return NearestValid(valid.reshape(shape), count.reshape(shape[:-2]), squared.reshape(shape[:-2]))
 
     def move_pose(self, pose: Array, work: Array, valid: Array) -> tuple[int, float]:
         """Move one pose (17, 3) as `nearest_valid` does, into `valid`, without the price of array calls.

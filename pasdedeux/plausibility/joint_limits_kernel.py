@@ -27,19 +27,7 @@ from pasdedeux.kinematics.rotation_kernels import (
 from pasdedeux.plausibility.ranges import ANGLE_INDEX, NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
-__all__ = [
-    "bone_of",
-    "copy_pose",
-    "find_invalid",
-    "frame_x",
-    "is_out",
-    "measure_angles",
-    "measure_poses",
-    "move_poses",
-    "move_to_nearest_valid",
-    "squared_move",
-    "turn_to",
-]
+__all__ = ["find_invalid", "measure_poses", "move_poses", "move_to_nearest_valid"]
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -70,7 +58,7 @@ assert PAIR17.indices(("left_shoulder", "right_shoulder", "left_hip", "right_hip
 
 
 @inner_kernel
-def bone_of(points: Array, start: int, end: int) -> Vector:
+def _bone_of(points: Array, start: int, end: int) -> Vector:
     """Return the unit direction from joint `start` to joint `end`; zero when they coincide."""
     return normalise(subtract(row_of(points, end), row_of(points, start)))
 
@@ -92,7 +80,7 @@ def _wrap(angle: float) -> float:
 
 
 @inner_kernel
-def frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
+def _frame_x(points: Array, left: int, right: int, up: Vector) -> Vector:
     """Return the unit direction from joint `right` to joint `left`, made square to `up`."""
     across = subtract(row_of(points, left), row_of(points, right))
     return normalise(mix(1.0, across, -dot(across, up), up))
@@ -127,7 +115,7 @@ def _turn(points: Array, first: int, last: int, pivot: int, axis: Vector, cosine
 
 
 @inner_kernel
-def turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
+def _turn_to(points: Array, first: int, last: int, pivot: int, before: Vector, after: Vector) -> None:
     """Turn joints `first` to `last` (inclusive) about joint `pivot` by the shortest turn between unit directions."""
     turned = cross(before, after)
     sine = length(turned)
@@ -159,14 +147,14 @@ def _girdle(
 ) -> None:
     for side in range(2):
         joint = left if side == 0 else right
-        direction = bone_of(points, centre, joint)
+        direction = _bone_of(points, centre, joint)
         elevation = _arcsin(dot(direction, up))
         change = _change(index + side, elevation, 0.0, limits, work, move)
         if change != 0.0:
             level = normalise(mix(1.0, direction, -dot(direction, up), up))
             target = elevation + change
-            turn_to(points, joint, joint + 2, centre, direction, mix(math.cos(target), level, math.sin(target), up))
-    one, two = bone_of(points, centre, left), bone_of(points, centre, right)
+            _turn_to(points, joint, joint + 2, centre, direction, mix(math.cos(target), level, math.sin(target), up))
+    one, two = _bone_of(points, centre, left), _bone_of(points, centre, right)
     one = mix(1.0, one, -dot(one, up), up)
     two = mix(1.0, two, -dot(two, up), up)
     spread = _angle(dot(cross(one, two), up), dot(one, two)) % _TWO_PI
@@ -193,7 +181,7 @@ def _swing(
     move: bool,
 ) -> None:
     """Flexion at `index`, the lateral angle right after it."""
-    direction = bone_of(points, joint, end)
+    direction = _bone_of(points, joint, end)
     sideways = _arcsin(dot(direction, left))
     change_sideways = _change(index + 1, sideways, 0.0, limits, work, move)
     sideways += change_sideways
@@ -205,7 +193,7 @@ def _swing(
     flexion += change_flexion
     level = mix(math.cos(flexion), up, math.sin(flexion), front)
     after = mix(math.cos(sideways), level, math.sin(sideways), left)
-    turn_to(points, first, last, joint, direction, after)
+    _turn_to(points, first, last, joint, direction, after)
 
 
 @inner_kernel
@@ -219,7 +207,7 @@ def _arm(
     work: Array,
     move: bool,
 ) -> None:
-    direction = bone_of(points, shoulder, shoulder + 1)
+    direction = _bone_of(points, shoulder, shoulder + 1)
     b, m = dot(direction, back), dot(direction, across)
     change_b = _change(index, _arcsin(b), 0.0, limits, work, move)
     change_m = _change(index + 1, _arcsin(m), 0.0, limits, work, move)
@@ -241,7 +229,7 @@ def _arm(
         rest = side_of * math.sqrt(max(1.0 - m**2 - b**2, 0.0))
     if is_moved:
         after = mix(1.0, mix(b, back, m, across), rest, up)
-        turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
+        _turn_to(points, shoulder + 1, shoulder + 2, shoulder, direction, after)
 
 
 @inner_kernel
@@ -257,7 +245,7 @@ def _hinge(
     work: Array,
     move: bool,
 ) -> None:
-    above, below = bone_of(points, joint, joint + 1), bone_of(points, joint + 1, joint + 2)
+    above, below = _bone_of(points, joint, joint + 1), _bone_of(points, joint + 1, joint + 2)
     along = dot(above, below)
     across = mix(1.0, below, -along, above)
     sine = length(across)
@@ -271,7 +259,7 @@ def _hinge(
     if change_flexion != 0.0:
         bent = flexion + change_flexion
         after = mix(math.cos(bent), above, math.sin(bent), normalise(across))
-        turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
+        _turn_to(points, joint + 2, joint + 2, joint + 1, below, after)
     if change != 0.0:
         handed = -1.0 if dot(cross(carried_bend, carried_out), above) < 0 else 1.0
         _turn(points, joint + 2, joint + 2, joint + 1, above, math.cos(change), handed * math.sin(change))
@@ -279,26 +267,26 @@ def _hinge(
 
 @inner_kernel
 def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
-    y = bone_of(points, PELVIS, SPINE)
+    y = _bone_of(points, PELVIS, SPINE)
     _girdle(points, PELVIS, y, LEFT_HIP, RIGHT_HIP, _HIP_ELEVATION, _HIP_SPREAD, limits, work, move)
-    x = frame_x(points, LEFT_HIP, RIGHT_HIP, y)
+    x = _frame_x(points, LEFT_HIP, RIGHT_HIP, y)
     z = cross(x, y)
     _swing(points, SPINE, CHEST, CHEST, RIGHT_WRIST, y, x, z, _SPINE, limits, work, move)
-    up = bone_of(points, SPINE, CHEST)
+    up = _bone_of(points, SPINE, CHEST)
     _girdle(
         points, CHEST, up, LEFT_SHOULDER, RIGHT_SHOULDER, _SHOULDER_ELEVATION, _SHOULDER_SPREAD,
         limits, work, move,
     )  # fmt: skip
-    shoulders_x = frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
+    shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     carried = carry(y, up, x)
     torsion = _angle(dot(cross(carried, shoulders_x), up), dot(carried, shoulders_x))
     change = _change(_TORSION, torsion, 0.0, limits, work, move)
     if change != 0.0:
         _turn(points, NECK, RIGHT_WRIST, CHEST, up, math.cos(change), math.sin(change))
-        shoulders_x = frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
+        shoulders_x = _frame_x(points, LEFT_SHOULDER, RIGHT_SHOULDER, up)
     front = cross(shoulders_x, up)
     _swing(points, CHEST, NECK, NECK, HEAD, up, shoulders_x, front, _CHEST, limits, work, move)
-    up_neck = bone_of(points, CHEST, NECK)
+    up_neck = _bone_of(points, CHEST, NECK)
     neck_x = normalise(mix(1.0, shoulders_x, -dot(shoulders_x, up_neck), up_neck))
     neck_z = cross(neck_x, up_neck)
     _swing(points, NECK, HEAD, HEAD, HEAD, up_neck, neck_x, neck_z, _NECK, limits, work, move)
@@ -321,34 +309,10 @@ def _walk(points: Array, limits: Array, work: Array, move: bool) -> None:
 
 
 @inner_kernel
-def is_out(index: int, limits: Array, work: Array) -> bool:
+def _is_out(index: int, limits: Array, work: Array) -> bool:
     """Tell whether the measured angle `index` is out of range."""
     low, high = limits[0, index] - work[1, index], limits[1, index] + work[1, index]
     return not (low - TINY <= work[0, index] <= high + TINY) and high - low < _TWO_PI
-
-
-@inner_kernel
-def copy_pose(pose: Array, copy: Array) -> None:
-    """Copy a pose (17, 3); not `copy[:] = pose`, whose error message alone takes seconds to compile."""
-    for joint in range(17):
-        for axis in range(3):
-            copy[joint, axis] = pose[joint, axis]
-
-
-@inner_kernel
-def squared_move(pose: Array, moved: Array) -> float:
-    """Return the sum over the joints of the squared distance between two poses (17, 3), square metres."""
-    total = 0.0
-    for joint in range(17):
-        for axis in range(3):
-            total += (moved[joint, axis] - pose[joint, axis]) ** 2
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def measure_angles(pose: Array, work: Array) -> None:
-    """Write the angles and their slack into `work` (2, 29), radians, of one pose (17, 3); the pose is not changed."""
-    _walk(pose, work, work, False)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -356,7 +320,7 @@ def measure_poses(poses: Array) -> Array:
     """Return the angles and their slack (n, 2, 29), radians, of poses (n, 17, 3)."""
     measured = np.empty((poses.shape[0], 2, NUM_ANGLES))
     for row in range(poses.shape[0]):
-        measure_angles(poses[row], measured[row])
+        _walk(poses[row], measured[row], measured[row], False)
     return measured
 
 
@@ -365,9 +329,9 @@ def find_invalid(poses: Array, limits: Array) -> Flags:
     """Tell which angles (n, 29) of poses (n, 17, 3) are out of the ranges (2, 29), radians."""
     invalid, work = np.empty((poses.shape[0], NUM_ANGLES), np.bool_), np.empty((2, NUM_ANGLES))
     for row in range(poses.shape[0]):
-        measure_angles(poses[row], work)
+        _walk(poses[row], limits, work, False)
         for index in range(NUM_ANGLES):
-            invalid[row, index] = is_out(index, limits, work)
+            invalid[row, index] = _is_out(index, limits, work)
     return invalid
 
 
@@ -385,15 +349,22 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
         Number of invalid angles of `pose`, and the sum over the joints of the squared distance moved (square metres).
         A valid pose returns (0, 0.0) after the angles alone.
     """
-    copy_pose(pose, valid)
+    # Not `valid[:] = pose`, whose error message alone takes seconds to compile.
+    for joint in range(17):
+        for axis in range(3):
+            valid[joint, axis] = pose[joint, axis]
     _walk(valid, limits, work, False)
     num_invalid = 0
     for index in range(NUM_ANGLES):
-        num_invalid += is_out(index, limits, work)
+        num_invalid += _is_out(index, limits, work)
     if num_invalid == 0:
         return 0, 0.0
     _walk(valid, limits, work, True)
-    return num_invalid, squared_move(pose, valid)
+    squared = 0.0
+    for joint in range(17):
+        for axis in range(3):
+            squared += (valid[joint, axis] - pose[joint, axis]) ** 2
+    return num_invalid, squared
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

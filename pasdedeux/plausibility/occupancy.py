@@ -1,13 +1,12 @@
-"""Where bones have been seen to point: joint limits and a pose prior learned from capture, conditioned on the pose.
+"""Where bones have been seen to point: a pose prior learned from capture, conditioned on the pose.
 
 Per bone a grid over its direction in its parent's frame, and a coarser one over the direction of the bone above it: the
 counts of captured poses in both.  Left and right are mirrored into one.  The structure is that of Akhter and Black
 (2015), "Pose-conditioned joint angle limits for 3D human pose reconstruction"; counts, grids and frames are our own,
 and learned from the poses that are given, so a user's own takes extend them.
 
-Two things are read from it.  *Limits* (`learned_limits`): a bone is in range when the published table says so, or when
-its cell, or one near by, was seen.  *A prior*: the smoothed share of the cell among the poses whose bone above points
-alike, at the bone where it is least.  The sum over the bones tells worse: it mostly says how common a pose is.
+The prior is the smoothed share of the cell among the poses whose bone above points alike, at the bone where it is
+least.  The sum over the bones tells worse: it mostly says how common a pose is.
 """
 
 from __future__ import annotations
@@ -17,24 +16,14 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from scipy.spatial import cKDTree
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics.rotation_kernels import carry, cross, dot, inner_kernel, mix, normalise, scale
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import as_poses
-from pasdedeux.plausibility.joint_limits_kernel import bone_of, frame_x
+from pasdedeux.skeletons import PAIR17
 
-__all__ = [
-    "BONES",
-    "KIND_OF_BONE",
-    "NUM_ABOVE",
-    "NUM_CELLS",
-    "Occupancy",
-    "bone_cells",
-    "cells_of",
-    "point_bones",
-    "sphere_cells",
-]
+__all__ = ["BONES", "NUM_ABOVE", "NUM_CELLS", "Occupancy", "bone_cells", "bone_directions", "sphere_cells"]
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -46,10 +35,9 @@ NUM_ABOVE = 60
 
 BONES = ("chest", "neck", "head", "upper_arm", "forearm", "thigh", "shank")
 """Bones with a grid of their own; the four of the limbs are shared by both sides."""
-KIND_OF_BONE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5, 6, 6])
+_KIND_OF_BONE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5, 6, 6])
 """Which grid each of the eleven bones of a pose has: chest, neck, head, then the limbs, left before right."""
 _CELL_WIDTH_RAD, _ABOVE_WIDTH_RAD = 0.1, 0.35
-_DILATION_RAD, _ABOVE_DILATION_RAD = np.deg2rad(12.0), np.deg2rad(28.0)
 _MARGINAL_POSES, _UNIFORM_SHARE = 20.0, 0.02
 
 
@@ -83,7 +71,7 @@ class Occupancy:
 
     @classmethod
     def empty(cls) -> Occupancy:
-        """Return the occupancy of no pose at all: limits are the table's, and the prior is flat."""
+        """Return the occupancy of no pose at all: the prior is flat."""
         return cls(np.zeros((len(BONES), NUM_ABOVE, NUM_CELLS), dtype=np.int64))
 
     def extended(self, pair17_m: Array) -> Occupancy:
@@ -91,7 +79,7 @@ class Occupancy:
         poses = as_poses(pair17_m)
         poses = poses[np.isfinite(poses).all(axis=(1, 2))]
         counts = self.counts.copy()
-        np.add.at(counts, (KIND_OF_BONE, *bone_cells(poses)), 1)
+        np.add.at(counts, (_KIND_OF_BONE, *bone_cells(poses)), 1)
         return Occupancy(counts)
 
     def bone_logs(self, pair17_m: Array) -> Array:
@@ -99,16 +87,7 @@ class Occupancy:
 
         It is 0 everywhere when nothing was learned.
         """
-        return np.asarray(self.log_share[KIND_OF_BONE, *bone_cells(pair17_m)])
-
-    @cached_property
-    def occupied(self) -> npt.NDArray[np.bool_]:
-        """Whether a pose had the bone within 12 degrees of a cell, the bone above within 28, (7, 60, 500)."""
-        cells, above = sphere_cells(NUM_CELLS), sphere_cells(NUM_ABOVE)
-        near_cell = (cells @ cells.T >= np.cos(_DILATION_RAD)).astype(np.float32)
-        near_above = (above @ above.T >= np.cos(_ABOVE_DILATION_RAD)).astype(np.float32)
-        seen = (self.counts > 0).astype(np.float32)
-        return np.asarray(np.einsum("pq,bqd->bpd", near_above, seen @ near_cell) > 0.5)
+        return np.asarray(self.log_share[_KIND_OF_BONE, *bone_cells(pair17_m)])
 
     @cached_property
     def log_share(self) -> Array:
@@ -135,81 +114,55 @@ def _blur(cells: Array, width_rad: float, *, is_share: bool = True) -> Array:
 
 def bone_cells(pair17_m: Array) -> tuple[Counts, Counts]:
     """Return the cells of the bones above, and of the bones, of poses (*batch, joint=17, 3), both (*batch, bone=11)."""
-    cells = _find_cells(as_poses(pair17_m)).reshape(*np.shape(pair17_m)[:-2], len(KIND_OF_BONE), 2)
-    return cells[..., 0], cells[..., 1]
+    own = bone_directions(np.asarray(pair17_m, dtype=np.float64))
+    above = np.broadcast_to([0.0, 1.0, 0.0], own.shape).copy()
+    above[..., [1, 2], :] = own[..., [0, 1], :]
+    above[..., [5, 6, 9, 10], :] = own[..., [3, 4, 7, 8], :]
+    return np.asarray(_ABOVE.query(above)[1]), np.asarray(_CELLS.query(own)[1])
 
 
-_CELLS, _ABOVE = sphere_cells(NUM_CELLS), sphere_cells(NUM_ABOVE)
-_TRUNK = (0.0, 1.0, 0.0)
+_CELLS, _ABOVE = cKDTree(sphere_cells(NUM_CELLS)), cKDTree(sphere_cells(NUM_ABOVE))
+_MIRROR = np.array([-1.0, 1.0, 1.0])[:, None]
+"""What turns the axes of the trunk, as rows, into those of its mirror image."""
 
 
-@inner_kernel
-def _nearest(cells, direction):  # type: ignore[no-untyped-def]
-    best, found = -2.0, 0
-    for cell in range(cells.shape[0]):
-        near = cells[cell, 0] * direction[0] + cells[cell, 1] * direction[1] + cells[cell, 2] * direction[2]
-        if near > best:
-            best, found = near, cell
-    return found
+def bone_directions(pair17_m: Array) -> Array:
+    """Return the unit directions (*batch, bone=11, 3) of poses (*batch, joint=17, 3), right ones mirrored to the left.
 
-
-@inner_kernel
-def _enter(bone, x, y, z, direction, above, own, over, frame):  # type: ignore[no-untyped-def]
-    for axis in range(3):
-        frame[bone, 0, axis], frame[bone, 1, axis], frame[bone, 2, axis] = x[axis], y[axis], z[axis]
-        over[bone, axis] = above[axis]
-    own[bone, 0], own[bone, 1], own[bone, 2] = dot(x, direction), dot(y, direction), dot(z, direction)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def point_bones(pose: Array, own: Array, above: Array, frame: Array) -> None:
-    """Write the directions of the eleven bones of a pose (17, 3), right ones mirrored to the left.
-
-    Frames are those of `joint_limits`: the pelvis' for chest and thighs, the chest's for neck and upper arms, the
-    neck's for the head, and for forearm and shank the frame carried without twist from the arm held sideways and the
-    thigh hanging.
-
-    Args:
-        pose: Positions (17, 3), float64, metres.
-        own: Unit directions in the frame of what the bone hangs on, (11, 3).
-        above: Those of the bone above in its own frame, (11, 3); (0, 1, 0) where the bone hangs on the trunk.
-        frame: Axes of the frames in world axes, as rows, mirrored for the right, (11, 3, 3).
+    Each is in the frame of what the bone hangs on, one of `joint_limits`: the pelvis' for chest and thighs, the chest's
+    for neck and upper arms, the neck's for the head, and for forearm and shank the frame carried without twist from the
+    arm held sideways and the thigh hanging.  A bone of length zero has none: (0, 0, 0).
     """
-    pelvis_y, chest_y, neck_y = bone_of(pose, 0, 1), bone_of(pose, 1, 2), bone_of(pose, 2, 3)
-    pelvis_x = frame_x(pose, 11, 14, pelvis_y)
-    chest_x = frame_x(pose, 5, 8, chest_y)
-    neck_x = normalise(mix(1.0, chest_x, -dot(chest_x, neck_y), neck_y))
-    pelvis_z, chest_z, neck_z = cross(pelvis_x, pelvis_y), cross(chest_x, chest_y), cross(neck_x, neck_y)
-    _enter(0, pelvis_x, pelvis_y, pelvis_z, chest_y, _TRUNK, own, above, frame)
-    _enter(1, chest_x, chest_y, chest_z, neck_y, (own[0, 0], own[0, 1], own[0, 2]), own, above, frame)
-    head = bone_of(pose, 3, 4)
-    _enter(2, neck_x, neck_y, neck_z, head, (own[1, 0], own[1, 1], own[1, 2]), own, above, frame)
-    for limb in range(4):
-        is_arm = limb < 2
-        side = 1.0 if limb % 2 == 0 else -1.0
-        first = 5 + 3 * (limb % 2) if is_arm else 11 + 3 * (limb % 2)
-        x, y, z = (scale(side, chest_x), chest_y, chest_z) if is_arm else (scale(side, pelvis_x), pelvis_y, pelvis_z)
-        rest = x if is_arm else scale(-1.0, y)
-        upper, lower = bone_of(pose, first, first + 1), bone_of(pose, first + 1, first + 2)
-        bone = 3 + limb % 2 if is_arm else 7 + limb % 2
-        _enter(bone, x, y, z, upper, _TRUNK, own, above, frame)
-        over = (own[bone, 0], own[bone, 1], own[bone, 2])
-        x, y, z = carry(rest, upper, x), carry(rest, upper, y), carry(rest, upper, z)
-        _enter(bone + 2, x, y, z, lower, over, own, above, frame)
+
+    def bone(start: str, end: str) -> Array:
+        return normalise(pair17_m[..., PAIR17.index(end), :] - pair17_m[..., PAIR17.index(start), :])
+
+    def frame(across: Array, up: Array) -> Array:
+        x = normalise(across - np.sum(across * up, axis=-1, keepdims=True) * up)
+        return np.stack([x, up, np.cross(x, up)], axis=-2)
+
+    trunk, neck, head = bone("spine", "chest"), bone("chest", "neck"), bone("neck", "head")
+    pelvis_frame = frame(bone("right_hip", "left_hip"), bone("pelvis", "spine"))
+    chest_frame = frame(bone("right_shoulder", "left_shoulder"), trunk)
+    neck_frame = frame(chest_frame[..., 0, :], neck)
+    found = [(pelvis_frame, trunk), (chest_frame, neck), (neck_frame, head)]
+    for root, middle, end, hung_on, rest in (
+        ("shoulder", "elbow", "wrist", chest_frame, [1.0, 0.0, 0.0]),
+        ("hip", "knee", "ankle", pelvis_frame, [0.0, -1.0, 0.0]),
+    ):
+        axes = (("left", hung_on), ("right", hung_on * _MIRROR))
+        upper = {side: bone(f"{side}_{root}", f"{side}_{middle}") for side, _ in axes}
+        found += [(own, upper[side]) for side, own in axes]
+        found += [
+            (_carried(own, rest @ own, upper[side]), bone(f"{side}_{middle}", f"{side}_{end}")) for side, own in axes
+        ]
+    return np.stack([np.einsum("...ij,...j->...i", own, direction) for own, direction in found], axis=-2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cells_of(own: Array, above: Array) -> tuple[int, int]:
-    """Return the cell of the bone above and that of the bone, of unit directions (3,) each."""
-    return _nearest(_ABOVE, above), _nearest(_CELLS, own)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _find_cells(poses: Array) -> Counts:
-    found = np.empty((poses.shape[0], 11, 2), np.int64)
-    own, above, frame = np.empty((11, 3)), np.empty((11, 3)), np.empty((11, 3, 3))
-    for row in range(poses.shape[0]):
-        point_bones(poses[row], own, above, frame)
-        for bone in range(11):
-            found[row, bone, 0], found[row, bone, 1] = cells_of(own[bone], above[bone])
-    return found
+def _carried(axes: Array, start: Array, end: Array) -> Array:
+    """Carry axes, as rows (*batch, 3, 3), along the shortest turn from unit `start` to unit `end`, both (*batch, 3)."""
+    total = start + end
+    cosine = np.sum(start * end, axis=-1, keepdims=True)
+    factor = np.einsum("...ij,...j->...i", axes, total) / np.maximum(1.0 + cosine, 1e-9)
+    twice = 2.0 * np.einsum("...ij,...j->...i", axes, start)
+    return np.asarray(axes - factor[..., None] * total[..., None, :] + twice[..., None] * end[..., None, :])

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Generic, Literal, Protocol, TypeVar, runtime_checkable
+from typing import ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import JointLimits, LearnedLimits
+from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
@@ -59,9 +59,6 @@ class ImageLikelihood(Likelihood, Protocol):
 class TargetSettings(PriorSettings):
     """What every density is made with: the physical prior, and how far round the seed it reaches."""
 
-    joint_limits: Literal["table", "learned"] = Field(
-        default="table", description="Joint limits: the table's ranges, or also what the prior takes show (see priors)"
-    )
     truncation: float = Field(
         default=100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0"
     )
@@ -220,7 +217,7 @@ class DensityKind(ABC, Generic[S]):
     def target(
         self,
         chart: PairChart,
-        limits: JointLimits | LearnedLimits,
+        limits: JointLimits,
         likelihood: Likelihood | None,
         settings: TargetSettings,
     ) -> PairDensity:

@@ -15,14 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.plausibility import (
-    MAX_INVALID_ANGLES,
-    CapsuleModel,
-    JointLimits,
-    LearnedLimits,
-    capsule_model,
-    pair_penetration,
-)
+from pasdedeux.plausibility import MAX_INVALID_ANGLES, CapsuleModel, JointLimits, capsule_model, pair_penetration
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
 from pasdedeux.settings import Settings
@@ -78,7 +71,7 @@ class Violations:
     penetration_m: Array
 
 
-def pair_violations(pairs_m: Array, limits: JointLimits | LearnedLimits) -> Violations:
+def pair_violations(pairs_m: Array, limits: JointLimits) -> Violations:
     """Return how pairs (pair, person=2, joint=17, 3), metres, violate the prior, each with its own bone lengths."""
     pairs = np.ascontiguousarray(pairs_m, dtype=np.float64)
     nearest = limits.nearest_valid(pairs)
@@ -114,16 +107,11 @@ class PhysicalPrior:
 
     Args:
         chart: Parameters round the seed; its bone lengths set the capsules' radii.
-        limits: Joint limits, the table's or those learned from capture and united with it.
+        limits: Joint limits.
         settings: Weights and limits; the defaults when not given.
     """
 
-    def __init__(
-        self,
-        chart: PairChart,
-        limits: JointLimits | LearnedLimits,
-        settings: PriorSettings | None = None,
-    ) -> None:
+    def __init__(self, chart: PairChart, limits: JointLimits, settings: PriorSettings | None = None) -> None:
         self.settings = settings or PriorSettings()
         self._limits = limits
         model: CapsuleModel = capsule_model(PAIR17)

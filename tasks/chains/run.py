@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility import JointLimits, LearnedLimits
 from pasdedeux.sampling import (
     ChainState,
     Evaluation,
@@ -34,7 +33,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
-from tasks.priors import read_limits, read_occupancy
+from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 
 __all__ = ["ChainProblem", "SeedRow", "chain_problem", "read_seed_row", "run_shard"]
@@ -158,7 +157,7 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
             rng = stream(shard.seed, "chains", "density", options.seed_index)
             known = DensityInputs(seed.pair_m, rng, grown_m=_read_grown(store, shard.refs("grown")))
             likelihood = density.likelihood(options.density_settings, known)
-        target = density.target(chart, _limits(shard, options, store), likelihood, options.target)
+        target = density.target(chart, read_limits(store, shard.refs("joint_limits")), likelihood, options.target)
     except InputError as error:
         raise InputError(f"seed {options.seed_index} ({seed.origin}): {error}") from None
     nearest = likelihood.nearest if isinstance(likelihood, ImageLikelihood) else None
@@ -237,13 +236,6 @@ def _read_grown(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
     """Return the grown pairs (grown, 2, 17, 3) of some artifacts; none without any."""
     parts = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
     return np.concatenate([np.zeros((0, 2, 17, 3)), *parts])
-
-
-def _limits(shard: Shard, options: SegmentParameters, store: Store) -> JointLimits | LearnedLimits:
-    """Return the joint limits that a shard asks for: the table's ranges, or what capture allows beside them."""
-    priors = shard.refs("joint_limits")
-    table = read_limits(store, priors)
-    return table if options.target.joint_limits == "table" else LearnedLimits(table, read_occupancy(store, priors))
 
 
 @dataclass(frozen=True)

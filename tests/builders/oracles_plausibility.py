@@ -8,9 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, swing_between, unitquat_from_rotvec
-from pasdedeux.plausibility import ANGLES, JointLimits, LearnedLimits
-from pasdedeux.plausibility.learned_limits import ANGLES_OF_BONE, LIMIT_BONES
-from pasdedeux.plausibility.occupancy import KIND_OF_BONE, NUM_ABOVE, NUM_CELLS, sphere_cells
+from pasdedeux.plausibility import ANGLES, JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES, SLACK_RAD, TINY
 from pasdedeux.skeletons import PAIR17
 
@@ -233,98 +231,3 @@ class Posed:
         # Rotation counts from the bend direction to the outward one; about the bone that is +1 or -1.
         handed = np.where(_dot(np.cross(carried_bend, carried_out), upper) < 0, -1.0, 1.0)
         self.turn_about([_JOINT[end]], middle, upper, handed * change)
-
-
-def plain_directions(points: Array) -> tuple[Array, Array, Array]:
-    """Return the directions of the bones of poses (*batch, joint=17, 3), metres.
-
-    Frames are those of `joint_limits`: the pelvis' for chest and thighs, the chest's for neck and upper arms, the
-    neck's for the head, and for forearm and shank the frame carried without twist from the arm held sideways and the
-    thigh hanging.
-    """
-
-    def bone(start: str, end: str) -> Array:
-        return normalise(points[..., PAIR17.index(end), :] - points[..., PAIR17.index(start), :])
-
-    def square(vector: Array, to: Array) -> Array:
-        return normalise(vector - np.sum(vector * to, axis=-1, keepdims=True) * to)
-
-    pelvis_y, chest_y, neck_y = bone("pelvis", "spine"), bone("spine", "chest"), bone("chest", "neck")
-    pelvis_x = square(bone("right_hip", "left_hip"), pelvis_y)
-    chest_x = square(bone("right_shoulder", "left_shoulder"), chest_y)
-    neck_x = square(chest_x, neck_y)
-    pelvis, chest, neck = (
-        np.stack([x, y, np.cross(x, y)], axis=-2)
-        for x, y in ((pelvis_x, pelvis_y), (chest_x, chest_y), (neck_x, neck_y))
-    )
-    frames, ends = [pelvis, chest, neck], [chest_y, neck_y, bone("neck", "head")]
-    mirror = np.array([[[1.0], [1.0], [1.0]], [[-1.0], [1.0], [1.0]]])
-    sides = ("left", "right")
-    for root, middle, end, trunk, rest in (
-        ("shoulder", "elbow", "wrist", chest, np.array([1.0, 0.0, 0.0])),
-        ("hip", "knee", "ankle", pelvis, np.array([0.0, -1.0, 0.0])),
-    ):
-        upper = [bone(f"{side}_{root}", f"{side}_{middle}") for side in sides]
-        frames += [trunk * mirror[row] for row in range(2)]
-        ends += upper
-        for row, side in enumerate(sides):
-            axes = trunk * mirror[row]
-            frames.append(_carried(axes, np.einsum("i,...ij->...j", rest, axes), upper[row]))
-            ends.append(bone(f"{side}_{middle}", f"{side}_{end}"))
-    frame, direction = np.stack(frames, axis=-3), np.stack(ends, axis=-2)
-    own = np.einsum("...bij,...bj->...bi", frame, direction)
-    above = np.broadcast_to(np.array([0.0, 1.0, 0.0]), own.shape).copy()
-    above[..., [1, 2], :] = own[..., [0, 1], :]
-    above[..., [5, 6, 9, 10], :] = own[..., [3, 4, 7, 8], :]
-    return own, above, frame
-
-
-def _carried(axes: Array, start: Array, end: Array) -> Array:
-    """Carry axes, as rows (*batch, 3, 3), along the shortest turn from unit `start` to unit `end`, both (*batch, 3)."""
-    total = start + end
-    factor = np.einsum("...ij,...j->...i", axes, total) / np.maximum(
-        1.0 + np.sum(start * end, axis=-1, keepdims=True), 1e-9
-    )
-    twice = 2.0 * np.einsum("...ij,...j->...i", axes, start)
-    return np.asarray(axes - factor[..., None] * total[..., None, :] + twice[..., None] * end[..., None, :])
-
-
-def plain_cells(poses: Array) -> tuple[Array, Array]:
-    own, above, _ = plain_directions(poses)
-    return np.argmax(above @ sphere_cells(NUM_ABOVE).T, axis=-1), np.argmax(own @ sphere_cells(NUM_CELLS).T, axis=-1)
-
-
-def plain_invalid_learned(limits: LearnedLimits, poses: Array) -> npt.NDArray[np.bool_]:
-    invalid = plain_invalid(limits.table, poses)
-    seen = limits.occupancy.occupied[KIND_OF_BONE, *plain_cells(poses)]
-    for bone, angles in enumerate(ANGLES_OF_BONE):
-        invalid[:, angles] &= ~seen[:, [bone]]
-    return invalid
-
-
-def plain_nearest_learned(limits: LearnedLimits, poses: Array) -> Array:
-    given = poses
-    poses = plain_nearest_valid(limits.girdles, given)
-    cells = sphere_cells(NUM_CELLS)
-    for bone, (pivot, end, _) in enumerate(LIMIT_BONES):
-        own, _, frames = plain_directions(poses)
-        above, cell = plain_cells(poses)
-        kind = int(KIND_OF_BONE[bone])
-        seen = limits.occupancy.occupied[kind, above[:, bone], cell[:, bone]]
-        is_bad = plain_invalid(limits.table, poses)[:, ANGLES_OF_BONE[bone]].any(axis=1) & ~seen
-        rows = np.flatnonzero(is_bad)
-        if not len(rows):
-            continue
-        nearness = np.where(limits.allowed[kind, above[rows, bone]], own[rows, bone] @ cells.T, -2.0)
-        target = cells[nearness.argmax(axis=1)]
-        frame = frames[rows, bone]
-        start = np.einsum("ni,nij->nj", own[rows, bone], frame)
-        turn = rotmat_from_unitquat(swing_between(start, np.einsum("ni,nij->nj", target, frame)))
-        moved = np.array(_subtree(end))
-        centre = poses[rows, PAIR17.index(pivot)][:, None]
-        vectors = poses[rows[:, None], moved] - centre
-        poses[rows[:, None], moved] = np.einsum("nij,nkj->nki", turn, vectors) + centre
-        if end == "chest":
-            # The twist of the trunk is measured along it, so it has changed.
-            poses = plain_nearest_valid(limits.girdles, poses)
-    return np.where(plain_invalid_learned(limits, given).any(axis=1)[:, None, None], poses, given)

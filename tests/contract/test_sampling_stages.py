@@ -150,11 +150,7 @@ def test_prior_only_does_not_depend_on_annotations_or_the_likelihood(inputs: Any
     "options",
     [
         {"num_warm_up": 0},
-        {
-            "proposal": "velocity",
-            "num_warm_up": 6,
-            "joint_limits": "learned",
-        },
+        {"proposal": "velocity", "num_warm_up": 6},
     ],
     ids=["plain", "everything"],
 )

@@ -98,7 +98,7 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
         lines.append(f"# held_out = [{_quoted(next(iter(takes)))}]   # takes kept for evaluation, never learned from")
     if not sources:
         lines += [
-            "# Without sources a study gets the built-in duets: waltz, hug, judo, push_hands.",
+            "# Without sources a study gets the default duets: waltz, hug, judo, push_hands.",
             "# [[ingest.takes]]",
             '# id = "dance"',
             '# files = ["a.bvh", "b.bvh"]',

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pasdedeux.choreography.anthropometry import CAPSULE_RADII, HEIGHT_LIMITS_M, Body, make_body
 from pasdedeux.choreography.duet import BonePoint, Contact, Duet, DuetStyle, Stance
-from pasdedeux.choreography.duets import DUETS, Dance, duet_torso_basis, make_duet
+from pasdedeux.choreography.duets import DEFAULT_DUETS, DUETS, Dance, duet_torso_basis, make_duet
 
 __all__ = [
     "CAPSULE_RADII",
+    "DEFAULT_DUETS",
     "DUETS",
     "HEIGHT_LIMITS_M",
     "Body",

@@ -15,13 +15,14 @@ from pasdedeux.cameras import TorsoBasis, learn_torso_basis
 from pasdedeux.choreography.duet import Duet, DuetStyle
 from pasdedeux.choreography.hug import HugStyle, make_hug
 from pasdedeux.choreography.judo import JudoStyle, make_judo
+from pasdedeux.choreography.lift import LiftStyle, make_lift
 from pasdedeux.choreography.push_hands import PushHandsStyle, make_push_hands
 from pasdedeux.choreography.waltz import WaltzStyle, make_waltz
 from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["DUETS", "Dance", "duet_torso_basis", "make_duet"]
+__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "duet_torso_basis", "make_duet"]
 
 S = TypeVar("S", bound=DuetStyle)
 
@@ -41,8 +42,12 @@ DUETS: dict[str, Dance[Any]] = {
     "hug": Dance(HugStyle, make_hug),
     "judo": Dance(JudoStyle, make_judo),
     "push_hands": Dance(PushHandsStyle, make_push_hands),
+    "lift": Dance(LiftStyle, make_lift),
 }
 """The built-in duets by name."""
+
+DEFAULT_DUETS = ("waltz", "hug", "judo", "push_hands")
+"""What a study that names no motion gets, and what the torso basis is learned from."""
 
 
 def make_duet(name: str, **style: object) -> Duet:
@@ -78,13 +83,13 @@ def make_duet(name: str, **style: object) -> Duet:
 
 @lru_cache
 def duet_torso_basis(*, num_components: int = 4) -> TorsoBasis:
-    """Return the torso basis learned from both people of every built-in duet, 10 s each at 6 Hz.
+    """Return the torso basis learned from both people of every default duet, 10 s each at 6 Hz.
 
     For studies that name no prior takes.  It has seen those duets: what is evaluated on them takes
     `proportions_torso_basis` instead.
     """
     style = {"duration_s": _TORSO_DURATION_S, "rate_hz": _TORSO_RATE_HZ}
-    motions = [motion for name in DUETS for motion in make_duet(name, **style).motions]
+    motions = [motion for name in DEFAULT_DUETS for motion in make_duet(name, **style).motions]
     poses = [derive_working_poses(motion, LAYOUTS["body22"]).pair17_m for motion in motions]
     return learn_torso_basis(np.concatenate(poses), num_components=num_components)
 

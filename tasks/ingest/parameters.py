@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from pasdedeux.choreography import DUETS, DuetStyle
+from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle
 from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import SourceCredit
@@ -277,12 +277,12 @@ class IngestParameters(Parameters):
         return self
 
     def resolved_duets(self) -> tuple[DuetOptions, ...]:
-        """Return the duets: those named, or the four built-in ones when nothing else comes in."""
+        """Return the duets: those named, or the default ones when nothing else comes in."""
         if self.duets is not None:
             return self.duets
         if self.takes or self.pairs or self.annotations:
             return ()
-        return tuple(DuetOptions(name=name) for name in BUILT_IN_DUETS)
+        return tuple(DuetOptions(name=name) for name in DEFAULT_DUETS)
 
     def take_ids(self) -> list[str]:
         """Return the names of all takes, in the order in which they are planned."""

@@ -19,6 +19,7 @@ STYLES = {
     },
     "hug": {"sway": (0.0, 0.03), "sway_s": (1.6, 5.0), "approach": (0.7, 1.0)},
     "judo": {"apart": (0.38, 0.42), "stride": (0.0, 0.15), "circle_rad": (-0.4, 0.4), "turn_rad": (1.3, 1.36)},
+    "lift": {"lift": (0.05, 0.22), "turn_rad": (-1.5, 1.5), "stride": (0.0, 0.15)},
     "push_hands": {"circle_s": (1.8, 6.0), "width": (0.0, 0.06), "depth": (0.03, 0.07), "shift": (0.03, 0.06)},
 }
 

@@ -25,8 +25,8 @@ def measured(duet) -> Measured:
     return measure(duet)
 
 
-def test_four_duets_ship():
-    assert set(DUETS) == {"waltz", "hug", "judo", "push_hands"}
+def test_five_duets_ship():
+    assert set(DUETS) == {"waltz", "hug", "judo", "push_hands", "lift"}
 
 
 def test_a_duet_lasts_ten_seconds_at_sixty_frames_with_two_body_sizes(duet):
@@ -74,8 +74,8 @@ def test_standing_feet_do_not_slide(duet, measured):
     assert measured.lowest_m > 0.015
 
 
-def test_somebody_stands_on_a_foot_at_every_moment(duet):
-    for person in (0, 1):
+def test_everybody_who_is_not_carried_stands_on_a_foot_at_every_moment(duet):
+    for person in (0,) if duet.name == "lift" else (0, 1):
         is_standing = np.zeros(duet.num_frames, dtype=bool)
         for stance in duet.stances:
             if stance.person == person:
@@ -103,7 +103,7 @@ def test_half_the_rate_gives_every_second_frame(name):
     np.testing.assert_allclose(half.positions_m(), full.positions_m()[::2], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["waltz", "judo", "push_hands"])
+@pytest.mark.parametrize("name", ["waltz", "judo", "push_hands", "lift"])
 def test_a_shorter_duet_is_the_beginning_of_a_longer_one(name):
     short, long = make_duet(name, duration_s=2.0), make_duet(name, duration_s=12.0)
     np.testing.assert_allclose(short.positions_m(), long.positions_m()[: short.num_frames], atol=1e-9)
@@ -184,6 +184,21 @@ def test_in_the_hug_the_trunks_come_close():
     apart = np.linalg.norm(positions[held, 0, chest] - positions[held, 1, chest], axis=-1)
     assert apart.max() < 0.35
     assert np.linalg.norm(positions[0, 0, 0] - positions[0, 1, 0]) > 1.2
+
+
+def test_in_the_lift_b_hangs_in_a_s_hands_with_both_feet_off_the_floor():
+    duet = make_duet("lift")
+    positions, time_s = duet.positions_m(), np.arange(duet.num_frames) / duet.rate_hz
+    is_up = (time_s >= 3.2) & (time_s <= 6.8)
+    feet = BODY22.indices(["left_toe", "right_toe"])
+    assert positions[is_up, 1][:, feet, 1].min() > 0.2
+    standing = make_duet("lift", lift=0.05).positions_m()[0, 1, BODY22.indices(["left_ankle", "right_ankle"]), 1]
+    np.testing.assert_allclose(positions[time_s > 8.0, 1][:, BODY22.index("left_ankle"), 1], standing[0], atol=1e-9)
+    # Held all the time that B is up, by both hands of both.
+    assert len(duet.contacts) == 4
+    assert all(contact.start_s < 2.0 and contact.stop_s > 8.0 for contact in duet.contacts)
+    went = positions[is_up, 1, 0][-1] - positions[0, 1, 0]
+    assert np.hypot(went[0], went[2]) > 0.3
 
 
 def test_push_hands_feet_never_leave_the_floor():

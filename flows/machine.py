@@ -1,50 +1,20 @@
-"""What this machine is: cores, memory, room on a disk, and the versions of what is installed."""
+"""What this machine is: cores, memory, and room on a disk."""
 
 from __future__ import annotations
 
 import os
 import shutil
-import sys
-from importlib import metadata
 from pathlib import Path
 
 __all__ = [
     "GIB",
-    "PACKAGES",
     "free_bytes",
-    "installed_version",
     "memory_bytes",
     "nearest_folder",
-    "python_version",
     "usable_cores",
 ]
 
 GIB = 1024**3
-PACKAGES = (
-    "numpy",
-    "scipy",
-    "numba",
-    "pyarrow",
-    "opencv-contrib-python-headless",
-    "prefect",
-    "dask",
-    "distributed",
-    "pydantic",
-)
-"""Packages that every run needs."""
-
-
-def python_version() -> str:
-    """Return the version of Python, as 3.11.9."""
-    return sys.version.split()[0]
-
-
-def installed_version(package: str) -> str | None:
-    """Return the version of an installed package; None where it is not installed."""
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def usable_cores() -> int:

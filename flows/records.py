@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flows.machine import PACKAGES, installed_version, python_version
 from storage_schema import (
     ArtifactRef,
     CorruptArtifact,
@@ -24,6 +23,7 @@ from storage_schema import (
     read_latest,
     record_latest,
 )
+from storage_schema.provenance import code_version, package_versions
 
 __all__ = [
     "begin_record",
@@ -120,10 +120,9 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
 def _environment() -> dict[str, Any]:
     """Return what the run ran on, for the record; nothing of it enters a key."""
     return {
-        "python": python_version(),
         "platform": platform.platform(),
         "num_cores": os.cpu_count(),
-        "packages": {name: installed_version(name) or "not installed" for name in ("pasdedeux", *PACKAGES)},
+        "packages": {"pasdedeux": code_version(), **package_versions()},
     }
 
 

@@ -111,13 +111,8 @@ def command_line() -> typer.Typer:
     ) -> None:
         context.obj.is_debug = debug
 
-    run.register(app)
-    status.register(app)
-    show.register(app)
-    datasets.register(app)
-    studies.register(app)
-    restart.register(app)
-    reconstruct.register(app)
-    bench.register(app)
-    doctor.register(app)
+    reconstruction = typer.Typer(rich_markup_mode=None)
+    reconstruct.register(reconstruction)
+    for part in (run, status, show, datasets, studies, restart, reconstruction, bench, doctor):
+        app.add_typer(part if isinstance(part, typer.Typer) else part.app)
     return app

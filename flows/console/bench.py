@@ -19,17 +19,12 @@ from flows.planning import PlanError
 from pasdedeux.benchmarks.benchmark import BenchmarkResult
 from tasks.shards import worker_environment
 
-__all__ = ["find_benchmarks", "register"]
+__all__ = ["app", "find_benchmarks"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command(
-        "bench",
-        help="Measure the speed of what is compiled on this machine, each beside its plain form in the same run.",
-    )(bench)
-
-
+@app.command(help="Measure the speed of what is compiled on this machine, each beside its plain form in the same run.")
 def bench(
     stage: Annotated[str | None, typer.Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
     large: Annotated[

@@ -13,7 +13,11 @@ from flows.planning import PlanError
 from flows.records import read_last_run, report_folder
 from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
+_group = typer.Typer(help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(_group, name="dataset")
 
 _CREATE = """Give what the last run of a study built a name and a version, which never change their meaning.
 
@@ -25,16 +29,7 @@ Then `variants:salsa@2.0` names its rows, here and in Python.
 """
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    group = typer.Typer(
-        help="Named, immutable versions of what was built.", no_args_is_help=True, rich_markup_mode=None
-    )
-    group.command("create", help=_CREATE)(create)
-    group.command("list", help="List the datasets of a store.")(show_all)
-    app.add_typer(group, name="dataset")
-
-
+@_group.command(help=_CREATE)
 def create(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Letters, digits, '.', '_' and '-'.")],
     study: Annotated[str, typer.Option("--study", help="Study whose last run is meant.")] = "duets",
@@ -60,6 +55,7 @@ def create(
         typer.echo(f"{dataset.label} {words}: {counted(len(dataset.refs), 'artifact')}, digest {dataset.digest[:12]}")
 
 
+@_group.command("list", help="List the datasets of a store.")
 def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """List the datasets of a store."""
     found = list_datasets(open_store(store))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib import metadata
 from pathlib import Path
 
 import typer
@@ -13,21 +15,32 @@ import typer
 from flows.console.context import JsonOption, StoreOption, print_json
 from flows.machine import (
     GIB,
-    PACKAGES,
     free_bytes,
-    installed_version,
     memory_bytes,
     nearest_folder,
-    python_version,
     usable_cores,
 )
 from flows.prefect_server import ServerError, check_server
 from tasks.shards import worker_environment
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 _MIN_MEMORY_BYTES = 2 * GIB
 _MIN_DISK_BYTES = GIB
+_PACKAGES = [
+    "numpy",
+    "scipy",
+    "numba",
+    "pyarrow",
+    "opencv-contrib-python-headless",
+    "prefect",
+    "dask",
+    "distributed",
+    "pydantic",
+]
+"""Packages that every run needs."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +52,12 @@ class Finding:
     is_ok: bool = True
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("doctor", help="Check that everything a run needs is there; exit code 1 when something is not.")(doctor)
-
-
+@app.command(help="Check that everything a run needs is there; exit code 1 when something is not.")
 def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Look at the machine and say what is found."""
     findings = [
-        Finding("python", python_version(), sys.version_info >= (3, 11)),
-        *(_package(name) for name in PACKAGES),
+        Finding("python", platform.python_version(), sys.version_info >= (3, 11)),
+        *(_package(name) for name in _PACKAGES),
         _cores(),
         _memory(),
         _store(store),
@@ -57,7 +66,7 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         _dask(),
     ]
     if as_json:
-        print_json([{"name": f.name, "found": f.found, "is_ok": f.is_ok} for f in findings])
+        print_json([asdict(finding) for finding in findings])
     else:
         for finding in findings:
             typer.echo(f"{'ok  ' if finding.is_ok else 'BAD '} {finding.name:<34} {finding.found}")
@@ -66,8 +75,10 @@ def doctor(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
 
 
 def _package(name: str) -> Finding:
-    version = installed_version(name)
-    return Finding(name, version or "not installed", version is not None)
+    try:
+        return Finding(name, metadata.version(name))
+    except metadata.PackageNotFoundError:
+        return Finding(name, "not installed", is_ok=False)
 
 
 def _cores() -> Finding:

@@ -1,4 +1,4 @@
-"""`fetch`: brings motion capture from the sites that give it freely, checked, and picks up where it stopped."""
+"""`fetch`: brings motion capture from the sites that give it freely, checked, file by file."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated
 
 import typer
 
@@ -24,13 +23,10 @@ CMU_CREDIT = """The data used in this project was obtained from mocap.cs.cmu.edu
 The database was created with funding from NSF EIA-0196217.
 Free for all uses; the data itself may not be resold.
 """
-_CHUNK_BYTES = 1 << 16
 _MAX_FILE_BYTES = 200 << 20
 _NUM_ATTEMPTS = 4
 _NO_ANSWER_S = 30.0
 _FIRST_WAIT_S = 0.5
-
-T = TypeVar("T")
 
 app = typer.Typer(help="Bring motion capture from the sites that give it freely.", no_args_is_help=True)
 
@@ -82,8 +78,7 @@ def fetch_cmu(
 ) -> Iterator[Fetched]:
     """Bring skeleton and takes of each subject into a folder, file by file.
 
-    A file that is there and can be read is left alone.  A download that was cut off goes on from its `.part` file; it
-    gets the name of the file only when it is whole and has been parsed.
+    A file that is there and can be read is left alone; one that comes is written only when it is whole and was parsed.
 
     Args:
         subjects: Numbers of subjects, such as "60".
@@ -124,7 +119,7 @@ def _numbers(text: str, what: str) -> list[str]:
 
 def _listed_takes(base: str, subject: str, wait_s: float) -> list[str]:
     url = f"{base}/search.php?subjectnumber={int(subject)}"
-    page = _attempt(url, wait_s, lambda: _download(url))
+    page = _download(url, wait_s)
     takes = sorted(set(re.findall(rf"\b{subject}_(\d{{2,3}})\.amc".encode(), page)))
     if not takes:
         raise FetchError(f"{url} lists no takes of subject {subject}; name them with --takes")
@@ -134,17 +129,15 @@ def _listed_takes(base: str, subject: str, wait_s: float) -> list[str]:
 def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> Fetched:
     if path.exists() and _fault(path.read_bytes(), skeleton) is None:
         return Fetched(path=path, num_bytes=path.stat().st_size, was_there=True)
-    part = path.with_name(path.name + ".part")
+    data = _download(url, wait_s)
+    fault = _fault(data, skeleton)
+    if fault is not None:
+        raise FetchError(f"{url} did not send a motion file: {fault}")
     try:
-        _attempt(url, wait_s, lambda: _resume(url, part))
-        fault = _fault(part.read_bytes(), skeleton)
-        if fault is not None:
-            part.unlink()
-            raise FetchError(f"{url} did not send a motion file: {fault}")
-        part.replace(path)
+        path.write_bytes(data)
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
-    return Fetched(path=path, num_bytes=path.stat().st_size, was_there=False)
+    return Fetched(path=path, num_bytes=len(data), was_there=False)
 
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
@@ -161,65 +154,20 @@ def _fault(data: bytes, skeleton: Path | None) -> str | None:
     return None
 
 
-class _CutOffError(Exception):
-    """The connection ended before the file did; what came is kept."""
-
-
-def _attempt(url: str, wait_s: float, work: Callable[[], T]) -> T:
-    """Do some work on the network, again a few times when the network fails."""
+def _download(url: str, wait_s: float) -> bytes:
+    """Return a whole file, asked for again a few times when the network fails."""
     for attempt in range(_NUM_ATTEMPTS):
         try:
-            return work()
+            with urllib.request.urlopen(url, timeout=_NO_ANSWER_S) as answer:
+                if (answer.length or 0) > _MAX_FILE_BYTES:
+                    raise FetchError(f"{url} is larger than {_MAX_FILE_BYTES >> 20} MB")
+                return bytes(answer.read())
         except urllib.error.HTTPError as error:
-            if error.code < 500:
-                raise FetchError(f"{url}: the site answers {error.code} {error.reason}") from None
             problem = f"the site answers {error.code} {error.reason}"
-        except (urllib.error.URLError, HTTPException, ConnectionError, TimeoutError, _CutOffError) as error:
+            if error.code < 500:
+                raise FetchError(f"{url}: {problem}") from None
+        except (urllib.error.URLError, HTTPException, ConnectionError, TimeoutError) as error:
             problem = str(getattr(error, "reason", None) or error or type(error).__name__)
         if attempt + 1 < _NUM_ATTEMPTS:
             time.sleep(wait_s * 2**attempt)
     raise FetchError(f"{url}: {problem} ({_NUM_ATTEMPTS} attempts; the same command goes on from here)")
-
-
-def _download(url: str) -> bytes:
-    with closing(urllib.request.urlopen(url, timeout=_NO_ANSWER_S)) as answer:
-        return bytes(answer.read(_MAX_FILE_BYTES))
-
-
-def _resume(url: str, part: Path) -> None:
-    """Bring the rest of a file into its `.part` file; all of it when the site does not know ranges."""
-    start = part.stat().st_size if part.exists() else 0
-    request = urllib.request.Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-    try:
-        answer = urllib.request.urlopen(request, timeout=_NO_ANSWER_S)
-    except urllib.error.HTTPError as error:
-        if error.code == 416:  # nothing lies beyond what is here: whole, or another file; the parser will tell
-            error.close()
-            _restart_unless_whole(error.headers.get("Content-Range"), start, part)
-            return
-        raise
-    with closing(answer):
-        goes_on = answer.status == 206 and _range_start(answer.headers.get("Content-Range")) == start
-        length = answer.headers.get("Content-Length")
-        expected = int(length) if length and length.isdigit() else None
-        received = 0
-        with part.open("ab" if goes_on else "wb") as file:
-            while chunk := answer.read(_CHUNK_BYTES):
-                file.write(chunk)
-                received += len(chunk)
-                if received > _MAX_FILE_BYTES:
-                    raise FetchError(f"{url} is larger than {_MAX_FILE_BYTES >> 20} MB")
-    if expected is not None and received < expected:
-        raise _CutOffError(f"only {received} of {expected} bytes came")
-
-
-def _range_start(content_range: str | None) -> int | None:
-    found = re.match(r"bytes (\d+)-", content_range or "")
-    return int(found.group(1)) if found else None
-
-
-def _restart_unless_whole(content_range: str | None, size: int, part: Path) -> None:
-    found = re.search(r"/(\d+)$", content_range or "")
-    if found is None or int(found.group(1)) != size:
-        part.unlink()
-        raise _CutOffError("the part that was here is not of this file")

@@ -18,7 +18,9 @@ from storage_schema import Store, latest_studies
 if TYPE_CHECKING:
     from tasks.seeds.files import DrawSeed
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 _RESTART = """Go on from a draw: new chains that start where it is (Yin et al. 2018, section 5.3).
 
@@ -37,11 +39,7 @@ the draw, and the takes and credits of the draw are theirs.
 _NO_OTHER_SEEDS = {"num_seeds": 0, "frames": [], "num_lifted": 0, "num_grown": 0, "num_starts": 0}
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("restart", help=_RESTART)(restart)
-
-
+@app.command(help=_RESTART)
 def restart(
     context: typer.Context,
     draw: Annotated[str, typer.Argument(metavar="DRAW", help="One draw: draws@key#row or draws:study/partition#row.")],

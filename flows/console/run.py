@@ -26,7 +26,9 @@ from storage_schema import Store
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["build_and_report", "register"]
+__all__ = ["app", "build_and_report"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 MIN_FREE_BYTES = 64 * 1024**2
 
@@ -56,12 +58,7 @@ ForceOption = Annotated[
 ]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("run", help=_RUN)(run)
-    app.command("plan", help=_PLAN)(plan)
-
-
+@app.command(help=_RUN)
 def run(
     context: typer.Context,
     study: StudyArgument = "duets",
@@ -132,6 +129,7 @@ def build_and_report(
         typer.echo(f"report: {_shown(outcome.report)}")
 
 
+@app.command(help=_PLAN)
 def plan(
     context: typer.Context,
     study: StudyArgument = "duets",

@@ -12,7 +12,9 @@ from flows.console.display import counted, print_table
 from flows.exports import EXPORT_FORMATS, export_reference
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 ReferenceArgument = Annotated[
     str, typer.Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
@@ -37,12 +39,7 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 """
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("show", help=_SHOW)(show)
-    app.command("export", help=_EXPORT)(export)
-
-
+@app.command(help=_SHOW)
 def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
@@ -80,6 +77,7 @@ def show(
         typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
 
 
+@app.command(help=_EXPORT)
 def export(
     reference: ReferenceArgument,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],

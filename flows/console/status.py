@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +16,15 @@ from pasdedeux.verdict import Verdict
 from storage_schema import Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
 
 _STATUS = "Show what is in a store: the studies built in it, their verdicts, its runs and its size."
 _VERIFY = "Read every file of the store again and compare it with its manifest; exit code 1 when something is wrong."
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("status", help=_STATUS)(status)
-    app.command("verify", help=_VERIFY)(verify)
-
-
+@app.command(help=_STATUS)
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show what is in a store."""
     opened = open_store(store)
@@ -54,6 +52,7 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         typer.echo(f"run {record['run_id']}: {record['status']}")
 
 
+@app.command(help=_VERIFY)
 def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Read every file of the store again."""
     opened = open_store(store)
@@ -61,15 +60,7 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
     found = verify_store(opened)
     if as_json:
-        print_json(
-            {
-                "is_ok": found.is_ok,
-                "num_artifacts": found.num_artifacts,
-                "num_files": found.num_files,
-                "num_bytes": found.num_bytes,
-                "problems": [str(problem) for problem in found.problems],
-            }
-        )
+        print_json({"is_ok": found.is_ok, **asdict(found), "problems": [str(problem) for problem in found.problems]})
     else:
         for problem in found.problems:
             typer.echo(str(problem))

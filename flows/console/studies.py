@@ -18,7 +18,14 @@ from flows.study_files import HEAD, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
 from tasks.graph import Graph
 
-__all__ = ["register"]
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
+_group = typer.Typer(
+    help="Studies: those that ship, new ones, and what may be said in one.", no_args_is_help=True, rich_markup_mode=None
+)
+app.add_typer(_group, name="study")
+app.add_typer(fetch.app, name="fetch")
 
 _MAX_CHARACTERS = 40  # of a default that is shown
 
@@ -45,21 +52,7 @@ _NEW = """Write a commented study to start from, with what the given files tell 
 """
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    group = typer.Typer(
-        help="Studies: those that ship, new ones, and what may be said in one.",
-        no_args_is_help=True,
-        rich_markup_mode=None,
-    )
-    group.command("list", help="List the studies that ship, and what motion each needs.")(show_all)
-    group.command("show", help=_SHOW)(show)
-    group.command("keys", help=_KEYS)(keys)
-    group.command("new", help=_NEW)(new)
-    app.add_typer(group, name="study")
-    app.add_typer(fetch.app, name="fetch")
-
-
+@_group.command("list", help="List the studies that ship, and what motion each needs.")
 def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the studies that ship."""
     graph = graph_of(context)
@@ -72,6 +65,7 @@ def show_all(context: typer.Context, as_json: JsonOption = False) -> None:
     print_table(header, rows, text_columns=range(4))
 
 
+@_group.command(help=_SHOW)
 def show(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Name of a study that ships, or path of a .toml file.")],
@@ -93,6 +87,7 @@ def show(
         typer.echo(line)
 
 
+@_group.command(help=_KEYS)
 def keys(
     context: typer.Context,
     section: Annotated[str | None, typer.Argument(metavar="[SECTION]", help="One section; all when none.")] = None,
@@ -110,6 +105,7 @@ def keys(
     print_table(("key", "type", "default", "unit", "meaning"), rows, text_columns=range(5))
 
 
+@_group.command(help=_NEW)
 def new(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="The study to write, a .toml file that is not there yet.")

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import project_to_bones
 from pasdedeux.augmentation.contacts import UserContact, check_contacts
-from pasdedeux.augmentation.quality import FrameQuality, Measured, Quality, QualityMeter
+from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
@@ -22,7 +22,7 @@ from pasdedeux.augmentation.source import (
 )
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, SolvedWindow, WindowSolver
-from pasdedeux.augmentation.windows import Window, blend_weights, plan_windows
+from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -98,8 +98,8 @@ class Augmenter:
         self._user_contacts = user_contacts
         joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
         self._meter = QualityMeter(source, girth=self.settings.girth, joint_limits=joint_limits)
-        self._ready: dict[Window, WindowSolver] = {}
-        self._num_joggled: dict[Window, int] = {}
+        self._ready: dict[int, WindowSolver] = {}
+        self._num_joggled: dict[int, int] = {}
 
     @property
     def num_joggled(self) -> int:
@@ -121,7 +121,7 @@ class Augmenter:
             if parts:
                 last = self._windows[number - 1]
                 before = parts[-1].positions[:, window.start - last.start :]
-            parts.append(self._solver(window).solve(bone_scale, before))
+            parts.append(self._solver(number).solve(bone_scale, before))
         lengths = scaled_lengths(self.source, bone_scale)
         shares = blend_weights(self._windows)
         variants = []
@@ -132,8 +132,8 @@ class Augmenter:
                 points = np.zeros((self.source.num_frames, NUM_POINTS, 3))
                 laplacian = np.zeros(self.source.num_frames)
                 for window, part, share in zip(self._windows, parts, shares, strict=True):
-                    points[window.start : window.stop] += share[:, None, None] * part.positions[index]
-                    laplacian[window.start : window.stop] += share * part.squared_residual[index]
+                    points[window] += share[:, None, None] * part.positions[index]
+                    laplacian[window] += share * part.squared_residual[index]
                 points = project_to_bones(points[None], lengths[index : index + 1])[0]
             measured = self._meter.measure(
                 points,
@@ -141,46 +141,39 @@ class Augmenter:
                 lengths_m=lengths[index],
                 squared_residual=laplacian,
             )
+            solver = max((part.solvers[index] for part in parts), key=SOLVERS.index)
+            frame_verdicts = measured.frames.judge(self.settings.frame_limits)
             variants.append(
-                self._variant(
-                    variation,
+                Variant(
+                    variation=variation,
                     bone_scale=bone_scale[index],
-                    points=points,
-                    measured=measured,
+                    positions_m=points.reshape(-1, 2, BODY22.num_joints, 3),
+                    quality=measured.quality,
+                    frames=measured.frames,
+                    frame_verdicts=frame_verdicts,
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
-                    solver=max((part.solvers[index] for part in parts), key=SOLVERS.index),
+                    solver=solver,
                     num_iterations=max(part.num_iterations[index] for part in parts),
+                    verdict=self._judge(measured.quality, frame_verdicts, solver),
                 )
             )
         return variants
 
-    def _solver(self, window: Window) -> WindowSolver:
-        if window not in self._ready:
+    def _solver(self, number: int) -> WindowSolver:
+        if number not in self._ready:
             while len(self._ready) >= _KEPT_WINDOWS:
                 self._ready.pop(next(iter(self._ready)))
+            window = self._windows[number]
             within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
             user = [contact for contact in within if contact is not None]
             source = self.source if len(self._windows) == 1 else self.source.slice(window.start, window.stop)
-            self._ready[window] = WindowSolver(source, self.settings, user)
-            self._num_joggled[window] = self._ready[window].problem.mesh.num_joggled
-        return self._ready[window]
+            self._ready[number] = WindowSolver(source, self.settings, user)
+            self._num_joggled[number] = self._ready[number].problem.mesh.num_joggled
+        return self._ready[number]
 
-    def _variant(
-        self,
-        variation: Variation,
-        *,
-        bone_scale: Array,
-        points: Array,
-        measured: Measured,
-        energy: float,
-        energy_fk: float,
-        solver: str,
-        num_iterations: int,
-    ) -> Variant:
-        quality, frames = measured.quality, measured.frames
+    def _judge(self, quality: Quality, frame_verdicts: npt.NDArray[np.int64], solver: str) -> Verdict:
         verdict = quality.judge(self.settings.limits)
-        frame_verdicts = frames.judge(self.settings.frame_limits)
         level, reasons = verdict.level, [verdict.reason] if verdict.reason else []
         if solver == "plain_fk":
             level = Level.FAIL
@@ -191,16 +184,4 @@ class Augmenter:
         if self.source.closest_m > FAR_APART_M:
             level = Level.WARN if level is Level.PASS else level
             reasons.insert(0, f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep")
-        return Variant(
-            variation=variation,
-            bone_scale=bone_scale,
-            positions_m=points.reshape(-1, 2, BODY22.num_joints, 3),
-            quality=quality,
-            frames=frames,
-            frame_verdicts=frame_verdicts,
-            energy=energy,
-            energy_fk=energy_fk,
-            solver=solver,
-            num_iterations=num_iterations,
-            verdict=replace(verdict, level=level, reason="; ".join(reasons)),
-        )
+        return replace(verdict, level=level, reason="; ".join(reasons))

@@ -79,12 +79,13 @@ class BulkSolver:
     def __init__(self, problem: Problem, *, dtype: type[np.floating] = np.float32) -> None:
         self.problem = problem
         penalties = _penalties(problem)
-        matrix = problem.matrix + _penalty_matrix(penalties)
         near = problem.clearance
-        stencils = np.zeros(matrix.shape[1:])
         near_penalties = _CLEARANCE_PENALTY * near.weights
+        stencils = np.zeros(problem.matrix.shape[1:])
+        edges = np.tile(_EDGES, (len(penalties), 1, 1))
+        add_stencils(edges, np.tile([1.0, -1.0], (*penalties.shape, 1)), penalties, stencils)
         add_stencils(near.points, near.shares, near_penalties, stencils)
-        matrix += stencils
+        matrix = problem.matrix + stencils
         self._factors: list[Factor] = [
             factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
@@ -204,13 +205,3 @@ def _penalties(problem: Problem) -> Array:
     contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
     return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)
-
-
-def _penalty_matrix(penalties: Array) -> Array:
-    matrix = np.zeros((len(penalties), NUM_POINTS, NUM_POINTS))
-    for (parent, child), penalty in zip(_EDGES, penalties.T, strict=True):
-        matrix[:, parent, parent] += penalty
-        matrix[:, child, child] += penalty
-        matrix[:, parent, child] -= penalty
-        matrix[:, child, parent] -= penalty
-    return matrix

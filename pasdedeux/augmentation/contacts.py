@@ -21,6 +21,7 @@ __all__ = [
     "FEET",
     "BodyPart",
     "UserContact",
+    "added_by_girth",
     "body_parts",
     "check_contacts",
     "contact_class",
@@ -143,6 +144,12 @@ def joint_radii_m(source: Source) -> Array:
     for parent, child in BODY22.bones:
         radii[:, parent] = np.maximum(radii[:, parent], bones[:, child])
     return radii
+
+
+def added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
+    """Return what the new girth adds to the distance of each joint pair (22, 22), metres."""
+    radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
+    return np.asarray(radii[0, :, None] + radii[1, None, :])
 
 
 def stance_weights(source: Source) -> Array:

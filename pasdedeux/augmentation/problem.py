@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.clearance import Clearance
-from pasdedeux.augmentation.contacts import joint_radii_m
+from pasdedeux.augmentation.contacts import added_by_girth
 from pasdedeux.augmentation.mesh import InteractionMesh
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import NUM_POINTS, Source
@@ -18,7 +18,7 @@ from pasdedeux.augmentation.spans import Spans
 from pasdedeux.augmentation.weights import Weights
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "added_by_girth", "contact_matrix"]
+__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets", "contact_matrix"]
 
 Array = npt.NDArray[np.float64]
 
@@ -156,12 +156,6 @@ class Targets:
     def select(self, variants: Sequence[int]) -> Targets:
         """Return the targets of some of the variants."""
         return Targets(**{name.name: getattr(self, name.name)[list(variants)] for name in fields(self)})
-
-
-def added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
-    """Return what the new girth adds to the distance of each joint pair (22, 22), metres."""
-    radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
-    return np.asarray(radii[0, :, None] + radii[1, None, :])
 
 
 def contact_matrix(contact: Array) -> Array:

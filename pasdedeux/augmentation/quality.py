@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.contacts import FEET, contact_class, joint_radii_m, stance_weights
+from pasdedeux.augmentation.contacts import FEET, added_by_girth, contact_class, stance_weights
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.kinematics import bone_lengths
@@ -138,19 +138,9 @@ class Quality:
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """Figures of each frame of one variant, arrays (T,); columns of `variant_frames` bear the same names.
+    """Figures of each frame of one variant, arrays (T,); columns of `variant_frames` bear and explain the same names.
 
-    Args:
-        num_contact_pairs: Joint pairs closer than 0.2 m in the source.
-        bone_error_m: Greatest difference of a bone from its length.
-        contact_drift_m: Mean change of the distance of the frame's contact pairs; NaN where there are none.
-        laplacian_error_m: Root mean square Laplacian residual.
-        foot_slide_m: Greatest horizontal movement since the frame before of a standing foot joint, above the source's.
-        floor_penetration_m: Greatest depth of a joint under the floor beyond the source's.
-        penetration_m: Capsule penetration of the two beyond the source's.
-        self_penetration_m: The same within each person, beyond the source's and plain forward kinematics', summed.
-        spine_bend_rad: Greatest change of an angle between neighbouring spine bones.
-        jerk_ratio: Root mean square jerk over the greater of the source's there and over the source's whole take.
+    Contact drift is over the frame's joint pairs closer than 0.2 m in the source; NaN where there are none.
     """
 
     num_contact_pairs: npt.NDArray[np.int64]
@@ -200,10 +190,8 @@ class QualityMeter:
         self._distance = distances[self._frames, self._first, self._second]
         if girth != (1.0, 1.0):
             # Surfaces stay as far apart as they were.
-            added = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
-            self._distance += added[0, self._first] + added[1, self._second]
-        self._jerk = _root_mean_square_jerk(points)
-        self._frame_jerk = _frame_jerk(points)
+            self._distance += added_by_girth(source, girth)[self._first, self._second]
+        self._jerk, self._frame_jerk = _jerk(points)
         self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
         standing = stance_weights(source)
         self._stands = np.sqrt(standing[1:] * standing[:-1]).reshape(len(standing) - 1, len(self._feet)) > _STANDS
@@ -241,13 +229,12 @@ class QualityMeter:
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
-        jerk = _root_mean_square_jerk(points)
+        jerk, frame_jerk = _jerk(points)
         pairs = np.bincount(self._frames, minlength=self._num_frames)
         summed = np.bincount(self._frames, weights=drift, minlength=self._num_frames)
         steps = np.zeros(self._num_frames)
         steps[1:] = np.where(self._stands, slide, 0.0).max(axis=1)
         still = np.maximum(self._frame_jerk, self._jerk)
-        frame_jerk = _frame_jerk(points)
         frames = FrameQuality(
             num_contact_pairs=pairs,
             bone_error_m=bone_error,
@@ -297,19 +284,15 @@ class QualityMeter:
         return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), self._radii)
 
 
-def _root_mean_square_jerk(points: Array) -> float:
-    """Return the root mean square third difference over frames of points (frame, n, 3), metres; 0 below 4 frames."""
-    if len(points) < 4:
-        return 0.0
-    return float(np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean()))
+def _jerk(points: Array) -> tuple[float, Array]:
+    """Return the root mean square third difference of points (T, n, 3), metres: of all frames, and of each (T,).
 
-
-def _frame_jerk(points: Array) -> Array:
-    """Return the root mean square third difference at each frame (T,), metres; ends repeat, 0 below 4 frames."""
+    Ends repeat; 0 below 4 frames.
+    """
     if len(points) < 4:
-        return np.zeros(len(points))
-    jerk = np.sqrt((np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=-1))
-    return np.asarray(np.pad(jerk, (1, 2), mode="edge"))
+        return 0.0, np.zeros(len(points))
+    squared = (np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=-1)
+    return float(np.sqrt(squared.mean())), np.pad(np.sqrt(squared), (1, 2), mode="edge")
 
 
 def _spine_bends(points: Array) -> Array:

@@ -30,12 +30,13 @@ from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.contacts import (
     FEET,
     UserContact,
+    added_by_girth,
     contact_weights,
     floor_weights,
     stance_weights,
 )
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, added_by_girth, contact_matrix
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, contact_matrix
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,

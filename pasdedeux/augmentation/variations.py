@@ -19,7 +19,6 @@ __all__ = [
     "PAPER_SCALES",
     "DrawnBodies",
     "DrawnScales",
-    "ScaleGrid",
     "Variation",
     "VariationSet",
     "VariationSettings",
@@ -70,33 +69,8 @@ _SMALLEST_SCALE, _LARGEST_SCALE = 0.05, 20.0
 Scale = Annotated[float, Field(ge=_SMALLEST_SCALE, le=_LARGEST_SCALE)]
 
 
-class ScaleGrid(Settings):
-    """Scales from start to stop by step, without 1, which is the template itself.
-
-    >>> ScaleGrid(start=0.9, stop=1.1).scales
-    (0.9, 0.95, 1.05, 1.1)
-    """
-
-    start: Scale = Field(0.75, description="Smallest scale")
-    stop: Scale = Field(1.25, description="Greatest scale")
-    step: float = Field(0.05, gt=0, allow_inf_nan=False, description="Distance of neighbouring scales")
-
-    @model_validator(mode="after")
-    def _rises(self) -> ScaleGrid:
-        if self.stop < self.start:
-            raise ValueError(f"a grid of scales from {self.start:g} to {self.stop:g}: stop is below start")
-        return self
-
-    @property
-    def scales(self) -> tuple[float, ...]:
-        """The scales."""
-        count = int(np.floor((self.stop - self.start) / self.step + 1e-9)) + 1
-        scales = (round(self.start + self.step * index, 6) for index in range(count))
-        return tuple(scale for scale in scales if abs(scale - 1.0) > 1e-9)
-
-
-PAPER_SCALES = ScaleGrid().scales
-"""0.75 to 1.25 by 0.05 without the template's own 1 (Li et al. 2024, section 4)."""
+PAPER_SCALES = (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
+"""Without 1, the template itself (Li et al. 2024, section 4)."""
 
 
 class DrawnScales(Settings):
@@ -137,7 +111,6 @@ class VariationSettings(VariationSet):
     """Which variations are made."""
 
     scales: tuple[Scale, ...] = Field(PAPER_SCALES, min_length=1, description="Scales of the variants")
-    grid: ScaleGrid | None = Field(None, description="Scales as a grid, in place of the list")
     sets: tuple[VariationSet, ...] = Field((), description="Several sets in place of the one of kinds, persons, groups")
     drawn: DrawnScales = Field(DrawnScales(), description="Scales of kind drawn")
     population: DrawnBodies = Field(DrawnBodies(), description="Bodies of kind population")
@@ -190,18 +163,17 @@ def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
 
 def make_variations(settings: VariationSettings, generator_of: Callable[..., np.random.Generator]) -> list[Variation]:
     """Return the variations asked for, each once; those drawn take the generator `generator_of(*labels)`."""
-    scales = settings.grid.scales if settings.grid else settings.scales
     found: list[Variation] = []
     for chosen in settings.sets or (settings,):
         for kind in chosen.kinds:
             for persons in chosen.persons:
                 match kind:
                     case "uniform":
-                        found += uniform_variations(scales, [persons])
+                        found += uniform_variations(settings.scales, [persons])
                     case "groups":
-                        found += group_variations(scales, [persons], chosen.groups)
+                        found += group_variations(settings.scales, [persons], chosen.groups)
                     case "bones":
-                        found += bone_variations(scales, [persons])
+                        found += bone_variations(settings.scales, [persons])
                     case "drawn":
                         found += drawn_variations(generator_of(persons), settings.drawn, persons)
                     case "population":

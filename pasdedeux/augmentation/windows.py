@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["OVERLAP_S", "Window", "blend_weights", "plan_windows", "quintic"]
+__all__ = ["OVERLAP_S", "blend_weights", "plan_windows", "quintic"]
 
 Array = npt.NDArray[np.float64]
 
@@ -21,15 +20,7 @@ what a stance foot does is felt for about a second); over the middle third one w
 """
 
 
-@dataclass(frozen=True)
-class Window:
-    """Frames `start` to `stop` (exclusive) of a take."""
-
-    start: int
-    stop: int
-
-
-def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s: float = OVERLAP_S) -> list[Window]:
+def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s: float = OVERLAP_S) -> list[slice]:
     """Cut a take into as few windows of about equal length as there can be; one if it is short.
 
     >>> [(w.start, w.stop) for w in plan_windows(100, 1.0, 40.0, overlap_s=9.0)]
@@ -38,11 +29,11 @@ def plan_windows(num_frames: int, rate_hz: float, longest_s: float, *, overlap_s
     longest = max(int(longest_s * rate_hz), 4)
     overlap = max(int(overlap_s * rate_hz), 1)
     if num_frames <= longest:
-        return [Window(0, num_frames)]
+        return [slice(0, num_frames)]
     count = -(-(num_frames - overlap) // (longest - overlap))
     size = -(-(num_frames + (count - 1) * overlap) // count)
     starts = np.linspace(0, num_frames - size, count).round().astype(int)
-    return [Window(int(start), int(start) + size) for start in starts]
+    return [slice(int(start), int(start) + size) for start in starts]
 
 
 def quintic(t: Array) -> Array:
@@ -50,7 +41,7 @@ def quintic(t: Array) -> Array:
     return np.asarray(t**3 * (10.0 - 15.0 * t + 6.0 * t**2))
 
 
-def blend_weights(windows: list[Window]) -> list[Array]:
+def blend_weights(windows: list[slice]) -> list[Array]:
     """Return the share of each window in each of its frames; over all windows they add up to 1 in every frame.
 
     Shares rise by a quintic.

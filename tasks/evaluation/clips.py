@@ -31,9 +31,8 @@ class ClipParameters(ClipSettings):
 
 def _plan(inputs: StageInputs, settings: ClipSettings) -> list[Shard]:
     """Plan one shard per sequence that is a video; sequences of single annotated pairs have no clip."""
-    cut = {name: getattr(settings, name) for name in ClipSettings.model_fields}
     return [
-        TOPIC.shard(inputs, sequence_id, ClipParameters(sequence_id=sequence_id, **cut), annotations=[manifest])
+        TOPIC.shard(inputs, sequence_id, settings.part(ClipParameters, sequence_id=sequence_id), annotations=[manifest])
         for manifest in inputs.of("annotations")
         if manifest.facts["purpose"] != "random_views"
         for sequence_id in manifest.facts["sequence_ids"]

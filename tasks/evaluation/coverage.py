@@ -60,21 +60,10 @@ def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     if not draws or not takes:
         return []
     seeds = [seed for seed in inputs.of("seeds") if seed.facts["kind"] != GROWN]
+    named = {"takes": takes, "annotations": annotations, "first_seed": seeds[:1], "draws": draws}
     has_held_out = any(take.facts["is_held_out"] for take in takes)
     return [
-        TOPIC.shard(
-            inputs,
-            split,
-            CoverageParameters(
-                split=split,
-                num_truth_pairs=settings.num_truth_pairs,
-                num_curve_points=settings.num_curve_points,
-            ),
-            takes=takes,
-            annotations=annotations,
-            first_seed=seeds[:1],
-            draws=draws,
-        )
+        TOPIC.shard(inputs, split, settings.part(CoverageParameters, split=split), **named)
         for split in SPLITS
         if split != "held_out" or has_held_out
     ]

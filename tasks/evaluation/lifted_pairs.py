@@ -54,18 +54,13 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
         found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != "prior_only"]
     if settings.num_completed_pairs and draws and takes:
-        options = LiftedPairsSettings(num_completed_pairs=settings.num_completed_pairs)
-        found.append(TOPIC.shard(inputs, "completed", options, takes=takes, draws=draws))
+        found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=takes, draws=draws))
     return found
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one of the two."""
-    match shard.parameters:
-        case LiftedPairsSettings():
-            return _completed(shard, store)
-        case _:
-            return _lifted(shard, store)
+    return _completed(shard, store) if shard.name == "completed" else _lifted(shard, store)
 
 
 def _lifted(shard: Shard, store: Store) -> TopicResult:

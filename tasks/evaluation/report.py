@@ -41,7 +41,7 @@ def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) 
         version=VERSION,
         partition=PARTITION,
         name=PARTITION,
-        parameters=PageSettings(title=settings.title, description=settings.description),
+        parameters=settings.part(PageSettings),
         inputs=named_refs(made=list(every.values())),
         after=tuple(shard.key for shard in planned),
         seed=inputs.seed,

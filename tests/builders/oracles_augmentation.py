@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from pasdedeux.augmentation import Problem, Targets
-from pasdedeux.augmentation.contacts import contact_class
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, added_by_girth
+from pasdedeux.augmentation.contacts import added_by_girth, contact_class
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.terms import bending_rows
 from pasdedeux.interaction.contacts import joint_pair_distances
 

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import (
-    AugmentationSettings,
-    Augmenter,
-    Source,
-    build_problem,
-    build_targets,
-    descend,
-    fit_terms,
-    uniform_variations,
-)
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
 from pasdedeux.augmentation.contacts import joint_radii_m
+from pasdedeux.augmentation.energy import descend, fit_terms
+from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.choreography import make_duet
 from pasdedeux.fitting import FitSettings
 from pasdedeux.interaction.contacts import joint_pair_distances

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.augmentation import Augmenter, Source, UserContact, build_mesh, reference_motion
+from pasdedeux.augmentation import Augmenter, Source, UserContact, reference_motion
 from pasdedeux.augmentation.contacts import contact_weights, fade, stance_weights
-from pasdedeux.augmentation.mesh import delaunay_edges
+from pasdedeux.augmentation.mesh import build_mesh, delaunay_edges
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22

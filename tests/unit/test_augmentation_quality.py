@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import Augmenter, FrameLimits, Source, uniform_variations
-from pasdedeux.augmentation.quality import Measured, QualityMeter
+from pasdedeux.augmentation import Augmenter, Source, uniform_variations
+from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22

@@ -5,24 +5,14 @@ import pytest
 from pydantic import ValidationError
 from scipy.optimize import least_squares
 
-from pasdedeux.augmentation import (
-    AugmentationSettings,
-    Augmenter,
-    BulkSolver,
-    Problem,
-    Source,
-    Targets,
-    Variation,
-    Weights,
-    bone_variations,
-    build_problem,
-    build_targets,
-    descend,
-    fit_terms,
-    total_energy,
-    uniform_variations,
-)
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
+from pasdedeux.augmentation.bulk import BulkSolver
+from pasdedeux.augmentation.energy import descend, fit_terms, total_energy
 from pasdedeux.augmentation.factor import factorise, solve
+from pasdedeux.augmentation.problem import Problem, Targets
+from pasdedeux.augmentation.terms import build_problem, build_targets
+from pasdedeux.augmentation.variations import Variation, bone_variations
+from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.window_solver import POLISH
 from pasdedeux.choreography import make_duet
 from pasdedeux.fitting import BoneForest, FitSettings

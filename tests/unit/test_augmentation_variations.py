@@ -4,26 +4,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.augmentation import (
-    LIMB_GROUPS,
+from pasdedeux.augmentation import LIMB_GROUPS, VariationSettings, uniform_variations
+from pasdedeux.augmentation.variations import (
     PAPER_SCALES,
     DrawnBodies,
     DrawnScales,
-    ScaleGrid,
     Variation,
-    VariationSettings,
     bone_variations,
     drawn_variations,
     group_variations,
     population_variations,
-    uniform_variations,
 )
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
-
-
-def test_the_grid_of_the_paper_leaves_out_the_template() -> None:
-    assert ScaleGrid().scales == PAPER_SCALES == (0.75, 0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2, 1.25)
 
 
 def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
@@ -84,7 +77,6 @@ def test_scales_of_the_wrong_length_are_refused() -> None:
         {"persons": ("C",)},
         {"groups": ("wings",)},
         {"kinds": ("spiral",)},
-        {"grid": {"start": 1.2, "stop": 0.8}},
         {"drawn": {"low": 1.2, "high": 0.8}},
         {"population": {"correlation": 1.5}},
     ],

@@ -1,14 +1,8 @@
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import (
-    PAPER_SCALES,
-    Augmenter,
-    Source,
-    group_variations,
-    reference_motion,
-    uniform_variations,
-)
+from pasdedeux.augmentation import Augmenter, Source, reference_motion, uniform_variations
+from pasdedeux.augmentation.variations import PAPER_SCALES, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import key_joint_pairs, model_errors
 from pasdedeux.learning import (

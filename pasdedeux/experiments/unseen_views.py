@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
     scale_free_error_m,
 )
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.experiments.published_search import Codebook, search_published
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
@@ -56,6 +57,8 @@ __all__ = [
     "LIVE",
     "Condition",
     "Setting",
+    "Tried",
+    "UnseenMotion",
     "ViewedMotion",
     "best_candidates",
     "level_scores",
@@ -125,20 +128,49 @@ class Condition:
     has_height: bool = False
 
 
+_COMMON = (
+    Condition("clean"),
+    Condition("noise 3 % of the torso", noise=0.03),
+    Condition("30 % of the joints missing", missing=0.3),
+)
 CONDITIONS: Mapping[Setting, tuple[Condition, ...]] = {
-    Setting.PARALLEL: (
-        Condition("clean"),
-        Condition("noise 3 % of the torso", noise=0.03),
-        Condition("30 % of the joints missing", missing=0.3),
-        Condition("clean, scale estimated", has_scale=False),
-    ),
-    Setting.PINHOLE: (
-        Condition("clean"),
-        Condition("noise 3 % of the torso", noise=0.03),
-        Condition("30 % of the joints missing", missing=0.3),
-        Condition("clean, height of the camera known", has_height=True),
-    ),
+    Setting.PARALLEL: (*_COMMON, Condition("clean, scale estimated", has_scale=False)),
+    Setting.PINHOLE: (*_COMMON, Condition("clean, height of the camera known", has_height=True)),
 }
+
+
+@dataclass(frozen=True)
+class UnseenMotion:
+    """A motion that a database has not seen.
+
+    Args:
+        item: Name, for the tables.
+        world_m: The motion (frame, 14, 3), upright axes, floor at 0, its own proportions and root path, metres.
+        rate_hz: Its rate.
+        yaws_deg: Directions it is seen from; each later one is also compared with the first.
+    """
+
+    item: str
+    world_m: Array
+    rate_hz: float
+    yaws_deg: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What a motion is reconstructed by.
+
+    Args:
+        methods: Which methods.
+        codebook: Clusters of the database: the published search and the window rule make `as_published` then.
+        has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
+        has_live: The live chain gives its motion too, unless the camera's height is known, which it has no use for.
+    """
+
+    methods: Sequence[Method] = tuple(Method)
+    codebook: Codebook | None = None
+    has_clean_up: bool = False
+    has_live: bool = False
 
 
 @dataclass(frozen=True)
@@ -159,19 +191,14 @@ class ViewedMotion:
 
 
 def see(
-    world_m: Array, setting: Setting, condition: Condition, *, yaw_deg: float, rate_hz: float, rng: np.random.Generator
+    motion: UnseenMotion, setting: Setting, condition: Condition, yaw_deg: float, rng: np.random.Generator
 ) -> ViewedMotion:
-    """Return what a camera `yaw_deg` about +Y sees of a motion.
+    """Return what a camera `yaw_deg` about +Y sees of a motion; the generator draws noise and hidden joints.
 
-    Args:
-        world_m: The motion (frame, 14, 3), upright axes, floor at 0, its own proportions and way, metres.
-        setting: By parallel rays the motion is put on the database's body first, its way kept.  The pinhole stands
-            level with the middle of the hips, 4 m from it; a lens of the same picture angle as most is assumed of it.
-        condition: What is done to the image.
-        yaw_deg: Direction.
-        rate_hz: Rate of the motion.
-        rng: Draws noise and hidden joints.
+    By parallel rays the motion is put on the database's body first, its root path kept.  The pinhole stands level with
+    the middle of the hips, 4 m from it; a lens of the same picture angle as most is assumed of it.
     """
+    world_m = motion.world_m
     shape = world_m.shape[:2]
     height = None
     noise = rng.normal(0.0, 1.0, (*shape, 2)) * condition.noise
@@ -201,7 +228,7 @@ def see(
         options = ReconstructionOptions()
         height = float(camera.position_m[1]) if condition.has_height else None
     px = np.where(hidden[..., None], np.nan, clear + noise_px)
-    return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), rate_hz, lens), truth, options, height)
+    return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), motion.rate_hz, lens), truth, options, height)
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
@@ -220,34 +247,20 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
     return np.asarray(best)
 
 
-def reconstruct_seen(
-    searcher: Searcher,
-    seen: ViewedMotion,
-    *,
-    methods: Sequence[Method] = tuple(Method),
-    codebook: Codebook | None = None,
-    has_clean_up: bool = True,
-    has_live: bool = False,
-) -> tuple[dict[str, Array], dict[str, float]]:
+def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, tried: Tried) -> tuple[dict[str, Array], dict[str, float]]:
     """Return a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
 
-    Args:
-        searcher: Database that has not seen the motion.
-        seen: What is reconstructed.
-        methods: Which methods.
-        codebook: Clusters of the database: the published search and the window rule make `as_published` then.
-        has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
-        has_live: The live chain gives its motion too, unless the camera's height is known, which it has no use for.
+    The database of the searcher has not seen the motion.
     """
     camera = searcher.database.camera
     track, options = seen.track, seen.options
     found = match_track(searcher, track, options)
     made: dict[str, Reconstruction] = {
-        method.value: reconstruct_track(searcher, track, method, options, matches=found) for method in methods
+        method.value: reconstruct_track(searcher, track, method, options, matches=found) for method in tried.methods
     }
     recalls: dict[str, float] = {}
-    if codebook is not None:
-        published = search_published(searcher.database, codebook, found.query_m, found.weights)
+    if tried.codebook is not None:
+        published = search_published(searcher.database, tried.codebook, found.query_m, found.weights)
         made[AS_PUBLISHED] = reconstruct_track(
             searcher, track, Method.WINDOW, options, matches=replace(found, neighbours=published, yaw_steps=None)
         )
@@ -260,17 +273,17 @@ def reconstruct_seen(
     motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
     for name, one in made.items():
         motions[name] = one.positions_m
-        if has_clean_up:
+        if tried.has_clean_up:
             cleaned = clean_reconstruction(one, floor_offset([one], camera), camera, rate_hz=track.rate_hz)
             motions[name + CLEAN] = cleaned.positions_m
-    if has_live and seen.camera_height_m is None:
-        motions[LIVE] = live_motion(searcher, seen, has_clean_up=False)
-        if has_clean_up:
-            motions[LIVE + CLEAN] = live_motion(searcher, seen, has_clean_up=True)
+    if tried.has_live and seen.camera_height_m is None:
+        motions[LIVE] = _live_motion(searcher, seen, has_clean_up=False)
+        if tried.has_clean_up:
+            motions[LIVE + CLEAN] = _live_motion(searcher, seen, has_clean_up=True)
     return motions, recalls
 
 
-def live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> Array:
+def _live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> Array:
     """Return a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
     options = seen.options
     fit = WindowFitOptions()
@@ -295,90 +308,41 @@ def live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -
 
 
 def unseen_view_scores(
-    searcher: Searcher,
-    world_m: Array,
-    setting: Setting,
-    condition: Condition,
-    *,
-    rate_hz: float,
-    item: str,
-    yaws_deg: Sequence[float],
-    stream: Stream,
-    codebook: Codebook | None = None,
-    methods: Sequence[Method] = tuple(Method),
-    has_clean_up: bool = True,
-    has_live: bool = False,
+    searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, tried: Tried, stream: Stream
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
-    Args:
-        searcher: Database that has not seen the motion, of a level camera.
-        world_m: The motion (frame, 14, 3), upright axes.
-        setting: How it is seen.
-        condition: What is done to the images.
-        rate_hz: Its rate.
-        item: Name of the motion, for the table.
-        yaws_deg: Directions it is seen from; each later one is also compared with the first.
-        stream: Gives the random stream of a view.
-        codebook: Clusters of the database: the published search and the window rule are then scored too.
-        methods: Which methods.
-        has_clean_up: Also with the clean-up.
-        has_live: Also as it leaves the live chain.
+    The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
     """
-    # Parallel rays of unknown scale leave the depth of the trajectory open: a thousandth of scale is a thousandth of
-    # infinity.
-    has_trajectory = setting is Setting.PINHOLE or condition.has_scale
-    figures: dict[tuple[str, str], list[float]] = {}
-    motions: dict[str, list[Array]] = {}
-    for view, yaw in enumerate(yaws_deg):
-        seen = see(world_m, setting, condition, yaw_deg=yaw, rate_hz=rate_hz, rng=stream(view))
-        made, recalls = reconstruct_seen(
-            searcher, seen, methods=methods, codebook=codebook, has_clean_up=has_clean_up, has_live=has_live
-        )
-        for method, positions in made.items():
-            motions.setdefault(method, []).append(positions)
-            slide_hz = rate_hz if has_trajectory and method != BEST_MARK else None
-            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
-                figures.setdefault((metric, method), []).append(value)
-        for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, rate_hz=rate_hz)[metric]
-            figures.setdefault((metric, "truth"), []).append(value)
-        for metric, value in recalls.items():
-            figures.setdefault((metric, AS_PUBLISHED), []).append(value)
-    count = len(world_m)
+    figures, motions = _measure(searcher, motion, setting, condition, tried, stream)
+    item, count = motion.item, len(motion.world_m)
     scores = []
     for (metric, method), values in figures.items():
         unit = "" if metric.startswith("recall") else "m"
-        named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(yaws_deg, values, strict=True)]
+        named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(motion.yaws_deg, values, strict=True)]
         named += [(f"{item}, {ALL_VIEWS}", float(np.mean(values)))] if len(values) > 1 else []
         scores += [
             Score(metric, method, value, unit, _is_baseline(method), condition.name, label, count=count)
             for label, value in named
         ]
     for method, found in motions.items():
-        for yaw, other in zip(yaws_deg[1:], found[1:], strict=True):
-            differs = _mean(root_removed_error_m(found[0], other))
-            label = f"{item}, views {abs(yaw - yaws_deg[0]):g} degrees apart"
-            scores.append(
-                Score("two_views_differ", method, differs, "m", _is_baseline(method), condition.name, label,
-                    count=count,
-                )
-            )  # fmt: skip
+        for yaw, other in zip(motion.yaws_deg[1:], found[1:], strict=True):
+            differs = {"two_views_differ": _mean(root_removed_error_m(found[0], other))}
+            label = f"{item}, views {abs(yaw - motion.yaws_deg[0]):g} degrees apart"
+            more = {"is_baseline": _is_baseline(method), "split": condition.name, "item": label, "count": count}
+            scores += scores_of(differs, method, "m", **more)
     return scores
 
 
 def level_scores(
     searcher: Searcher,
-    world_m: Array,
+    motion: UnseenMotion,
     setting: Setting,
     *,
     kind: str,
     levels: Sequence[float],
-    rate_hz: float,
-    item: str,
-    yaws_deg: Sequence[float],
-    stream: Callable[[int, int], np.random.Generator],
     methods: Sequence[Method],
+    stream: Callable[[int, int], np.random.Generator],
 ) -> list[Score]:
     """Score methods at growing levels of `noise` or `missing` joints, means over the views: points of curves.
 
@@ -393,27 +357,39 @@ def level_scores(
     for number, level in enumerate(levels):
         name = f"{kind} {level:g}"
         condition = Condition(name, noise=level) if kind == "noise" else Condition(name, missing=level)
-        errors: dict[str, list[float]] = {}
-        for view, yaw in enumerate(yaws_deg):
-            seen = see(world_m, setting, condition, yaw_deg=yaw, rate_hz=rate_hz, rng=stream(number, view))
-            made, _ = reconstruct_seen(searcher, seen, methods=methods, has_clean_up=False)
-            for method, positions in made.items():
-                errors.setdefault(method, []).append(_mean(root_centred_error_m(positions, seen.truth_m)))
-        scores += [
-            Score(
-                f"error_root_kept_by_{kind}",
-                method,
-                float(np.mean(values)),
-                "m",
-                _is_baseline(method),
-                "sweep",
-                item,
-                at=level,
-                count=len(world_m) * len(values),
-            )
-            for method, values in errors.items()
-        ]
+        figures, _ = _measure(searcher, motion, setting, condition, Tried(methods), partial(stream, number))
+        for (metric, method), values in figures.items():
+            if metric == "error_root_kept":
+                mean = {f"{metric}_by_{kind}": float(np.mean(values))}
+                more = {"split": "sweep", "item": motion.item, "at": level, "count": len(motion.world_m) * len(values)}
+                scores += scores_of(mean, method, "m", is_baseline=_is_baseline(method), **more)
     return scores
+
+
+def _measure(
+    searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, tried: Tried, stream: Stream
+) -> tuple[dict[tuple[str, str], list[float]], dict[str, list[Array]]]:
+    """Return the figures of each view by metric and method, and the motions of each view by method."""
+    # Parallel rays of unknown scale leave the depth of the trajectory open: a thousandth of scale is a thousandth of
+    # infinity.
+    has_trajectory = setting is Setting.PINHOLE or condition.has_scale
+    rate_hz = motion.rate_hz
+    figures: dict[tuple[str, str], list[float]] = {}
+    motions: dict[str, list[Array]] = {}
+    for view, yaw in enumerate(motion.yaws_deg):
+        seen = see(motion, setting, condition, yaw, stream(view))
+        made, recalls = reconstruct_seen(searcher, seen, tried)
+        for method, positions in made.items():
+            motions.setdefault(method, []).append(positions)
+            slide_hz = rate_hz if has_trajectory and method != BEST_MARK else None
+            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
+                figures.setdefault((metric, method), []).append(value)
+        for metric in ("jitter", "foot_slide"):
+            value = _figures(seen.truth_m, seen.truth_m, rate_hz=rate_hz)[metric]
+            figures.setdefault((metric, "truth"), []).append(value)
+        for metric, value in recalls.items():
+            figures.setdefault((metric, AS_PUBLISHED), []).append(value)
+    return figures, motions
 
 
 def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:

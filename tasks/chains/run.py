@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -33,6 +32,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
+from tasks.draw_sets import read_grown
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 
@@ -155,7 +155,7 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
         likelihood = evidence.likelihood
         if density.reads is not Reads.ANNOTATIONS:
             rng = stream(shard.seed, "chains", "density", options.seed_index)
-            known = DensityInputs(seed.pair_m, rng, grown_m=_read_grown(store, shard.refs("grown")))
+            known = DensityInputs(seed.pair_m, rng, grown_m=read_grown(store, shard.refs("grown")))
             likelihood = density.likelihood(options.density_settings, known)
         target = density.target(chart, read_limits(store, shard.refs("joint_limits")), likelihood, options.target)
     except InputError as error:
@@ -230,12 +230,6 @@ def _image_evidence(
         num_skipped=placed.gathered.num_skipped,
         num_swapped=num_swapped,
     )
-
-
-def _read_grown(store: Store, refs: Sequence[ArtifactRef]) -> np.ndarray:
-    """Return the grown pairs (grown, 2, 17, 3) of some artifacts; none without any."""
-    parts = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
-    return np.concatenate([np.zeros((0, 2, 17, 3)), *parts])
 
 
 @dataclass(frozen=True)

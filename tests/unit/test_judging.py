@@ -8,7 +8,6 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
-from pasdedeux.experiments.combination import Combination
 from pasdedeux.experiments.judging import (
     Corruption,
     TermComparer,
@@ -121,19 +120,3 @@ def test_comparisons_hold_each_pair_beside_its_own_corruption_and_the_odds_of_bo
     assert (mirrored.real["image_odds"] > mirrored.corrupted["image_odds"]).all()
     far = mirrored.from_m(float(np.sort(mirrored.moved_m)[1]))
     assert len(far.moved_m) == len(far.real["limbs"]) == len(far.corrupted["image_odds"]) == 2
-
-
-def test_a_combination_weighs_what_tells_and_not_what_does_not() -> None:
-    rng = np.random.default_rng(6)
-    real = {"tells": rng.normal(2.0, 1.0, 400), "noise": rng.normal(size=400), "same": np.ones(400)}
-    false = {"tells": rng.normal(0.0, 1.0, 100), "noise": rng.normal(size=100), "same": np.ones(100)}
-    fitted = Combination.fitted(tuple(real), [real], [false])
-    assert fitted.weights[0] > 1.0 > 5.0 * np.abs(fitted.weights[1:]).max()
-    assert fitted.weights[2] == pytest.approx(0.0, abs=1e-6)
-    assert area_under_curve(fitted.value(real), fitted.value(false)) > 0.9
-    # No term decides alone, however far it lies.
-    far = {name: np.array([fitted.centre[at]]) for at, name in enumerate(fitted.terms)}
-    assert fitted.value({**far, "tells": np.array([1e9])})[0] == pytest.approx(4.0 * fitted.weights[0])
-    for parts in (([], []), ([real], [{name: one[:0] for name, one in false.items()}])):
-        with pytest.raises(InputError, match="kind"):
-            Combination.fitted(tuple(real), *parts)

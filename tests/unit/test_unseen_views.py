@@ -8,14 +8,17 @@ import pytest
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
+from pasdedeux.experiments import unseen_views
 from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.experiments.unseen_views import (
     Condition,
     Setting,
+    Tried,
+    UnseenMotion,
+    ViewedMotion,
     best_candidates,
     level_scores,
     reconstruct_seen,
-    see,
     unseen_view_scores,
 )
 from pasdedeux.projections.database import Database
@@ -33,24 +36,26 @@ def searcher() -> Searcher:
     return Searcher.of(Database(poses, np.tile(np.arange(100) == 0, 4)))
 
 
+def moved(world: np.ndarray, *yaws_deg: float) -> UnseenMotion:
+    return UnseenMotion("walk", world, 24.0, yaws_deg)
+
+
+def see(
+    world: np.ndarray, setting: Setting, condition: Condition, *, yaw_deg: float = 0.0, seed: int | list[int] = 0
+) -> ViewedMotion:
+    return unseen_views.see(moved(world), setting, condition, yaw_deg, np.random.default_rng(seed))
+
+
 @pytest.mark.parametrize("setting", list(Setting))
 def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(
     searcher: Searcher, setting: Setting
 ) -> None:
+    few = PublishedSettings(num_clusters=40, num_landmarks=80)
+    codebook = build_codebook(searcher.database, np.random.default_rng(0), few)
+    tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
     for condition in (Condition("clean"), Condition("noisy", noise=0.03)):
         scores = unseen_view_scores(
-            searcher,
-            walk(40, seed=11),
-            setting,
-            condition,
-            rate_hz=24.0,
-            item="walk",
-            yaws_deg=(0.0, 75.0),
-            stream=lambda view: np.random.default_rng(view),
-            codebook=build_codebook(
-                searcher.database, np.random.default_rng(0), PublishedSettings(num_clusters=40, num_landmarks=80)
-            ),
-            has_live=True,
+            searcher, moved(walk(40, seed=11), 0.0, 75.0), setting, condition, tried, np.random.default_rng
         )
         assert all(np.isfinite(score.value) for score in scores)
         found = {(s.metric, s.method, s.item): s.value for s in scores}
@@ -70,25 +75,17 @@ def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(
 
 def test_the_truth_of_both_settings_is_the_motion_as_the_camera_has_it() -> None:
     world = walk(30, seed=3)
-    rng = np.random.default_rng(0)
-    by_rays = see(world, Setting.PARALLEL, Condition("clean"), yaw_deg=40.0, rate_hz=24.0, rng=rng)
-    by_pinhole = see(world, Setting.PINHOLE, Condition("clean"), yaw_deg=40.0, rate_hz=24.0, rng=rng)
+    by_rays = see(world, Setting.PARALLEL, Condition("clean"), yaw_deg=40.0)
+    by_pinhole = see(world, Setting.PINHOLE, Condition("clean"), yaw_deg=40.0)
     np.testing.assert_allclose(by_rays.track.keypoints_px, by_rays.truth_m[..., :2] * [1000.0, -1000.0], atol=1e-9)
     # Both cameras look from the same side: only proportions and perspective differ.
     assert root_centred_error_m(by_rays.truth_m, by_pinhole.truth_m).mean() < 0.08
-    opposite = see(world, Setting.PINHOLE, Condition("clean"), yaw_deg=-40.0, rate_hz=24.0, rng=rng)
+    opposite = see(world, Setting.PINHOLE, Condition("clean"), yaw_deg=-40.0)
     assert root_centred_error_m(by_rays.truth_m, opposite.truth_m).mean() > 0.12
 
 
 def test_the_best_candidate_is_no_farther_than_any_other(searcher: Searcher) -> None:
-    seen = see(
-        walk(30, seed=11),
-        Setting.PARALLEL,
-        Condition("clean"),
-        yaw_deg=0.0,
-        rate_hz=24.0,
-        rng=np.random.default_rng(0),
-    )
+    seen = see(walk(30, seed=11), Setting.PARALLEL, Condition("clean"))
     found = match_track(searcher, seen.track)
     best = root_centred_error_m(best_candidates(searcher, found, seen.truth_m), seen.truth_m)
     for rank in range(0, 50, 7):
@@ -98,8 +95,7 @@ def test_the_best_candidate_is_no_farther_than_any_other(searcher: Searcher) -> 
 
 def test_conditions_hide_and_shake_as_much_as_they_say() -> None:
     def seen(setting: Setting, condition: Condition) -> np.ndarray:
-        rng = np.random.default_rng(0)
-        return see(world, setting, condition, yaw_deg=0.0, rate_hz=24.0, rng=rng).track.keypoints_px
+        return see(world, setting, condition).track.keypoints_px
 
     world = walk(200, seed=1)
     for setting in Setting:
@@ -121,10 +117,8 @@ def test_the_fit_is_never_worse_than_retrieval_where_the_image_is_poor(
 ) -> None:
     world = walk(80, seed=12)
     for yaw in (0.0, 75.0):
-        seen = see(
-            world, Setting.PARALLEL, condition, yaw_deg=yaw, rate_hz=24.0, rng=np.random.default_rng([1, int(yaw)])
-        )
-        made, _ = reconstruct_seen(searcher, seen, has_clean_up=False)
+        seen = see(world, Setting.PARALLEL, condition, yaw_deg=yaw, seed=[1, int(yaw)])
+        made, _ = reconstruct_seen(searcher, seen, Tried())
         errors = {method: root_centred_error_m(made[method], seen.truth_m).mean() for method in Method}
         assert errors[Method.FIT] <= errors[Method.NEAREST]
         # Half a centimetre: the fit may lose on one draw of the noise what retrieval won by luck.
@@ -135,13 +129,10 @@ def test_errors_grow_along_a_sweep_and_another_sweep_is_refused(searcher: Search
     def sweep(kind: str) -> list[float]:
         scores = level_scores(
             searcher,
-            walk(40, seed=11),
+            moved(walk(40, seed=11), 0.0),
             Setting.PARALLEL,
             kind=kind,
             levels=(0.0, 0.1),
-            rate_hz=24.0,
-            item="walk",
-            yaws_deg=(0.0,),
             stream=lambda level, view: np.random.default_rng([level, view]),
             methods=(Method.FIT,),
         )
@@ -171,8 +162,8 @@ def test_a_camera_of_known_height_gives_people_their_size(searcher: Searcher) ->
     world[..., 1] += 0.75 * 0.07 - world[:, OP14.indices(["left_ankle", "right_ankle"]), 1].min()
     errors, distances = [], []
     for condition in (Condition("clean"), Condition("known", has_height=True)):
-        seen = see(world, Setting.PINHOLE, condition, yaw_deg=30.0, rate_hz=24.0, rng=np.random.default_rng(0))
-        made, _ = reconstruct_seen(searcher, seen, methods=(Method.FIT,), has_clean_up=False)
+        seen = see(world, Setting.PINHOLE, condition, yaw_deg=30.0)
+        made, _ = reconstruct_seen(searcher, seen, Tried((Method.FIT,)))
         errors.append(root_centred_error_m(made["fit"], seen.truth_m).mean())
         distances.append(np.abs(mid_hip(made["fit"])[:, 2] - mid_hip(seen.truth_m)[:, 2]).mean())
     assert errors[0] > 0.1
@@ -181,9 +172,7 @@ def test_a_camera_of_known_height_gives_people_their_size(searcher: Searcher) ->
 
 
 def test_a_height_that_cannot_be_true_changes_no_size(searcher: Searcher) -> None:
-    seen = see(
-        walk(24, seed=9), Setting.PINHOLE, Condition("clean"), yaw_deg=0.0, rate_hz=24.0, rng=np.random.default_rng(0)
-    )
+    seen = see(walk(24, seed=9), Setting.PINHOLE, Condition("clean"))
     found = reconstruct_track(searcher, seen.track, Method.NEAREST)
     camera = searcher.database.camera
     assert sized_by_height(found, camera, 9.0) is found

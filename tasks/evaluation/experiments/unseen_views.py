@@ -6,9 +6,9 @@ against the rest of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +21,8 @@ from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
     Setting,
+    Tried,
+    UnseenMotion,
     level_scores,
     reconstruct_seen,
     see,
@@ -45,57 +47,42 @@ _LEVEL_LABELS = {
 }
 _CURVE_METHODS = (Method.NEAREST, Method.WINDOW, Method.VITERBI, Method.FIT)
 _LEFT_OUT_METHODS = (Method.NEAREST, Method.VITERBI, Method.FIT)
-_LEFT_OUT_CONDITIONS = (Condition("clean"), Condition("noise 3 % of the torso", noise=0.03))
 
 
-class DirectionSettings(Parameters):
-    """From where motions are seen."""
+class UnseenViewsSettings(Parameters):
+    """From where motions are seen, and what is done to their images."""
 
     unseen_views_deg: tuple[float, ...] = Field(
         (),
         description="Directions from which held-out takes are seen and reconstructed by every method: on the "
         "projection database's body by parallel rays, as in the paper on it, and on their own by a pinhole",
     )
-
-
-class UnseenViewsSettings(DirectionSettings):
-    """What is done to the images of held-out takes."""
-
     has_unseen_view_sweeps: bool = Field(
         False, description="Also at growing noise and with more and more joints missing, from the same directions"
     )
-
-
-class LeftOutSettings(DirectionSettings):
-    """Whether takes of the database are left out in turn."""
-
     has_left_out_clips: bool = Field(
         False, description="Each take of the projection database against the rest of it, from the same directions"
     )
 
 
-class TakeParameters(DirectionSettings):
-    """One take against the parts of the database that have not seen it."""
-
-    take_id: str
-
-
-class StepParameters(TakeParameters):
+class TakeParameters(Parameters):
     """One take in one condition (of the setting's, by number), or at growing levels of noise or missing joints."""
 
-    kind: str
+    take_id: str
+    unseen_views_deg: tuple[float, ...]
+    kind: str = "condition"
     condition: int = 0
 
 
 def _plan_setting(setting: Setting, inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
     """Plan one shard per held-out take and condition, with the database parts that have not seen the take."""
-    steps = [("condition", number) for number in range(len(CONDITIONS[setting]))]
+    steps: list[tuple[str, int]] = [("condition", number) for number in range(len(CONDITIONS[setting]))]
     steps += [(kind, 0) for kind in _LEVELS] if settings.has_unseen_view_sweeps else []
     return [
         _SETTINGS[setting].shard(
             inputs,
             f"{take_id}-{kind}" + (f"-{number}" if kind == "condition" else ""),
-            StepParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg, kind=kind, condition=number),
+            TakeParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg, kind=kind, condition=number),
             take=[take],
             parts=parts,
             # A codebook is of use with exactly the parts it numbers.
@@ -106,7 +93,7 @@ def _plan_setting(setting: Setting, inputs: StageInputs, settings: UnseenViewsSe
     ]
 
 
-def _plan_left_out(inputs: StageInputs, settings: LeftOutSettings) -> list[Shard]:
+def _plan_left_out(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
     """Plan one shard per take of the database, with the parts that have not seen it."""
     if not settings.has_left_out_clips:
         return []
@@ -123,7 +110,7 @@ def _plan_left_out(inputs: StageInputs, settings: LeftOutSettings) -> list[Shard
 
 
 def _takes(
-    inputs: StageInputs, settings: DirectionSettings, *, is_held_out: bool
+    inputs: StageInputs, settings: UnseenViewsSettings, *, is_held_out: bool
 ) -> Iterator[tuple[str, Manifest, list[Manifest]]]:
     """Yield the takes that are asked for and the parts of the database that have not seen each; none without any."""
     for take in inputs.of("poses") if settings.unseen_views_deg else ():
@@ -135,80 +122,59 @@ def _takes(
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one take in one setting: a condition, or a sweep of growing levels."""
-    setting, options = Setting(shard.partition), shard.options(StepParameters)
-    kind, take_id, yaws_deg = options.kind, options.take_id, options.unseen_views_deg
+    setting, options = Setting(shard.partition), shard.options(TakeParameters)
     searcher, codebook, rate_hz = _database(shard, store, setting)
     scores: list[Score] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
-    for item, world, person in _people(shard, store, rate_hz):
-        labels = ("evaluation", setting.value, take_id, person, kind, options.condition)
+    for person, motion in enumerate(_people(shard, store, rate_hz)):
+        labels = ("evaluation", setting.value, options.take_id, person, options.kind, options.condition)
         draw = partial(stream, shard.seed, *labels)
-        if kind != "condition":
+        name = f"{setting.value}-{motion.item.replace(' ', '-')}"
+        if options.kind != "condition":
+            what = _LEVEL_LABELS[options.kind]
             points = level_scores(
                 searcher,
-                world,
+                motion,
                 setting,
-                kind=kind,
-                levels=_LEVELS[kind],
-                rate_hz=rate_hz,
-                item=item,
-                yaws_deg=yaws_deg,
-                stream=draw,
+                kind=options.kind,
+                levels=_LEVELS[options.kind],
                 methods=_CURVE_METHODS,
+                stream=draw,
             )
             scores += points
-            name = f"{setting.value}-{item.replace(' ', '-')}-{kind}.png"
-            pictures[name] = _curves(points, f"{item}, {setting.value}", _LEVEL_LABELS[kind])
-            captions[name] = f"{item}: mean error over the views, root rotation kept, against {_LEVEL_LABELS[kind]}."
+            name = f"{name}-{options.kind}.png"
+            pictures[name] = _curves(points, f"{motion.item}, {setting.value}", what)
+            captions[name] = f"{motion.item}: mean error over the views, root rotation kept, against {what}."
             continue
         condition = CONDITIONS[setting][options.condition]
-        scores += unseen_view_scores(
-            searcher,
-            world,
-            setting,
-            condition,
-            rate_hz=rate_hz,
-            item=item,
-            yaws_deg=yaws_deg,
-            stream=draw,
-            codebook=codebook,
-            has_live=True,
-        )
+        tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
+        scores += unseen_view_scores(searcher, motion, setting, condition, tried, draw)
         if options.condition == 0:
-            name = f"{setting.value}-{item.replace(' ', '-')}.webp"
-            pictures[name] = _clip(searcher, world, setting, condition, yaws_deg[0], rate_hz, draw)
+            name = f"{name}.webp"
+            pictures[name] = _clip(searcher, motion, setting, condition, draw(0))
             captions[name] = (
-                f"{item}, {condition.name}: the image (left), the fit as the camera sees it (middle) and from its side "
-                "(right); truth in grey."
+                f"{motion.item}, {condition.name}: the image (left), the fit as the camera sees it (middle) and from "
+                "its side (right); truth in grey."
             )
     note = (
-        f"{take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
+        f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
         "a mark that knows the truth."
     )
-    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=[note] if kind == "condition" else [])
+    notes = [note] if options.kind == "condition" else []
+    return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)
 
 
 def _run_left_out(shard: Shard, store: Store) -> TopicResult:
     """Score a take of the database against the rest of the database, by parallel rays."""
-    take_id, yaws_deg = shard.options(TakeParameters).take_id, shard.options(TakeParameters).unseen_views_deg
+    take_id = shard.options(TakeParameters).take_id
     searcher, _, rate_hz = _database(shard, store, Setting.PARALLEL)
     scores: list[Score] = []
-    for item, world, person in _people(shard, store, rate_hz):
-        for number, condition in enumerate(_LEFT_OUT_CONDITIONS):
-            labels = ("evaluation", LEFT_OUT_CLIPS.name, take_id, person, number)
-            scores += unseen_view_scores(
-                searcher,
-                world,
-                Setting.PARALLEL,
-                condition,
-                rate_hz=rate_hz,
-                item=item,
-                yaws_deg=yaws_deg,
-                stream=partial(stream, shard.seed, *labels),
-                methods=_LEFT_OUT_METHODS,
-                has_clean_up=False,
-            )
+    for person, motion in enumerate(_people(shard, store, rate_hz)):
+        for number, condition in enumerate(CONDITIONS[Setting.PARALLEL][:2]):
+            draw = partial(stream, shard.seed, "evaluation", LEFT_OUT_CLIPS.name, take_id, person, number)
+            tried = Tried(_LEFT_OUT_METHODS)
+            scores += unseen_view_scores(searcher, motion, Setting.PARALLEL, condition, tried, draw)
     return TopicResult(scores=scores)
 
 
@@ -238,16 +204,17 @@ def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, C
     return Searcher.of(database), codebook, rate_hz
 
 
-def _people(shard: Shard, store: Store, rate_hz: float) -> list[tuple[str, np.ndarray, int]]:
-    """Return name, motion (frame, 14, 3) at the database's rate and number of every person of the shard's take."""
-    take, take_id = shard.ref("take"), shard.options(TakeParameters).take_id
+def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
+    """Return the motion of every person of the shard's take at the database's rate."""
+    take, options = shard.ref("take"), shard.options(TakeParameters)
     people = read_people(store, take, "op14_m")
     from_hz = float(store.manifest(take).facts["rate_hz"])
     return [
-        (
-            take_id if people.shape[1] == 1 else f"{take_id} person {person}",
+        UnseenMotion(
+            options.take_id if people.shape[1] == 1 else f"{options.take_id} person {person}",
             resample_positions(people[:, person], from_hz=from_hz, to_hz=rate_hz),
-            person,
+            rate_hz,
+            options.unseen_views_deg,
         )
         for person in range(people.shape[1])
     ]
@@ -257,36 +224,24 @@ def _curves(points: Sequence[Score], title: str, x_label: str) -> bytes:
     curves = []
     for method in dict.fromkeys(point.method for point in points):
         own = [point for point in points if point.method == method]
-        curves.append(
-            Curve(
-                method,
-                np.array([point.at for point in own]),
-                np.array([100.0 * point.value for point in own]),
-                is_baseline=own[0].is_baseline,
-            )
-        )
+        at, error_cm = np.array([(point.at, 100.0 * point.value) for point in own]).T
+        curves.append(Curve(method, at, error_cm, is_baseline=own[0].is_baseline))
     return curve_figure(curves, title=title, x_label=x_label, y_label="error (cm)")
 
 
 def _clip(
-    searcher: Searcher,
-    world: np.ndarray,
-    setting: Setting,
-    condition: Condition,
-    yaw_deg: float,
-    rate_hz: float,
-    draw: Callable[..., Any],
+    searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, rng: np.random.Generator
 ) -> bytes:
     from pasdedeux.evaluation.side_by_side import side_by_side_clip  # here: planning does not need OpenCV
 
-    count = min(len(world), round(4.0 * rate_hz))
-    seen = see(world[:count], setting, condition, yaw_deg=yaw_deg, rate_hz=rate_hz, rng=draw(0))
-    made, _ = reconstruct_seen(searcher, seen, methods=(Method.FIT,), has_clean_up=False)
+    start = replace(motion, world_m=motion.world_m[: round(4.0 * motion.rate_hz)])
+    seen = see(start, setting, condition, motion.yaws_deg[0], rng)
+    made, _ = reconstruct_seen(searcher, seen, Tried((Method.FIT,)))
     step = 2
     return side_by_side_clip(
         seen.track.keypoints_px[::step, None],
         made[Method.FIT.value][::step, None],
-        rate_hz=rate_hz / step,
+        rate_hz=motion.rate_hz / step,
         truth_m=seen.truth_m[::step, None],
     )
 
@@ -329,7 +284,7 @@ LEFT_OUT_CLIPS = Topic(
     reads=_READS,
     plan=_plan_left_out,
     run=_run_left_out,
-    settings=LeftOutSettings,
+    settings=UnseenViewsSettings,
     yardsticks=_YARDSTICKS,
     has_means_first=True,
 )

@@ -36,6 +36,8 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.variants.*.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
     "chains.variants.*.reference": "the truncation refers to the seed's own density alone: leave it out",
     "chains.variants.*.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
+    "reconstruction.identities": "who is who is settled at ingest: say identities of each [[ingest.annotations]]",
+    "reconstruction.has_repair": "faults are repaired at ingest: say has_repair of each [[ingest.annotations]]",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
 """Old study key, or key=value, to one sentence with the new name or what became of it.

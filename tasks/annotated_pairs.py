@@ -19,23 +19,23 @@ __all__ = [
     "Place",
     "PlacedPairs",
     "annotated_pairs",
-    "first_two",
     "gather",
     "gather_tracks",
+    "pair_of",
+    "pairs_by_place",
     "read_people",
-    "rows_by_place",
     "views_of",
 ]
 
 Place = tuple[str, int]
 """Sequence and frame of an annotation."""
 People = dict[int, np.ndarray]
-"""Joints of the people of a frame, (17, 2), pixels, by person id."""
+"""Joints of the pair of a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
 
 @dataclass(frozen=True)
 class PlacedPairs:
-    """Annotated pairs, the place of each by `annotation_index`, and everybody in every frame that was read."""
+    """Annotated pairs, the place of each by `annotation_index`, and the pair in every frame that was read."""
 
     gathered: GatheredPairs
     places: tuple[Place, ...]
@@ -59,19 +59,29 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
     return [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
 
 
-def rows_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
-    """Return the row of every person by sequence and frame, of the rows of `annotations` that are wanted, (row,)."""
+def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
+    """Return the rows of the pair of every sequence and frame by person id, of the wanted rows (row,) of `annotations`.
+
+    Only one row where a partner is not there, none where nobody has a partner, and of several pairs in one frame that
+    with the smallest id.
+    """
     sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
+    partners, is_alone = table["partner_id"], table.is_null("partner_id")
     rows: dict[Place, dict[int, int]] = {}
     for row in np.flatnonzero(is_wanted).tolist():
         rows.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = row
-    return rows
+    pairs = {}
+    for place, people in rows.items():
+        first = min((person for person, row in people.items() if not is_alone[row]), default=None)
+        both = () if first is None else (first, int(partners[people[first]]))
+        pairs[place] = {person: people[person] for person in both if person in people}
+    return pairs
 
 
 def read_people(
     store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
 ) -> dict[Place, People]:
-    """Return the joints (17, 2), pixels, of every person by sequence and frame.
+    """Return the joints (17, 2), pixels, of the pair of every sequence and frame by person id.
 
     Args:
         store: Store.
@@ -88,7 +98,7 @@ def read_people(
 
 def _read_tables(store: Store, refs: Iterable[ArtifactRef]) -> Iterator[tuple[TableData, np.ndarray]]:
     """Yield the annotations of each artifact that has some, with their joints (row, 17, 2), pixels."""
-    names = ["sequence_id", "frame", "person_id", "is_key", "is_held_out", "pair17_px"]
+    names = ["sequence_id", "frame", "person_id", "partner_id", "is_key", "is_held_out", "pair17_px"]
     for ref in refs:
         if "annotations" in store.manifest(ref).tables:
             table = store.read(ref, "annotations", columns=names)
@@ -96,14 +106,13 @@ def _read_tables(store: Store, refs: Iterable[ArtifactRef]) -> Iterator[tuple[Ta
 
 
 def _add_people(people: dict[Place, People], table: TableData, points: np.ndarray, is_wanted: np.ndarray) -> None:
-    for place, rows in rows_by_place(table, is_wanted).items():
+    for place, rows in pairs_by_place(table, is_wanted).items():
         people.setdefault(place, {}).update({person: points[row] for person, row in rows.items()})
 
 
-def first_two(people: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Return the joints (2, 17, 2) of the two people with the smallest ids, of at least two."""
-    first, second = sorted(people)[:2]
-    return np.stack([people[first], people[second]])
+def pair_of(people: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Return the joints (2, 17, 2) of two people, the smaller id first."""
+    return np.stack([people[person] for person in sorted(people)])
 
 
 def gather(
@@ -133,7 +142,7 @@ def gather(
             people = keypoints.get(place, {})
             if len(people) < 2:
                 continue
-            pairs.append(first_two(people))
+            pairs.append(pair_of(people))
             scales.append(scale[row])
             directions.append(direction[row])
             weights.append(float(weight[row]) * float(trust[row]))
@@ -156,7 +165,7 @@ def gather_tracks(placed: PlacedPairs) -> np.ndarray:
     around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
     tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
     for place, (sequence, frame) in enumerate(placed.places):
-        people = sorted(seen[sequence, frame])[:2]
+        people = sorted(seen[sequence, frame])
         for column, offset in enumerate(around):
             there = seen.get((sequence, frame + offset), {})
             for person, name in enumerate(people):

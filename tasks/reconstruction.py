@@ -10,9 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
-from pasdedeux.reconstruction.people import follow_and_repair, reconstruct_people
+from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import (
     Method,
@@ -21,7 +22,7 @@ from pasdedeux.reconstruction.reconstruct import (
     Searcher,
     TrackSettings,
 )
-from pasdedeux.reconstruction.tracks import PersonTrack, why_no_video
+from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
@@ -29,7 +30,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 10
+VERSION = 11
 
 
 MAX_PAIRS = 30_000
@@ -40,20 +41,12 @@ _MAX_BRIDGED = 0.2
 
 
 class SequenceSettings(TrackSettings, Parameters):
-    """How the people of a sequence are followed and reconstructed."""
+    """How the people of a sequence are reconstructed."""
 
     methods: tuple[Method, ...] = Field(
         (Method.NEAREST, Method.VITERBI, Method.FIT),
         min_length=1,
         description="Methods, each gives a motion; the last one is cleaned up and written as BVH",
-    )
-    identities: Literal["auto", "follow", "given"] = Field(
-        "auto",
-        description="Who is who: followed by pose and motion, as given, or followed where detectors number people anew "
-        "in every frame (OpenPose)",
-    )
-    has_repair: bool = Field(
-        True, description="Swapped sides, exchanged limbs and wild keypoints are put right or left out"
     )
     exact_up_to: int = Field(
         EXACT_UP_TO,
@@ -63,8 +56,8 @@ class SequenceSettings(TrackSettings, Parameters):
     )
     has_pairs: bool = Field(
         True,
-        description="Two people near each other are placed by the pairs of the database that look like both; `nearest` "
-        "leaves them where their own size puts them",
+        description="Partners are placed by the pairs of the database that look like both; `nearest` leaves them "
+        " where their own size puts them",
     )
     camera_height_m: float | None = Field(
         None,
@@ -186,9 +179,9 @@ def _verdict(rows: Sequence[dict[str, Any]], facts: dict[str, Any]) -> Verdict:
 
 
 def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, facts: dict[str, Any]) -> list[PersonTrack]:
-    """Return the tracks of the sequence, by person; what was merged and dropped on the way is put into the facts."""
+    """Return the tracks of the sequence, by person; the facts say why there are none."""
     sequence_id = parameters.sequence_id
-    columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "op14_confidence"]
+    columns = ["sequence_id", "frame", "person_id", "partner_id", "time_s", "op14_px", "op14_confidence"]
     table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
     rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
     if len(rows) == 0:
@@ -199,24 +192,19 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
     if reason:
         facts["skipped"].append(f"{sequence_id}: {reason}")
         return []
-    is_numbered_anew = store.manifest(ref).facts.get("format") == "openpose"
-    is_followed = parameters.identities == "follow" or (parameters.identities == "auto" and is_numbered_anew)
-    found = follow_and_repair(
+    partner, is_alone = np.asarray(table["partner_id"])[rows], table.is_null("partner_id")[rows]
+    sides = ("image_width_px", "image_height_px")
+    width, height = (None if is_unknown else int(table[side][rows[0]]) for side in sides)
+    return tracks_from_rows(
         frame,
+        np.asarray(table["person_id"])[rows],
         time_s,
         np.asarray(table["op14_px"], dtype=np.float64)[rows],
         np.asarray(table["op14_confidence"], dtype=np.float64)[rows],
-        person_id=None if is_followed else np.asarray(table["person_id"])[rows],
-        image_size_px=None
-        if is_unknown
-        else (int(table["image_width_px"][rows[0]]), int(table["image_height_px"][rows[0]])),
-        has_repair=parameters.has_repair,
+        partner_id=np.where(is_alone, -1, partner).astype(np.int64),
+        width_px=width,
+        height_px=height,
     )
-    if is_followed:
-        facts["num_merged_rows"], facts["num_ghost_rows"] = found.num_merged_rows, found.num_ghost_rows
-    if parameters.has_repair:
-        facts["num_repaired_joints"] = found.num_repaired_joints
-    return found.tracks
 
 
 def _reconstruct(

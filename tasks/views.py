@@ -11,7 +11,7 @@ import numpy as np
 from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import rows_by_place
+from tasks.annotated_pairs import pairs_by_place
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
@@ -114,7 +114,7 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
     level, reason = Level.PASS, ""
     if not num_pairs:
         level = Level.PASS if num_persons < 2 else Level.WARN
-        reason = "no annotated frame shows two people"
+        reason = "no annotated frame shows two people who are partners"
     elif num_without == num_pairs:
         level, reason = Level.FAIL, f"none of {num_pairs} annotated pairs shows enough of both torsos for a view"
     elif num_without > MAX_WITHOUT_VIEW * num_pairs:
@@ -126,7 +126,7 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Annotated pairs by sequence and frame, person A the one with the smaller id, and what is no pair, in words."""
+    """Annotated partners by sequence and frame, the smaller id first as person A, and what is no pair, in words."""
 
     sequence_id: np.ndarray
     frame: np.ndarray
@@ -137,14 +137,16 @@ class _Pairs:
 
 def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
     table = store.read(
-        ref, "annotations", columns=["sequence_id", "frame", "person_id", "is_key", "pair17_px", "pair17_confidence"]
+        ref,
+        "annotations",
+        columns=["sequence_id", "frame", "person_id", "partner_id", "is_key", "pair17_px", "pair17_confidence"],
     )
-    people = rows_by_place(table, np.asarray(table["is_key"]))
+    people = pairs_by_place(table, np.asarray(table["is_key"]))
     places = sorted(place for place, rows in people.items() if len(rows) == 2)
     skipped: list[str] = []
     for number in sorted({len(rows) for rows in people.values()} - {2}):
         others = Counter(sequence for (sequence, _), rows in people.items() if len(rows) == number)
-        skipped += _in_words(others, f"{number} {'person is' if number == 1 else 'people are'} annotated, not two")
+        skipped += _in_words(others, "one of the pair is annotated" if number else "nobody has a partner")
     rows = np.array([[row for _, row in sorted(people[place].items())] for place in places], dtype=int).reshape(-1, 2)
     return _Pairs(
         sequence_id=np.array([sequence for sequence, _ in places], dtype=object),

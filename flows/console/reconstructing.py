@@ -22,11 +22,12 @@ from pasdedeux.formats import (
     read_openpose_frame,
     write_bvh,
 )
+from pasdedeux.people.settle import settle_people
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
-from pasdedeux.reconstruction.people import follow_and_repair, reconstruct_people
+from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.reconstruction.tracks import tracks_from_rows
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.projections import read_pairs, read_views
 from tasks.reconstruction import MAX_PAIRS, read_database
@@ -94,16 +95,22 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     frames = _read_all(folder)
     joined = join_openpose_frames(frames, sequence_id="video", image_size_px=image_size)
     check_anatomy(joined)
-    op14 = KEYPOINT_LAYOUTS[joined.layout].derive("op14", joined.keypoints_px, joined.confidence)
     searchers = _searchers(source, refs, whole.pitch_deg)
-    followed = follow_and_repair(
-        joined.frame, joined.frame / whole.rate_hz, op14.positions, op14.confidence, image_size_px=image_size
+    settled = settle_people(replace(joined, rate_hz=whole.rate_hz))
+    width, height = image_size or (None, None)
+    tracks = tracks_from_rows(
+        settled.frames.frame,
+        settled.frames.person_id,
+        settled.frames.frame / whole.rate_hz,
+        settled.op14.positions,
+        settled.op14.confidence,
+        partner_id=settled.partner_id,
+        width_px=width,
+        height_px=height,
     )
-    if not followed.tracks:
-        raise InputError("no frame shows enough joints of a person; there is nothing to reconstruct")
     found = reconstruct_people(
         searchers,
-        followed.tracks,
+        tracks,
         [Method.FIT],
         has_clean_up=whole.has_clean_up,
         pairs_m=read_pairs(source, refs, max_pairs=MAX_PAIRS),
@@ -126,8 +133,7 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     camera = searchers[found.searcher_index].database.camera
     typer.echo(
         f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; "
-        f"{followed.num_merged_rows} doubled detections merged, "
-        f"{followed.num_ghost_rows} dropped, {followed.num_repaired_joints} joints repaired or left out",
+        f"{'; '.join(one.in_words() for one in settled.sequences)}",
         err=True,
     )
 

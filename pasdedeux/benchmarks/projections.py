@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.experiments.published_search import build_codebook, search_published
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
+from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
@@ -32,7 +33,6 @@ from pasdedeux.projections.search import (
     recall,
 )
 from pasdedeux.reconstruction.bones import place_bone_rotations
-from pasdedeux.reconstruction.identity import Follower
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track

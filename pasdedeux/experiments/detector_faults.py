@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.reconstruction.faults import RepairedCrowd
-from pasdedeux.reconstruction.identity import body_size_px
+from pasdedeux.people.faults import RepairedCrowd
+from pasdedeux.people.identity import body_size_px
 from pasdedeux.skeletons import OP14
 
 __all__ = ["KINDS", "Faulty", "JointCounts", "count_joints", "inject"]
@@ -112,7 +112,7 @@ class JointCounts:
 
 def count_joints(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> JointCounts:
     """Count what a repair of injected faults did, against the true keypoints (person, frame, 14, 2)."""
-    is_changed = found.is_swapped | found.is_exchanged | found.is_masked
+    is_changed = found.is_touched.copy()
     # Joints that a repair moved by less than can be seen are neither found nor falsely accused.
     moved = np.linalg.norm(found.keypoints_px - faulty.keypoints_px, axis=-1)
     size = np.nanmedian(body_size_px(true_px, np.ones(true_px.shape[:-1])))

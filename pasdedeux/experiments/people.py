@@ -10,8 +10,8 @@ import numpy.typing as npt
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.experiments.detections import film, people_of
 from pasdedeux.experiments.detector_faults import KINDS, JointCounts, count_joints, inject
-from pasdedeux.reconstruction.faults import repair_faults
-from pasdedeux.reconstruction.identity import follow_people, identity_switches
+from pasdedeux.people.faults import repair_faults
+from pasdedeux.people.identity import follow_people, identity_switches
 
 __all__ = ["fault_scores", "identity_scores"]
 
@@ -72,7 +72,7 @@ def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: floa
         rng = stream(name, 0)
         points, confidence = people_of(film(rng, couple, rate_hz=rate_hz, noise_px=noise_px))
         clean = repair_faults(points, confidence, rate_hz=rate_hz)
-        touched += int(np.count_nonzero(clean.is_swapped | clean.is_exchanged | clean.is_masked))
+        touched += int(np.count_nonzero(clean.is_touched))
         joints += clean.is_masked.size
         for kind in KINDS:
             faulty = inject(rng, points, confidence, kind)

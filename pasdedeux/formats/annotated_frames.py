@@ -74,6 +74,8 @@ class AnnotatedFrames:
         image_size_px: Width and height, None when unknown.
         rate_hz: Frames per second, None when unknown.
         skipped: Names of files that could not be read and were left out.
+        has_identities: Whether a person has the same number in every frame; a detector that does not follow people
+            numbers them anew in each.
 
     Raises:
         FormatError: Shapes do not fit the layout, or the same person twice in a frame.
@@ -88,6 +90,7 @@ class AnnotatedFrames:
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
     skipped: tuple[str, ...] = ()
+    has_identities: bool = True
 
     def __post_init__(self) -> None:
         """Sort the rows, settle what is missing, and check."""

@@ -106,6 +106,7 @@ def read_coco(data: bytes | str, *, sequence_id: str) -> AnnotatedFrames:
         keypoints_px=np.array(keypoints),
         confidence=np.array(confidences),
         image_size_px=None if is_results else _common_size(content),
+        has_identities=has_tracks,
     )
 
 

@@ -169,6 +169,7 @@ def join_openpose_frames(
         keypoints_px=keypoints,
         confidence=np.concatenate([frame.confidence for _, frame in people]),
         image_size_px=image_size_px,
+        has_identities=False,
     )
 
 

@@ -14,7 +14,6 @@ depths count by their deviations, so where no pair looks alike the people's own 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +32,7 @@ from pasdedeux.reconstruction.tracks import PersonTrack
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["PairSearcher", "Placing", "PlacingOptions", "choose_couples", "place_couple"]
+__all__ = ["PairSearcher", "Placing", "PlacingOptions", "place_couple"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -132,28 +131,6 @@ class Placing:
         root = found.root_m * factor[:, None]
         positions = root[:, None] + self.sizes[number] * (found.positions_m - found.root_m[:, None])
         return replace(found, positions_m=positions, root_m=root, metres_per_pixel=found.metres_per_pixel * factor)
-
-
-def choose_couples(
-    people: Sequence[tuple[PersonTrack, Reconstruction]], options: PlacingOptions | None = None
-) -> list[tuple[int, int]]:
-    """Return who moves together: places in `people`, each in one couple at most, those that are near longest first."""
-    options = options or PlacingOptions()
-    near = []
-    for first in range(len(people)):
-        for second in range(first + 1, len(people)):
-            _, at = _common(people[first][0], people[second][0])
-            between = people[second][1].root_m[at[1]] - people[first][1].root_m[at[0]]
-            count = int((np.hypot(between[:, 0], between[:, 1]) < options.max_apart_m).sum())
-            if count:
-                near.append((-count, first, second))
-    couples: list[tuple[int, int]] = []
-    taken: set[int] = set()
-    for _, first, second in sorted(near):
-        if not taken & {first, second}:
-            couples.append((first, second))
-            taken |= {first, second}
-    return couples
 
 
 def place_couple(searcher: PairSearcher, couple: Couple, options: PlacingOptions | None = None) -> Placing | None:

@@ -1,4 +1,4 @@
-"""From the people of a whole video to their motions: follow, repair, reconstruct, put into one frame, clean up."""
+"""From the people of a whole video to their motions: reconstruct, put into one frame, clean up."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import Motion
 from pasdedeux.reconstruction.cleanup import clean_reconstruction
-from pasdedeux.reconstruction.couples import PairSearcher, Placing, choose_couples, place_couple
-from pasdedeux.reconstruction.faults import repair_tracks
-from pasdedeux.reconstruction.identity import follow_people
+from pasdedeux.reconstruction.couples import PairSearcher, Placing, place_couple
 from pasdedeux.reconstruction.motion_out import upright_motion
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
@@ -25,35 +23,12 @@ from pasdedeux.reconstruction.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.reconstruction.tracks import PersonTrack, rate_from_times, tracks_from_rows
+from pasdedeux.reconstruction.tracks import PersonTrack
 
-__all__ = [
-    "FollowedTracks",
-    "MethodMotions",
-    "ReconstructedTracks",
-    "follow_and_repair",
-    "reconstruct_people",
-]
+__all__ = ["MethodMotions", "ReconstructedTracks", "reconstruct_people"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class FollowedTracks:
-    """The people of a sequence, followed and repaired.
-
-    Args:
-        tracks: By person id.
-        num_merged_rows: Doubled detections that were merged.
-        num_ghost_rows: Detections that were dropped.
-        num_repaired_joints: Joints that were put right or masked.
-    """
-
-    tracks: list[PersonTrack]
-    num_merged_rows: int
-    num_ghost_rows: int
-    num_repaired_joints: int
 
 
 @dataclass(frozen=True)
@@ -90,44 +65,6 @@ class ReconstructedTracks:
     placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
 
 
-def follow_and_repair(
-    frame: Integers,
-    time_s: Array,
-    keypoints_px: Array,
-    confidence: Array,
-    *,
-    person_id: Integers | None = None,
-    image_size_px: tuple[int, int] | None = None,
-    has_repair: bool = True,
-) -> FollowedTracks:
-    """Return the tracks of a sequence's people: who is who, then swapped sides, exchanged limbs and wild keypoints.
-
-    Args:
-        frame: Frame of each detection (row,).
-        time_s: Its time (row,).
-        keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; NaN where not seen.
-        confidence: (row, 14), 0 where not seen.
-        person_id: Person of each detection (row,) where that is known; they are followed otherwise.
-        image_size_px: Width and height where known.
-        has_repair: Faults are put right or left out.
-
-    Raises:
-        InputError: A person twice in a frame, or times that do not grow.
-    """
-    merged = ghosts = repaired = 0
-    if person_id is None:
-        followed = follow_people(frame, keypoints_px, confidence, rate_hz=rate_from_times(frame, time_s))
-        merged, ghosts = followed.num_merged, followed.num_ghosts
-        kept = followed.track_id >= 0
-        frame, time_s, person_id = frame[kept], time_s[kept], followed.track_id[kept]
-        keypoints_px, confidence = followed.keypoints_px[kept], followed.confidence[kept]
-    width, height = image_size_px or (None, None)
-    tracks = tracks_from_rows(frame, person_id, time_s, keypoints_px, confidence, width_px=width, height_px=height)
-    if has_repair:
-        tracks, repaired = repair_tracks(tracks)
-    return FollowedTracks(tracks, merged, ghosts, repaired)
-
-
 def reconstruct_people(
     searchers: Sequence[Searcher],
     people: Sequence[PersonTrack],
@@ -140,12 +77,12 @@ def reconstruct_people(
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
-    Two people who are near each other are placed by pairs that look like both, see `couples`; `nearest`, the baseline,
+    Two people who are partners are placed by pairs that look like both, see `couples`; `nearest`, the baseline,
     leaves everybody where their own size puts them.
 
     Args:
         searchers: Databases made ready, one per camera; the one that suits best is used.
-        people: Tracks, repaired as far as they can be.
+        people: Tracks of people whose identities are settled.
         methods: Methods; the last one is cleaned up and gives the motions.
         options: How.
         has_clean_up: Planted feet are stilled and the floor is kept.
@@ -197,7 +134,7 @@ def _place(
     pairs_m: npt.NDArray[np.floating] | None,
 ) -> dict[tuple[int, int], Placing]:
     """Place the couples of a sequence by pairs, by person ids."""
-    couples = choose_couples(found) if pairs_m is not None and len(pairs_m) else []
+    couples = _couples([person for person, _ in found]) if pairs_m is not None and len(pairs_m) else []
     if pairs_m is None or not couples:
         return {}
     database = searcher.database
@@ -209,6 +146,13 @@ def _place(
         if placing is not None:
             placings[one[0].person_id, other[0].person_id] = placing
     return placings
+
+
+def _couples(people: Sequence[PersonTrack]) -> list[tuple[int, int]]:
+    """Return the places in `people` of those who are partners and both there."""
+    place = {one.person_id: number for number, one in enumerate(people)}
+    partners = [-1 if one.partner_id is None else place.get(one.partner_id, -1) for one in people]
+    return [(first, second) for first, second in enumerate(partners) if first < second]
 
 
 def _moved(

@@ -8,18 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.people.video import rate_from_times
 from pasdedeux.skeletons import OP14
 
-__all__ = ["Lens", "PersonTrack", "Track", "rate_from_times", "tracks_from_rows", "why_no_video"]
+__all__ = ["Lens", "PersonTrack", "Track", "tracks_from_rows"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-
-_SHORT_SPAN = 1000
-"""Up to so many frames gaps cost nothing, so any are bridged."""
-_MIN_SHARE_SEEN = 0.05
-"""Of a longer sequence at least this share of the frames has people in it, or it is no video."""
 
 _FOCAL_OVER_WIDTH = 0.72
 """Focal length over the longer side of the image where nobody knows better: a 26 mm phone lens on 36 mm film."""
@@ -90,12 +86,14 @@ class PersonTrack:
         first_frame: Frame of the sequence that the track begins with.
         first_time_s: Time of that frame.
         track: The keypoints.
+        partner_id: Person of the sequence that this one is paired with; None for nobody.
     """
 
     person_id: int
     first_frame: int
     first_time_s: float
     track: Track
+    partner_id: int | None = None
 
     @property
     def frames(self) -> Integers:
@@ -108,34 +106,6 @@ class PersonTrack:
         return np.asarray(self.first_time_s + np.arange(len(self.track.keypoints_px)) / self.track.rate_hz)
 
 
-def why_no_video(frame: Integers) -> str:
-    """Say why frame numbers are not those of a video: single images, numbered by their ids or the time; else nothing.
-
-    The gaps of such a sequence have no motion to bridge them, and there may be millions of frames of them.
-    """
-    numbers = np.unique(frame)
-    span = int(numbers[-1] - numbers[0]) + 1 if len(numbers) else 0
-    if span <= _SHORT_SPAN or len(numbers) >= _MIN_SHARE_SEEN * span:
-        return ""
-    return f"{len(numbers):,} frames spread over {span:,} are single images, not a video"
-
-
-def rate_from_times(frame: Integers, time_s: Array) -> float:
-    """Return the frames per second of rows with these frame numbers and times; gaps in the numbers do not matter.
-
-    Raises:
-        InputError: The times do not grow with the frames, so there is no rate.
-    """
-    numbers, first = np.unique(frame, return_index=True)
-    if len(numbers) < 2:
-        return 1.0
-    steps = np.diff(time_s[first]) / np.diff(numbers)
-    step = float(np.median(steps))
-    if not (np.isfinite(step) and step > 0):
-        raise InputError(f"the times of the annotations do not grow with the frames (median step {step} s)")
-    return 1.0 / step
-
-
 def tracks_from_rows(
     frame: Integers,
     person_id: Integers,
@@ -143,6 +113,7 @@ def tracks_from_rows(
     keypoints_px: Array,
     confidence: Array,
     *,
+    partner_id: Integers | None = None,
     width_px: int | None,
     height_px: int | None,
 ) -> list[PersonTrack]:
@@ -154,6 +125,7 @@ def tracks_from_rows(
         time_s: Time of each row (row,), seconds.
         keypoints_px: op14 keypoints (row, 14, 2), pixels, y down; NaN where not seen.
         confidence: (row, 14), 0 where not seen.
+        partner_id: Partner of each row's person (row,), -1 for nobody; nobody has one where it is not given.
         width_px: Width of the image, None when unknown.
         height_px: Height of the image, None when unknown.
 
@@ -177,5 +149,7 @@ def tracks_from_rows(
         points[at - first] = keypoints_px[rows]
         seen[at - first] = confidence[rows]
         start = float(time_s[rows[np.argmin(at)]])
-        tracks.append(PersonTrack(int(person), first, start, Track(points, seen, rate_hz, lens)))
+        partner = -1 if partner_id is None else int(partner_id[rows[0]])
+        track = Track(points, seen, rate_hz, lens)
+        tracks.append(PersonTrack(int(person), first, start, track, None if partner < 0 else partner))
     return tracks

@@ -30,7 +30,7 @@ TAKE_ID = text("take_id", "Take: one capture, by a name unique in a study")
 TAKE_FRAME = integer("take_frame", "Frame of that take, else null", is_nullable=True)
 PERSON = integer("person", "Person of the take, from 0; 0 is person A")
 SEQUENCE_ID = text("sequence_id", "Sequence: what one camera saw")
-PERSON_ID = integer("person_id", "Person in the sequence; for virtual video the person of the take")
+PERSON_ID = integer("person_id", "Person in the sequence, the same in all frames; of virtual video that of the take")
 FRAME = integer("frame", "Frame of the take or sequence, from 0")
 TIME_S = float64("time_s", "Time from the start of the take or sequence", unit="s")
 IMAGE_SIZE = (

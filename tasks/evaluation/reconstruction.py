@@ -49,11 +49,6 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     )
     if not annotations:
         return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
-    if "num_merged_rows" in facts:
-        note = (
-            f"{shard.name}: people were followed by pose and motion, so nobody knows whose truth a track is; no scores."
-        )
-        return _show(store, motions, note)
     takes = read_takes(store, shard.refs("takes"), "op14_m")
     cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"

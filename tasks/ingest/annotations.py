@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, find_format, read_annotations
+from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
@@ -76,15 +79,18 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
 
 
 def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:
-    """Read a source of 2D poses and derive the working skeletons."""
+    """Read a source of 2D poses, settle who is who, and derive the working skeletons."""
     for file in shard.files:
         read_again(file)
-    frames = _read(parameters, shard.files)
-    layout = KEYPOINT_LAYOUTS[frames.layout]
-    rate = parameters.rate_hz or frames.rate_hz or DEFAULT_RATE_HZ
-    size = parameters.image_size_px or frames.image_size_px
-    pair17 = layout.derive("pair17", frames.keypoints_px, frames.confidence)
-    op14 = layout.derive("op14", frames.keypoints_px, frames.confidence)
+    given = _read(parameters, shard.files)
+    rate = parameters.rate_hz or given.rate_hz or DEFAULT_RATE_HZ
+    size = parameters.image_size_px or given.image_size_px
+    try:
+        settled = settle_people(replace(given, rate_hz=rate), parameters.part(PeopleSettings))
+    except InputError as error:
+        raise type(error)(f"annotations {parameters.id}: {error}") from None
+    frames, op14 = settled.frames, settled.op14
+    pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
     count = frames.num_rows
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
@@ -95,6 +101,8 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "sequence_id": list(frames.sequence_id),
                 "frame": frames.frame,
                 "person_id": frames.person_id,
+                "partner_id": [None if one < 0 else int(one) for one in settled.partner_id],
+                "source_person_id": settled.source_person_id,
                 "time_s": frames.frame / rate,
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
@@ -126,10 +134,25 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             "layout": frames.layout,
             "num_skipped_frames": len(frames.skipped),
             "skipped_files": list(frames.skipped[:MAX_NAMED_FILES]),
+            **_decisions(settled),
         },
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(float((pair17.confidence > 0).mean()), len(frames.skipped), len(shard.files)),
     )
+
+
+def _decisions(settled: SettledPeople) -> dict[str, Any]:
+    """Return what was decided of who is who, as facts."""
+    return {
+        "couples": [
+            {"sequence_id": one.sequence_id, "person_ids": [pair.first, pair.second], "num_near_frames": pair.num_near}
+            for one in settled.sequences
+            for pair in one.pairs
+        ][:MAX_NAMED_FILES],
+        "num_merged_rows": sum(one.num_merged_rows for one in settled.sequences),
+        "num_ghost_rows": sum(one.num_ghost_rows for one in settled.sequences),
+        "num_repaired_joints": sum(one.num_repaired_joints for one in settled.sequences),
+    }
 
 
 def _verdict(share_seen: float, num_skipped: int, num_files: int) -> Verdict:

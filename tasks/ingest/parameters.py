@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle
 from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
+from pasdedeux.people.settle import PeopleSettings
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import SourceCredit
 from tasks.stage import Parameters
@@ -197,7 +198,7 @@ class VirtualVideoOptions(VirtualCameras):
     )
 
 
-class _AnnotationCommon(Parameters):
+class _AnnotationCommon(PeopleSettings, Parameters):
     """What a source of 2D poses is, apart from where it lies."""
 
     id: str = Field(

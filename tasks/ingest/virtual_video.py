@@ -169,6 +169,8 @@ def _add_seen(
         sequence_id=[sequence_id] * count,
         frame=number,
         person_id=np.tile(np.arange(num_persons), num_frames),
+        partner_id=(1 - np.tile([0, 1], num_frames) if num_persons == 2 else [None] * count),
+        source_person_id=np.tile(np.arange(num_persons), num_frames),
         time_s=number / parameters.rate_hz,
         is_key=np.repeat(np.ones(num_frames, bool) if key is None else frames == key, num_persons),
         is_virtual=[True] * count,

@@ -27,7 +27,7 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, first_two, read_people
+from tasks.annotated_pairs import Place, pair_of, read_people
 from tasks.draw_sets import DrawSet, read_all_draws
 from tasks.lifting.parameters import LiftingShard
 from tasks.priors import read_limits
@@ -138,7 +138,7 @@ def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, 
         rows = likeliest.get(place, [])[:num_hypotheses]
         if len(people[place]) < 2 or not rows:
             continue
-        image = pair_in_metres(first_two(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
+        image = pair_in_metres(pair_of(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
         one = _Annotated(*place, image, np.asarray(direction, dtype=np.float64)[rows], hypothesis[rows])
         if one.is_seen.sum() >= MIN_SEEN:
             found[place] = one

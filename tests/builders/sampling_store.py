@@ -98,6 +98,8 @@ def put_annotations(
         "sequence_id": np.repeat(sequence, 6).tolist(),
         "frame": np.tile(np.repeat([-1, 0, 1], 2), NUM_FRAMES),
         "person_id": np.tile([0, 1], 3 * NUM_FRAMES),
+        "partner_id": np.tile([1, 0], 3 * NUM_FRAMES),
+        "source_person_id": np.tile([0, 1], 3 * NUM_FRAMES),
         "time_s": np.zeros(count),
         "is_key": np.tile(np.repeat([False, True, False], 2), NUM_FRAMES),
         "is_virtual": np.ones(count, dtype=bool),

@@ -107,6 +107,8 @@ def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manif
         "sequence_id": [row[0] for row in rows],
         "frame": [row[1] for row in rows],
         "person_id": [row[2] for row in rows],
+        "partner_id": [None if row[0].startswith("solo") else 1 - row[2] for row in rows],
+        "source_person_id": [row[2] for row in rows],
         "time_s": np.zeros(total),
         "is_key": [row[3] for row in rows],
         "is_virtual": [True] * total,
@@ -246,11 +248,11 @@ def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> 
     assert verdict is not None
     assert (verdict.level, verdict.reason) == (
         Level.PASS,
-        "no annotated frame shows two people",
+        "no annotated frame shows two people who are partners",
     )
     skipped = store.manifest(ref).facts["skipped"]
-    assert skipped[0] == "solo.view000: 1 frames skipped, 1 person is annotated, not two"
-    assert skipped[-1] == "10 more sequences: 10 frames skipped, 1 person is annotated, not two"
+    assert skipped[0] == "solo.view000: 1 frames skipped, nobody has a partner"
+    assert skipped[-1] == "10 more sequences: 10 frames skipped, nobody has a partner"
 
 
 def test_the_same_inputs_give_the_same_bytes_and_a_parameter_changes_the_key(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.reconstruction.tracks import why_no_video
+from pasdedeux.people.video import why_no_video
 from storage_schema import Store, open_table
 from tests.builders.own_sources import film_duet
 from tests.builders.real_study import build_here

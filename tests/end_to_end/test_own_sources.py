@@ -113,7 +113,7 @@ def test_stages_that_need_pairs_skip_the_walk_and_the_report_says_so(own: Own) -
     assert "walk" in set(open_table("projections:own", own.store)["take_id"])
     assert "Take walk: one person" in own.report
     assert "Take walk: one person" in own.card
-    assert "walk.video00: 12 frames skipped, 1 person is annotated, not two" in own.report
+    assert "walk.video00: 12 frames skipped, nobody has a partner" in own.report
 
 
 def prior_takes(own: Own) -> list[str]:

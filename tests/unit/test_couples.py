@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -13,9 +12,8 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, mid_hip, retarget_proportions
-from pasdedeux.reconstruction.couples import PlacingOptions, choose_couples
 from pasdedeux.reconstruction.people import ReconstructedTracks, reconstruct_people
-from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher
+from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from tests.builders.walkers import walk
 
@@ -53,7 +51,10 @@ def filmed() -> tuple[list[PersonTrack], np.ndarray]:
     camera = look_at_camera(hips.mean(axis=(0, 1)), distance_m=4.0, yaw_rad=0.4, pitch_rad=0.0, focal_px=FOCAL_PX)
     px = camera.project(world).px
     lens = Lens(ASSUMED_FOCAL_PX, (960.0, 540.0))
-    tracks = [PersonTrack(number, 0, 0.0, Track(px[:, number], np.ones((FRAMES, 14)), 24.0, lens)) for number in (0, 1)]
+    tracks = [
+        PersonTrack(number, 0, 0.0, Track(px[:, number], np.ones((FRAMES, 14)), 24.0, lens), 1 - number)
+        for number in (0, 1)
+    ]
     return tracks, (world - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
@@ -117,23 +118,8 @@ def test_gaps_and_tracks_that_only_overlap_are_placed_where_both_are_seen() -> N
     seen = second.track.confidence.copy()
     seen[20:30] = 0.0
     late = Track(second.track.keypoints_px[8:], seen[8:], 24.0, second.track.lens)
-    placed = reconstructed([first, PersonTrack(1, 8, 8 / 24.0, late)], database()[1], Method.VITERBI)
+    placed = reconstructed([first, PersonTrack(1, 8, 8 / 24.0, late, 0)], database()[1], Method.VITERBI)
     (placing,) = placed.placings.values()
     assert placing.frames.tolist() == list(range(8, FRAMES))
     for _, one in placed.methods[-1].people:
         assert np.isfinite(one.positions_m).all()
-
-
-def test_couples_are_those_who_are_near_longest_and_nobody_is_in_two() -> None:
-    tracks, _ = filmed()
-    found = reconstructed(tracks, None, Method.VITERBI).methods[-1].people
-
-    def beside(one: Reconstruction, metres: float) -> Reconstruction:
-        return replace(one, root_m=one.root_m + np.array([metres, 0.0, 0.0]))
-
-    third = PersonTrack(2, 0, 0.0, tracks[0].track)
-    people = [(third, beside(found[0][1], 1.9)), *found]
-    assert choose_couples(people) == [(1, 2)]
-    far = [found[0], (tracks[1], beside(found[1][1], 9.0))]
-    assert choose_couples(far) == []
-    assert choose_couples(far, PlacingOptions(max_apart_m=12.0)) == [(0, 1)]

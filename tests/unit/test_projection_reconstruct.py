@@ -17,6 +17,7 @@ from pasdedeux.evaluation.reconstruction_metrics import (
 )
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.people.video import rate_from_times
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
@@ -29,7 +30,7 @@ from pasdedeux.reconstruction.reconstruct import (
     match_track,
     reconstruct_track,
 )
-from pasdedeux.reconstruction.tracks import Lens, Track, rate_from_times, tracks_from_rows
+from pasdedeux.reconstruction.tracks import Lens, Track, tracks_from_rows
 from pasdedeux.skeletons import OP14
 from tests.builders.walkers import walk
 

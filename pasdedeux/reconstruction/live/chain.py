@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.identity import Follower
+from pasdedeux.people.identity import Follower
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Lens

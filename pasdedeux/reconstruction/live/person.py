@@ -17,10 +17,10 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import multiply, rotate
+from pasdedeux.people.identity import IdentityOptions
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
-from pasdedeux.reconstruction.identity import IdentityOptions
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image

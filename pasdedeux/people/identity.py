@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.identity_kernels import (
+from pasdedeux.people.identity_kernels import (
     clean_detections,
     match_costs,
     predict_joints,
@@ -26,7 +26,15 @@ from pasdedeux.reconstruction.identity_kernels import (
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
-__all__ = ["FollowedRows", "Follower", "IdentityOptions", "body_size_px", "follow_people", "identity_switches"]
+__all__ = [
+    "FollowedRows",
+    "Follower",
+    "IdentityOptions",
+    "body_size_px",
+    "follow_people",
+    "identity_switches",
+    "mean_of_two",
+]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -73,15 +81,23 @@ class FollowedRows:
         track_id: Person of each row (row,), counted from 0 by first appearance; -1 for dropped rows.
         keypoints_px: (row, joint, 2); rows that a doubled person was merged into hold the mean of both.
         confidence: (row, joint).
-        num_merged: Doubled detections that were merged into others.
-        num_ghosts: Rows of short ghosts and of detections with too few joints that were dropped.
+        twin: Row that a doubled detection was merged into (row,); -1 for all others.
     """
 
     track_id: Integers
     keypoints_px: Array
     confidence: Array
-    num_merged: int
-    num_ghosts: int
+    twin: Integers
+
+    @property
+    def num_merged(self) -> int:
+        """Doubled detections that were merged into others."""
+        return int(np.count_nonzero(self.twin >= 0))
+
+    @property
+    def num_ghosts(self) -> int:
+        """Rows of short ghosts and of detections with too few joints that were dropped."""
+        return int(np.count_nonzero((self.track_id < 0) & (self.twin < 0)))
 
 
 @dataclass
@@ -151,7 +167,7 @@ class Follower:
             for row, column in zip(*linear_sum_assignment(gated), strict=True):
                 if cost[row, column] <= limit[row, column]:
                     matched[int(usable[column])] = self._people[row]
-        merged = 0
+        twins = np.full(len(points), -1, dtype=np.int64)
         for index in usable.tolist():
             if index in matched:
                 continue
@@ -168,13 +184,13 @@ class Follower:
                 )
                 self._people.append(matched[index])
             else:
-                points[twin], seen[twin] = _mean_of(points[np.array([twin, index])], seen[np.array([twin, index])])
+                points[twin], seen[twin] = mean_of_two(points[np.array([twin, index])], seen[np.array([twin, index])])
                 is_seen = seen > 0
-                merged += 1
+                twins[index] = twin
         for index, person in matched.items():
             track_id[index] = person.track_id
             _update(person, time_s, points[index], is_seen[index], float(size[index]))
-        return FollowedRows(track_id, points, seen, merged, int((~is_usable).sum()))
+        return FollowedRows(track_id, points, seen, twins)
 
     def _costs(self, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size: Array) -> tuple[Array, Array]:
         """Return the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
@@ -228,22 +244,18 @@ def follow_people(
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"identities: the frame rate is {rate_hz}, it must be positive")
     points, seen = np.array(keypoints_px, dtype=np.float64), np.array(confidence, dtype=np.float64)
-    track_id = np.full(len(frame), -1, dtype=np.int64)
+    track_id, twin = np.full((2, len(frame)), -1, dtype=np.int64)
     follower = Follower(options)
-    merged = ghosts = 0
     for number in np.unique(frame):
         rows = np.flatnonzero(frame == number)
         found = follower.step(float(number) / rate_hz, points[rows], seen[rows])
         track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
-        merged += found.num_merged
-        ghosts += found.num_ghosts
-    is_ghost = _ghosts(frame, track_id, rate_hz, options)
-    ghosts += int(is_ghost.sum())
-    track_id[is_ghost] = -1
+        twin[rows] = np.where(found.twin >= 0, rows[found.twin], -1)
+    track_id[_ghosts(frame, track_id, rate_hz, options)] = -1
     kept = [int(one) for one in dict.fromkeys(track_id[np.argsort(frame, kind="stable")].tolist()) if one >= 0]
     renamed = {old: new for new, old in enumerate(kept)} | {-1: -1}
     final = np.array([renamed[int(one)] for one in track_id], dtype=np.int64)
-    return FollowedRows(final, points, seen, merged, ghosts)
+    return FollowedRows(final, points, seen, twin)
 
 
 def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) -> int:
@@ -254,6 +266,13 @@ def identity_switches(true_id: Integers, track_id: Integers, frame: Integers) ->
         ids = track_id[rows[np.argsort(frame[rows], kind="stable")]]
         switches += int(np.count_nonzero(np.diff(ids)))
     return switches
+
+
+def mean_of_two(points: Array, confidence: Array) -> tuple[Array, Array]:
+    """Return the mean (joint, 2) of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
+    total = confidence.sum(axis=0)
+    mean = np.einsum("dj,djc->jc", confidence, np.nan_to_num(points)) / np.where(total > 0, total, 1.0)[:, None]
+    return np.where((total > 0)[:, None], mean, np.nan), confidence.max(axis=0)
 
 
 def _faded(passed_s: float, fade_s: float) -> float:
@@ -278,13 +297,6 @@ def _twin(
         if float(np.median(apart)) < duplicate * float(size[other]):
             return other
     return None
-
-
-def _mean_of(points: Array, confidence: Array) -> tuple[Array, Array]:
-    """Return the mean of two detections (2, joint, 2) by confidence, and the higher confidence of both."""
-    total = confidence.sum(axis=0)
-    mean = np.einsum("dj,djc->jc", confidence, np.nan_to_num(points)) / np.where(total > 0, total, 1.0)[:, None]
-    return np.where((total > 0)[:, None], mean, np.nan), confidence.max(axis=0)
 
 
 def _update(person: _Person, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size_px: float) -> None:

@@ -11,8 +11,7 @@ from pydantic import ValidationError
 from pasdedeux.errors import InputError
 from pasdedeux.experiments.detections import film, people_of
 from pasdedeux.experiments.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
-from pasdedeux.reconstruction.faults import FaultOptions, RepairedCrowd, repair_faults, repair_tracks
-from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
+from pasdedeux.people.faults import FaultOptions, RepairedCrowd, repair_faults
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 
@@ -34,7 +33,7 @@ def repaired(faulty: Faulty) -> RepairedCrowd:
 def test_clean_keypoints_are_left_alone(name: str, noise_px: float) -> None:
     points, confidence = filmed(name, noise_px)
     found = repair_faults(points, confidence, rate_hz=30.0)
-    touched = found.is_swapped | found.is_exchanged | found.is_masked
+    touched = found.is_touched
     assert touched.mean() < 0.002
     np.testing.assert_array_equal(found.keypoints_px[~touched], points[~touched])
 
@@ -71,7 +70,7 @@ def test_missing_joints_stay_missing_and_are_no_fault() -> None:
     hidden = np.random.default_rng(0).random(confidence.shape) < 0.3
     points[hidden], confidence[hidden] = np.nan, 0.0
     found = repair_faults(points, confidence, rate_hz=30.0)
-    assert (found.is_swapped | found.is_exchanged | found.is_masked).mean() < 0.01
+    assert found.is_touched.mean() < 0.01
     assert (found.confidence[hidden] == 0).all()
 
 
@@ -84,29 +83,22 @@ def test_a_swap_for_one_frame_at_either_end_is_put_right() -> None:
         np.testing.assert_array_equal(repair_faults(wrong, confidence, rate_hz=30.0).keypoints_px, points)
 
 
-def test_tracks_that_begin_at_different_frames_keep_their_frames() -> None:
+def test_who_comes_later_is_repaired_and_nobody_is_made_up_before() -> None:
     points, confidence = filmed("waltz", 0.0)
-    lens = Lens(1000.0, (960.0, 540.0))
-    tracks = [
-        PersonTrack(
-            person, first, first / 30.0, Track(points[person, first:].copy(), confidence[person, first:], 30.0, lens)
-        )
-        for person, first in ((0, 0), (1, 60))
-    ]
-    tracks[0].track.keypoints_px[30] = tracks[0].track.keypoints_px[30, np.array(OP14.mirror)]
-    found, num_touched = repair_tracks(tracks)
-    assert [one.first_frame for one in found] == [0, 60]
-    assert [len(one.track.confidence) for one in found] == [150, 90]
-    assert num_touched >= 8
-    np.testing.assert_array_equal(found[0].track.keypoints_px[30], points[0, 30])
-    assert repair_tracks([]) == ([], 0)
+    points[1, :60], confidence[1, :60] = np.nan, 0.0
+    wrong = points.copy()
+    wrong[0, 30] = wrong[0, 30, np.array(OP14.mirror)]
+    found = repair_faults(wrong, confidence, rate_hz=30.0)
+    np.testing.assert_array_equal(found.keypoints_px[0, 30], points[0, 30])
+    assert (found.confidence[1, :60] == 0.0).all()
+    assert found.is_swapped[0, 30].sum() >= 8
 
 
 def test_scraps_are_left_as_they_are_and_bad_input_is_named() -> None:
     short = repair_faults(np.zeros((1, 2, 14, 2)), np.ones((1, 2, 14)), rate_hz=30.0)
     assert not short.is_masked.any()
     blind = repair_faults(np.full((2, 9, 14, 2), np.nan), np.zeros((2, 9, 14)), rate_hz=30.0)
-    assert not (blind.is_swapped | blind.is_masked | blind.is_exchanged).any()
+    assert not blind.is_touched.any()
     with pytest.raises(InputError, match="expected"):
         repair_faults(np.zeros((5, 14, 2)), np.ones((5, 14)), rate_hz=30.0)
     with pytest.raises(InputError, match="rate"):

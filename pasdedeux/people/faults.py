@@ -12,16 +12,14 @@ All are told by continuity: a label that is wrong makes joints jump, and back ag
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.reconstruction.identity import body_size_px
-from pasdedeux.reconstruction.tracks import PersonTrack
+from pasdedeux.people.identity import body_size_px
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
@@ -31,7 +29,6 @@ __all__ = [
     "repair_exchanges",
     "repair_faults",
     "repair_sides",
-    "repair_tracks",
     "wild_joints",
 ]
 
@@ -78,16 +75,31 @@ class RepairedCrowd:
     Args:
         keypoints_px: (person, frame, 14, 2); masked joints are NaN.
         confidence: (person, frame, 14); 0 where masked.
-        is_swapped: Joints whose label was put right within their person (person, frame, 14).
-        is_exchanged: Joints that were given back to the person they belong to (person, frame, 14).
+        source_person: Person who was given each joint (person, frame, 14): the other one where a limb was exchanged.
+        source_joint: Label under which it was given (person, frame, 14): its mirror where sides were swapped.
         is_masked: Joints masked as wild (person, frame, 14).
     """
 
     keypoints_px: Array
     confidence: Array
-    is_swapped: Booleans
-    is_exchanged: Booleans
+    source_person: Integers
+    source_joint: Integers
     is_masked: Booleans
+
+    @property
+    def is_swapped(self) -> Booleans:
+        """Joints whose label was put right within a person (person, frame, 14)."""
+        return np.asarray(self.source_joint != np.arange(OP14.num_joints))
+
+    @property
+    def is_exchanged(self) -> Booleans:
+        """Joints that were given back to the person they belong to (person, frame, 14)."""
+        return np.asarray(self.source_person != np.arange(len(self.source_person))[:, None, None])
+
+    @property
+    def is_touched(self) -> Booleans:
+        """Joints that are not as they were given (person, frame, 14)."""
+        return self.is_swapped | self.is_exchanged | self.is_masked
 
 
 def repair_faults(
@@ -102,7 +114,7 @@ def repair_faults(
         options: What counts as a fault.
 
     Returns:
-        The repaired keypoints.  Fewer than three frames are left as they are.
+        The repaired keypoints.  Who is seen in fewer than three frames is left as they are.
 
     Raises:
         InputError: Shapes that do not fit, or a rate that is not positive.
@@ -119,27 +131,35 @@ def repair_faults(
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (np.nan_to_num(confidence) > 0)
     points = np.where(is_seen[..., None], keypoints_px, np.nan)
     weight = np.where(is_seen, confidence, 0.0)
-    is_swapped = np.zeros(is_seen.shape, dtype=bool)
-    is_exchanged = np.zeros(is_seen.shape, dtype=bool)
+    source_person = np.zeros(is_seen.shape, dtype=np.int64) + np.arange(people)[:, None, None]
+    source_joint = np.zeros(is_seen.shape, dtype=np.int64) + np.arange(14)
     is_masked = np.zeros(is_seen.shape, dtype=bool)
-    if keypoints_px.shape[1] < 3:
-        return RepairedCrowd(points, weight, is_swapped, is_exchanged, is_masked)
-    for person in range(people):
-        source = repair_sides(points[person], rate_hz=rate_hz, options=options)
-        points[person] = np.take_along_axis(points[person], source[..., None], axis=1)
-        weight[person] = np.take_along_axis(weight[person], source, axis=1)
-        is_swapped[person] = source != np.arange(14)
+    spans = [_span(one.any(axis=-1)) for one in is_seen]
+    for person, own in enumerate(spans):
+        if own.stop - own.start < 3:
+            continue
+        source = repair_sides(points[person, own], rate_hz=rate_hz, options=options)
+        points[person, own] = np.take_along_axis(points[person, own], source[..., None], axis=1)
+        weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
+        source_joint[person, own] = source
     for first in range(people):
         for second in range(first + 1, people):
-            both = np.array([first, second])
-            exchanged = repair_exchanges(points[both], rate_hz=rate_hz, options=options)
-            points[both] = np.where(exchanged[None, ..., None], points[both[::-1]], points[both])
-            weight[both] = np.where(exchanged[None], weight[both[::-1]], weight[both])
-            is_exchanged[both] |= exchanged
-    for person in range(people):
-        is_masked[person] = wild_joints(points[person], weight[person], rate_hz=rate_hz, options=options)
+            one, other = spans[first], spans[second]
+            common = range(max(one.start, other.start), min(one.stop, other.stop))
+            if len(common) < 3:
+                continue
+            at = np.ix_([first, second], common)
+            exchanged = repair_exchanges(points[at], rate_hz=rate_hz, options=options)
+            for given in (points, weight, source_person, source_joint):
+                two = given[at]
+                given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
+    for person, own in enumerate(spans):
+        if own.stop - own.start >= 3:
+            is_masked[person, own] = wild_joints(
+                points[person, own], weight[person, own], rate_hz=rate_hz, options=options
+            )
     points = np.where(is_masked[..., None], np.nan, points)
-    return RepairedCrowd(points, np.where(is_masked, 0.0, weight), is_swapped, is_exchanged, is_masked)
+    return RepairedCrowd(points, np.where(is_masked, 0.0, weight), source_person, source_joint, is_masked)
 
 
 def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Integers:
@@ -207,6 +227,12 @@ def wild_joints(
         usual = float(np.quantile(length[both], _USUAL_QUANTILE))
         is_wild[:, child] |= both & (length > options.bone_excess * usual)
     return is_wild
+
+
+def _span(is_there: Booleans) -> slice:
+    """Return the frames from the first to the last in which a person is seen; empty for who is never seen."""
+    frames = np.flatnonzero(is_there)
+    return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) else slice(0, 0)
 
 
 def _size(keypoints_px: Array) -> Array:
@@ -286,32 +312,3 @@ def _kept(frames: Integers, places: Array, free_distance: float, reach: int, opt
         kept[at] = True
         at = int(back[at])
     return kept
-
-
-def repair_tracks(tracks: Sequence[PersonTrack], options: FaultOptions | None = None) -> tuple[list[PersonTrack], int]:
-    """Return the tracks of a sequence with their faults repaired or masked, and how many joints were touched.
-
-    A track of which nothing would be left is given back as it was.
-    """
-    if not tracks:
-        return [], 0
-    first = min(one.first_frame for one in tracks)
-    last = max(one.first_frame + len(one.track.confidence) for one in tracks)
-    points = np.full((len(tracks), last - first, 14, 2), np.nan)
-    confidence = np.zeros(points.shape[:-1])
-    for person, one in enumerate(tracks):
-        own = slice(one.first_frame - first, one.first_frame - first + len(one.track.confidence))
-        points[person, own], confidence[person, own] = one.track.keypoints_px, one.track.confidence
-    found = repair_faults(points, confidence, rate_hz=tracks[0].track.rate_hz, options=options)
-    repaired, num_touched = [], 0
-    for person, one in enumerate(tracks):
-        own = slice(one.first_frame - first, one.first_frame - first + len(one.track.confidence))
-        if not (found.confidence[person, own] > 0).any():
-            repaired.append(one)
-            continue
-        num_touched += int((found.is_swapped | found.is_exchanged | found.is_masked)[person, own].sum())
-        track = replace(
-            one.track, keypoints_px=found.keypoints_px[person, own], confidence=found.confidence[person, own]
-        )
-        repaired.append(replace(one, track=track))
-    return repaired, num_touched

@@ -1,0 +1,147 @@
+"""Who is who is settled once: identities, faults and pairs reach every stage through the rows of a source."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from pasdedeux.experiments.detections import Detections, film
+from pasdedeux.formats import AnnotatedFrames
+from pasdedeux.people.pairs import PairSettings, choose_pairs
+from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
+from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tests.builders.crowds import duet_couple
+from tests.builders.walkers import walk
+
+
+def rows_of(seen: Detections, *, has_identities: bool = False) -> AnnotatedFrames:
+    """Return detections as a source lists them: numbered from 0 in every frame, or as the people they are."""
+    order = np.argsort(seen.frame, kind="stable")
+    place = np.concatenate([np.arange(np.count_nonzero(seen.frame == one)) for one in np.unique(seen.frame)])
+    return AnnotatedFrames(
+        layout="op14",
+        sequence_id=("video",) * len(order),
+        frame=seen.frame[order],
+        person_id=seen.true_id[order] if has_identities else place,
+        keypoints_px=seen.keypoints_px[order],
+        confidence=seen.confidence[order],
+        rate_hz=seen.rate_hz,
+        has_identities=has_identities,
+    )
+
+
+def dance(noise_px: float = 2.0, *, num_people: int = 2) -> Detections:
+    couple = duet_couple("waltz", duration_s=4.0)
+    if num_people == 3:
+        passing = walk(len(couple), seed=2, rate_hz=30.0, turn_rad=0.0)[:, None]
+        passing[..., 0] += np.linspace(-3.0, 3.0, len(couple))[:, None, None]
+        couple = np.concatenate([couple, passing], axis=1)
+    return film(np.random.default_rng(1), couple, noise_px=noise_px, yaw_rad=0.3)
+
+
+def people_in(settled: SettledPeople, seen: Detections) -> set[tuple[int, int]]:
+    """Return which true people each person of the settled rows really is, by the keypoints."""
+    found = set()
+    for frame, person, px in zip(
+        settled.frames.frame, settled.frames.person_id, settled.frames.keypoints_px, strict=True
+    ):
+        rows = np.flatnonzero(seen.frame == frame)
+        apart = np.nanmedian(np.linalg.norm(seen.keypoints_px[rows] - px, axis=-1), axis=-1)
+        found.add((int(person), int(seen.true_id[rows[np.argmin(apart)]])))
+    return found
+
+
+def test_people_numbered_anew_in_every_frame_are_followed_and_partners() -> None:
+    seen = dance()
+    settled = settle_people(rows_of(seen))
+    assert len(people_in(settled, seen)) == 2
+    np.testing.assert_array_equal(settled.partner_id, 1 - settled.frames.person_id)
+    assert set(settled.source_person_id[settled.frames.person_id == 0].tolist()) == {0, 1}
+    assert "0 and 1 are partners" in settled.sequences[0].in_words()
+    kept = settle_people(rows_of(seen), PeopleSettings(identities="given"))
+    assert len(people_in(kept, seen)) == 4
+
+
+def test_a_passer_by_is_nobodys_partner() -> None:
+    seen = dance(num_people=3)
+    seen = seen.rows((seen.true_id < 2) | ((seen.frame > 40) & (seen.frame <= 70)))
+    settled = settle_people(rows_of(seen))
+    assert len(people_in(settled, seen)) == 3
+    partners = {(int(a), int(b)) for a, b in zip(settled.frames.person_id, settled.partner_id, strict=True)}
+    (passer,) = {a for a, b in partners if b < 0}
+    assert partners == {(passer, -1), *((a, b) for a in range(3) for b in range(3) if passer not in (a, b) and a != b)}
+    assert settled.sequences[0].num_people == 3
+
+
+def test_faults_are_put_right_in_the_keypoints_that_move_with_the_joints() -> None:
+    layout = KEYPOINT_LAYOUTS["body25"]
+    seen = dance(0.0)
+    order = np.lexsort([seen.true_id, seen.frame])
+    px, confidence = np.full((len(order), 25, 2), np.nan), np.zeros((len(order), 25))
+    for joint, name in enumerate(OP14.joint_names):
+        at = layout.keypoint_names.index({"head": "nose"}.get(name, name))
+        px[:, at], confidence[:, at] = seen.keypoints_px[order, joint], 1.0
+        if name.endswith("ankle"):
+            toe = layout.keypoint_names.index(name.replace("ankle", "big_toe"))
+            px[:, toe], confidence[:, toe] = seen.keypoints_px[order, joint] + [0.0, 9.0], 1.0
+    middle = layout.keypoint_names.index("mid_hip")
+    hips = [layout.keypoint_names.index(f"{side}_hip") for side in ("left", "right")]
+    px[:, middle], confidence[:, middle] = px[:, hips].mean(axis=1), 1.0
+    right = AnnotatedFrames(
+        "body25", ("v",) * len(px), seen.frame[order], seen.true_id[order], px, confidence, rate_hz=30
+    )
+    wrong = px.copy()
+    row = 60
+    mirrored = [
+        layout.keypoint_names.index(name.replace("left", "*").replace("right", "left").replace("*", "right"))
+        for name in layout.keypoint_names
+    ]
+    wrong[row] = px[row, mirrored]
+    wild = layout.keypoint_names.index("left_wrist")
+    wrong[100, wild] += 400.0
+    settled = settle_people(replace(right, keypoints_px=wrong))
+    np.testing.assert_array_equal(settled.frames.keypoints_px[row], px[row])
+    assert settled.frames.confidence[100, wild] == 0.0
+    assert settled.op14.confidence[100, OP14.index("left_wrist")] == 0.0
+    op14 = layout.derive("op14", settled.frames.keypoints_px, settled.frames.confidence)
+    np.testing.assert_allclose(settled.op14.positions, op14.positions)
+    left = settle_people(replace(right, keypoints_px=wrong), PeopleSettings(has_repair=False))
+    np.testing.assert_array_equal(left.frames.keypoints_px, replace(right, keypoints_px=wrong).keypoints_px)
+
+
+def test_single_images_are_not_followed_and_paired_one_by_one() -> None:
+    seen = dance(num_people=3)
+    seen = seen.rows(seen.frame % 20 == 0)
+    images = rows_of(replace(seen, frame=seen.frame * 1000))
+    settled = settle_people(images)
+    np.testing.assert_array_equal(settled.frames.person_id, images.person_id)
+    np.testing.assert_array_equal(settled.frames.keypoints_px, images.keypoints_px)
+    assert "single images" in settled.sequences[0].why_not_followed
+    for frame in np.unique(settled.frames.frame):
+        rows = settled.frames.frame == frame
+        assert np.count_nonzero(settled.partner_id[rows] >= 0) == 2
+
+
+def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -> None:
+    person = np.full((10, 14, 2), np.nan)
+    person[:, :4] = [[0.0, 0.0], [0.0, 100.0], [30.0, 50.0], [-30.0, 50.0]]
+    frame = np.tile(np.arange(10), 3)
+    ids = np.repeat([0, 1, 2], 10)
+    px = np.concatenate([person + np.array([shift, 0.0]) for shift in (0.0, 150.0, 60.0)])
+    seen = np.isfinite(px).all(axis=-1).astype(float)
+    (pair,) = choose_pairs(frame, ids, px, seen)
+    assert (pair.first, pair.second, pair.num_near) == (0, 2, 10)
+    far = ids != 2
+    assert choose_pairs(frame[far], ids[far], px[far], seen[far], PairSettings(near=1.0)) == []
+
+
+def test_without_a_rate_or_anybody_the_reason_is_named() -> None:
+    seen = rows_of(dance())
+    with pytest.raises(InputError, match="frame rate"):
+        settle_people(replace(seen, rate_hz=None))
+    with pytest.raises(InputError, match="no frame shows enough joints of a person"):
+        settle_people(replace(seen, confidence=np.zeros(seen.confidence.shape)))

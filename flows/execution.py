@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from flows.listener import Listener
 from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs, stage_verdict
@@ -51,11 +52,8 @@ class Partition:
     needs: tuple[str, ...] = ()
 
 
-class StageRunner(Protocol):
-    """Runs the shards of a stage that are not fresh, and commits them all or raises."""
-
-    def __call__(self, run: Run, plan: StagePlan) -> None:
-        """Compute `plan.todo`."""
+StageRunner = Callable[[Run, StagePlan], None]
+"""Runs the shards of a stage that are not fresh, and commits them all or raises."""
 
 
 @dataclass(frozen=True)
@@ -173,10 +171,7 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
 
 
 def partitions_to_run(plan: StagePlan) -> list[Partition]:
-    """Return the shards that are not fresh by partition, each partition after those whose shards it reads.
-
-    Partitions that read each other's shards crosswise become one.
-    """
+    """Return the shards that are not fresh by partition, each partition after those whose shards it reads."""
     home = {shard.key: shard.partition for shard in plan.todo}
     shards: dict[str, list[Shard]] = {}
     needs: dict[str, set[str]] = {}
@@ -185,15 +180,7 @@ def partitions_to_run(plan: StagePlan) -> list[Partition]:
         needs.setdefault(shard.partition, set()).update(
             home[key] for key in shard.after if home.get(key, shard.partition) != shard.partition
         )
-    order: list[str] = []
-    while len(order) < len(shards):
-        ready = [name for name in shards if name not in order and needs[name] <= set(order)]
-        if not ready:
-            tangled = [name for name in shards if name not in order]
-            merged = tuple(shard for name in tangled for shard in shards[name])
-            whole = Partition(" + ".join(tangled), merged, tuple(order))
-            return [*(Partition(n, tuple(shards[n]), tuple(sorted(needs[n]))) for n in order), whole]
-        order.extend(ready)
+    order = TopologicalSorter(needs).static_order()
     return [Partition(name, tuple(shards[name]), tuple(sorted(needs[name]))) for name in order]
 
 

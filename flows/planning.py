@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -219,7 +220,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     for stage in graph.stages:
         if stage.check is not None and stage.name in selected:
             stage.check(study.parameters[stage.name])
-    last = _LastRun(store, study.name)
+    last = _last_records(store, study.name)
     plans: dict[str, StagePlan] = {}
     for stage in graph.stages:
         waiting = tuple(name for name in graph.upstream[stage.name] if not plans[name].is_fresh)
@@ -234,13 +235,13 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
                 stage=stage,
                 is_selected=stage.name in selected,
                 pending_on=waiting,
-                last_partitions=_count_partitions(r.partition for r in last.stage(stage.name).shards or ()),
+                last_partitions=tuple(Counter(r.partition for r in last(stage.name).shards or ()).items()),
             )
             continue
         inputs = stage_inputs(
             stage, study.head.seed, {name: plans[name].manifests for name in graph.upstream[stage.name]}
         )
-        plan = _plan_stage(stage, study, inputs, store, last.stage(stage.name), is_forced=stage.name in selection.force)
+        plan = _plan_stage(stage, study, inputs, store, last(stage.name), is_forced=stage.name in selection.force)
         plans[stage.name] = replace(plan, is_selected=stage.name in selected)
     return Plan(study=study.name, stages=tuple(plans.values()))
 
@@ -258,7 +259,7 @@ def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manif
 
 def plan_stage(stage: Stage, study: Study, inputs: StageInputs, store: Store, *, is_forced: bool = False) -> StagePlan:
     """Ask a stage for its shards and tell how each stands against the store and the last run."""
-    return _plan_stage(stage, study, inputs, store, _LastRun(store, study.name).stage(stage.name), is_forced=is_forced)
+    return _plan_stage(stage, study, inputs, store, _last_records(store, study.name)(stage.name), is_forced=is_forced)
 
 
 def _plan_stage(
@@ -293,20 +294,8 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
     return summarise_verdicts(verdict for verdict in verdicts if verdict is not None)
 
 
-class _LastRun:
-    """Every stage as the last run of a study recorded it."""
-
-    def __init__(self, store: Store, study: str) -> None:
-        self._last = read_last_run(store, study)
-        self._sections = last_sections(store, self._last)
-
-    def stage(self, stage: str) -> StageRecord:
-        shards = self._last.stages.get(stage) if self._last is not None else None
-        return StageRecord(shards, self._sections.get(stage, {}))
-
-
-def _count_partitions(partitions: Iterable[str]) -> tuple[tuple[str, int], ...]:
-    counts: dict[str, int] = {}
-    for partition in partitions:
-        counts[partition] = counts.get(partition, 0) + 1
-    return tuple(counts.items())
+def _last_records(store: Store, study: str) -> Callable[[str], StageRecord]:
+    """Return what gives every stage, by name, as the last run of a study recorded it."""
+    last = read_last_run(store, study)
+    stages, sections = last.stages if last else {}, last_sections(store, last)
+    return lambda stage: StageRecord(stages.get(stage), sections.get(stage, {}))

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -120,23 +121,19 @@ def _publish(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -
     """Write the dataset's folder and give it its name in one rename; false when the name is taken."""
     values = {**asdict(dataset), "schema_version": SCHEMA_VERSION}
     del values["path"]
-    with write_errors(store.root):
-        staging = StagingFolder(store.staging_root)
+    with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
+        for name, data in attachments.items():
+            write_file(staging.path / name, data)
+        write_file(staging.path / _FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+        sync_folder(staging.path)
+        make_folder(dataset.path.parent)
         try:
-            for name, data in attachments.items():
-                write_file(staging.path / name, data)
-            write_file(staging.path / _FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
-            sync_folder(staging.path)
-            make_folder(dataset.path.parent)
-            try:
-                staging.path.rename(dataset.path)
-            except OSError:
-                if dataset.path.is_dir():
-                    return False
-                raise
-            sync_folder(dataset.path.parent)
-        finally:
-            staging.close()
+            staging.path.rename(dataset.path)
+        except OSError:
+            if dataset.path.is_dir():
+                return False
+            raise
+        sync_folder(dataset.path.parent)
     return True
 
 

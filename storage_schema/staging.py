@@ -47,13 +47,10 @@ class StagingFolder:
 def replace_file(path: Path, data: bytes, *, staging_root: Path) -> None:
     """Put a whole file in the place of `path`: a reader sees the old one or the new one, nothing between."""
     make_folder(path.parent)
-    staging = StagingFolder(staging_root)
-    try:
+    with contextlib.closing(StagingFolder(staging_root)) as staging:
         write_file(staging.path / path.name, data)
         (staging.path / path.name).replace(path)
         sync_folder(path.parent)
-    finally:
-        staging.close()
 
 
 def clean_leftovers(root: Path) -> int:

@@ -12,7 +12,7 @@ import logging
 import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -116,7 +116,7 @@ class Store(StoreReader):
         self.prepare()
         with write_errors(self.root):
             staging = StagingFolder(self.staging_root)
-        try:
+        with closing(staging):
             with closing(ArtifactWriter(staging.path, where=self.root, facts=facts or {}, sources=sources)) as writer:
                 yield writer
                 parts, attachments = writer.finish()
@@ -147,8 +147,6 @@ class Store(StoreReader):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
                 writer.ref = self._publish(staging.path, manifest.ref)
-        finally:
-            staging.close()
 
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
@@ -199,11 +197,6 @@ class Store(StoreReader):
         """Remove a folder under a key; it vanishes in one rename, so nobody sees it half removed."""
         if not target.exists():
             return
-        staging = StagingFolder(self.staging_root)
-        try:
+        with closing(StagingFolder(self.staging_root)) as staging, suppress(FileNotFoundError):  # moved away by another
             target.rename(staging.path / uuid.uuid4().hex)
             sync_folder(target.parent)
-        except FileNotFoundError:
-            _log.debug("%s was already moved away", target)
-        finally:
-            staging.close()

@@ -149,7 +149,6 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         summary = summarise_verdicts(verdicts)
         assert summary is not None
         writer.facts[VERDICT_FACT] = summary.to_json()
-        writer.facts["num_joggled_frames"] = augmenter.num_joggled
         writer.timings["solve_s"] = time.monotonic() - started
     return writer.ref
 
@@ -179,28 +178,11 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
     frames = take.source.num_frames
     name = variant.variation.variant_id
     rotations = variant_rotations(take.rest_m, variant.bone_scale, variant.positions_m, take.world_unitquat)
-    writer.append(
-        "variants",
-        {
-            "take_id": [take_id] * frames,
-            "variant_id": [name] * frames,
-            "frame": np.arange(frames, dtype=np.int32),
-            "time_s": take.time_s,
-            "body22_m": variant.positions_m,
-            "body22_unitquat": rotations,
-        },
-    )
+    place = {"take_id": [take_id] * frames, "variant_id": [name] * frames, "frame": np.arange(frames, dtype=np.int32)}
+    motion = {"time_s": take.time_s, "body22_m": variant.positions_m, "body22_unitquat": rotations}
+    writer.append("variants", place | motion)
     figures = {field.name: getattr(variant.frames, field.name) for field in fields(variant.frames)}
-    writer.append(
-        "variant_frames",
-        {
-            "take_id": [take_id] * frames,
-            "variant_id": [name] * frames,
-            "frame": np.arange(frames, dtype=np.int32),
-            **figures,
-            "verdict": [_LEVELS[level] for level in variant.frame_verdicts],
-        },
-    )
+    writer.append("variant_frames", place | figures | {"verdict": [_LEVELS[level] for level in variant.frame_verdicts]})
     quality = variant.quality
     row: dict[str, Any] = {
         "take_id": take_id,

@@ -38,10 +38,7 @@ class FollowedFile:
 
 def list_frames(folder: Path) -> list[tuple[int, Path]]:
     """Return the files of a folder that have a frame number, by it; several of one number are taken by name."""
-    with os.scandir(folder) as entries:
-        paths = sorted(entry.path for entry in entries if entry.name.endswith(".json"))
-    numbered = [(openpose_frame_number(Path(path).name), Path(path)) for path in paths]
-    return sorted({number: path for number, path in reversed(numbered) if number is not None}.items())
+    return _new_frames(folder, set(), -1)
 
 
 def follow_folder(

@@ -51,24 +51,19 @@ def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
     for ref in export.refs:
         if table == "poses":
             yield from _pose_motions(store, ref)
-        else:
-            rows = store.read(ref, table)
-            if table == "variants":
-                for take, variant in _groups(rows, "take_id", "variant_id"):
-                    part = np.array((rows["take_id"] == take) & (rows["variant_id"] == variant))
-                    for person, letter in enumerate("AB"):
-                        positions = rows["body22_m"][part][:, person]
-                        yield f"{take}_{variant}_{letter}", _from_positions(BODY22, positions, rows["time_s"][part])
-            else:
-                camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
-                for sequence, person, method in _groups(rows, "sequence_id", "person_id", "method"):
-                    part = np.array(
-                        (rows["sequence_id"] == sequence) & (rows["person_id"] == person) & (rows["method"] == method)
-                    )
-                    name = f"{sequence}_{person}_{method}"
-                    # From the axes of a camera that looks down to a world in which people stand upright.
-                    upright_m = rows["op14_m"][part] @ camera.camera_from_upright_rotmat
-                    yield name, _from_positions(OP14, upright_m, rows["time_s"][part])
+            continue
+        rows = store.read(ref, table)
+        if table == "variants":
+            for name, part in _groups(rows, "take_id", "variant_id"):
+                for person, letter in enumerate("AB"):
+                    positions = rows["body22_m"][part][:, person]
+                    yield f"{name}_{letter}", _from_positions(BODY22, positions, rows["time_s"][part])
+            continue
+        # From the axes of a camera that looks down to a world in which people stand upright.
+        camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
+        for name, part in _groups(rows, "sequence_id", "person_id", "method"):
+            upright_m = rows["op14_m"][part] @ camera.camera_from_upright_rotmat
+            yield name, _from_positions(OP14, upright_m, rows["time_s"][part])
 
 
 def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
@@ -98,6 +93,8 @@ def _from_positions(skeleton: Skeleton, positions_m: Any, time_s: Any) -> Motion
     return exact_motion(skeleton, np.asarray(positions_m, dtype=float), rate_hz)
 
 
-def _groups(rows: TableData, *columns: str) -> list[tuple[Any, ...]]:
-    """Return the distinct values of some columns, in the order in which they come."""
-    return list(dict.fromkeys(zip(*(rows[name].tolist() for name in columns), strict=True)))
+def _groups(rows: TableData, *columns: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Return which rows (rows,) have the same values in some columns, by these values, in the order they come."""
+    keys = np.array(["_".join(map(str, values)) for values in zip(*(rows[name] for name in columns), strict=True)])
+    for key in dict.fromkeys(keys.tolist()):
+        yield key, keys == key

@@ -99,12 +99,6 @@ class Augmenter:
         joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
         self._meter = QualityMeter(source, girth=self.settings.girth, joint_limits=joint_limits)
         self._ready: dict[int, WindowSolver] = {}
-        self._num_joggled: dict[int, int] = {}
-
-    @property
-    def num_joggled(self) -> int:
-        """Frames, of those solved so far, whose joints had to be displaced to mesh them; overlaps count twice."""
-        return sum(self._num_joggled.values())
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
         """Solve a batch of variations; a few dozen at a time are fastest.
@@ -169,7 +163,6 @@ class Augmenter:
             user = [contact for contact in within if contact is not None]
             source = self.source if len(self._windows) == 1 else self.source.slice(window.start, window.stop)
             self._ready[number] = WindowSolver(source, self.settings, user)
-            self._num_joggled[number] = self._ready[number].problem.mesh.num_joggled
         return self._ready[number]
 
     def _judge(self, quality: Quality, frame_verdicts: npt.NDArray[np.int64], solver: str) -> Verdict:

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.contacts import fade
 from pasdedeux.augmentation.source import NUM_POINTS, Source
+from pasdedeux.augmentation.spans import packer
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
@@ -56,11 +57,6 @@ class Clearance:
     limits_m: Array
     weights: Array
     is_within: npt.NDArray[np.bool_]
-
-    @property
-    def num_pairs(self) -> int:
-        """Most pairs in a frame, M."""
-        return self.weights.shape[1]
 
 
 def find_clearance(
@@ -102,26 +98,16 @@ def find_clearance(
     normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
     limits = (normals * vectors).sum(axis=-1) - np.maximum(gaps, 0.0) + added
     is_used = nearness > _SMALLEST_WEIGHT
-    rank = np.cumsum(is_used, axis=1) - 1
-    most = int(is_used.sum(axis=1).max(initial=0))
     frame, column = np.nonzero(is_used)
-    at = frame, rank[frame, column]
-    frames = len(points)
-    packed = Clearance(
-        points=np.zeros((frames, most, 4), np.int64),
-        shares=np.zeros((frames, most, 4)),
-        normals=np.zeros((frames, most, 3)),
-        limits_m=np.zeros((frames, most)),
-        weights=np.zeros((frames, most)),
-        is_within=np.zeros((frames, most), dtype=bool),
+    packed = packer(frame, len(points))
+    return Clearance(
+        points=packed(ends[column]),
+        shares=packed(shares[is_used]),
+        normals=packed(normals[is_used]),
+        limits_m=packed(limits[is_used]),
+        weights=packed((nearness * weight)[is_used]),
+        is_within=packed(((pairs < half).all(axis=1) | (pairs >= half).all(axis=1))[column]),
     )
-    packed.points[at] = ends[column]
-    packed.shares[at] = shares[frame, column]
-    packed.normals[at] = normals[frame, column]
-    packed.limits_m[at] = limits[frame, column]
-    packed.weights[at] = (nearness * weight)[frame, column]
-    packed.is_within[at] = ((pairs < half).all(axis=1) | (pairs >= half).all(axis=1))[column]
-    return packed
 
 
 def separations(clearance: Clearance, points_m: Array) -> Array:

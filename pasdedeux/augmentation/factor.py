@@ -71,60 +71,24 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     halves[: len(lag2[1::2]), 1] = lag2[1::2]
     same = halves.reshape(blocks, BLOCK)
     inverse = np.empty((blocks, BLOCK, BLOCK))
-    schur = np.empty((BLOCK, BLOCK))
+    is_lower = np.tri(BLOCK, dtype=bool)
     for k in range(blocks):
-        last = matrix[2 * k + 1] if 2 * k + 1 < frames else np.eye(n)
-        _complement(matrix[2 * k], last, inner[k], inverse[max(k - 1, 0)], outer[k - 1], same[k - 1], k == 0, schur)
+        # A - B S^-1 B^T: A has two frames coupled by `inner`, B the diagonals `outer` and `same`.
+        schur = np.diag(inner[k], n) + np.diag(inner[k], -n)
+        schur[:n, :n] = matrix[2 * k]
+        schur[n:, n:] = matrix[2 * k + 1] if 2 * k + 1 < frames else np.eye(n)
+        if k > 0:
+            half = same[k - 1, :, None] * inverse[k - 1]
+            half[:n] += outer[k - 1, :, None] * inverse[k - 1, n:]
+            schur -= half * same[k - 1]
+            schur[:, :n] -= half[:, n:] * outer[k - 1]
         lower, info = scipy.linalg.lapack.dpotrf(schur.T, lower=1, clean=0, overwrite_a=1)
         if info == 0:
             lower, info = scipy.linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
         if info != 0:
             raise np.linalg.LinAlgError(f"the matrix is not positive definite at frame {2 * k}")
-        _mirror(lower.T, inverse[k])
+        inverse[k] = np.where(is_lower, lower, lower.T)
     return Factor(inverse=inverse, lag1=outer, lag2=same)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _complement(
-    first: Array,
-    second: Array,
-    inner: Array,
-    before: Array,
-    outer: Array,
-    same: Array,
-    is_first: bool,
-    schur: Array,
-) -> None:
-    """Return A - B S^-1 B^T of a block: A has two frames coupled by `inner`, B the diagonals `outer` and `same`."""
-    size, n = len(schur), len(first)
-    for i in range(n):
-        for j in range(n):
-            schur[i, j] = first[i, j]
-            schur[n + i, n + j] = second[i, j]
-            schur[n + i, j] = schur[i, n + j] = 0.0
-        schur[n + i, i] = schur[i, n + i] = inner[i]
-    if is_first:
-        return
-    half = np.empty((size, size))
-    for i in range(size):
-        for j in range(size):
-            half[i, j] = same[i] * before[i, j]
-        if i < n:
-            for j in range(size):
-                half[i, j] += outer[i] * before[n + i, j]
-    for i in range(size):
-        for j in range(size):
-            schur[i, j] -= half[i, j] * same[j]
-        for j in range(n):
-            schur[i, j] -= half[i, n + j] * outer[j]
-
-
-@numba.njit(cache=True, nogil=True)
-def _mirror(upper: Array, full: Array) -> None:
-    """Fill a symmetric matrix from its upper triangle."""
-    for i in range(len(full)):
-        for j in range(i, len(full)):
-            full[i, j] = full[j, i] = upper[i, j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -30,12 +30,9 @@ class InteractionMesh:
 
     Args:
         weights: W (frame, 44, 44); row i holds the weights of joint i's neighbours, they sum to 1.
-        num_joggled: Frames whose joints were coplanar or coincided, so that they were displaced by a micrometre to mesh
-            them.
     """
 
     weights: Array
-    num_joggled: int
 
     @cached_property
     def laplacian(self) -> Array:
@@ -52,8 +49,8 @@ class InteractionMesh:
         return np.asarray(np.eye(NUM_POINTS) * cross.sum(axis=-1)[:, None, :] - cross)
 
 
-def delaunay_edges(points: Array) -> tuple[npt.NDArray[np.bool_], bool]:
-    """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n), and whether they had to be displaced.
+def delaunay_edges(points: Array) -> npt.NDArray[np.bool_]:
+    """Return which of the points (n, 3) share a Delaunay tetrahedron (n, n).
 
     Points that lie in a plane have no tetrahedra, and of points that coincide all but one are left out; such sets are
     meshed again after a fixed pseudo-random displacement of a micrometre.
@@ -61,12 +58,12 @@ def delaunay_edges(points: Array) -> tuple[npt.NDArray[np.bool_], bool]:
     try:
         mesh = Delaunay(points)
         if len(mesh.coplanar) == 0:
-            return _adjacency(mesh.simplices, len(points)), False
+            return _adjacency(mesh.simplices, len(points))
     except QhullError:
         pass
     joggle = np.random.default_rng(len(points)).uniform(-_JOGGLE_M, _JOGGLE_M, points.shape)
     spread = points - points.mean(axis=0) + joggle
-    return _adjacency(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points)), True
+    return _adjacency(Delaunay(spread, qhull_options="QJ Pp").simplices, len(points))
 
 
 def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
@@ -85,15 +82,12 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
             is_bone[parent + offset, child + offset] = is_bone[child + offset, parent + offset] = True
     squared = ((points[:, :, None] - points[:, None]) ** 2).sum(axis=-1)
     weights = 1.0 / np.maximum(squared, _SMALLEST_SQUARED_DISTANCE_M2)
-    num_joggled = 0
     for frame in range(len(points)):
-        is_edge, was_joggled = delaunay_edges(points[frame])
-        num_joggled += was_joggled
-        weights[frame] *= is_edge | is_bone
+        weights[frame] *= delaunay_edges(points[frame]) | is_bone
     weights /= weights.sum(axis=-1, keepdims=True)
     if smoothing_s > 0 and len(points) > 1:
         weights = gaussian_filter1d(weights, smoothing_s * source.rate_hz, axis=0, mode="nearest", truncate=3.0)
-    return InteractionMesh(weights=weights, num_joggled=num_joggled)
+    return InteractionMesh(weights)
 
 
 def _adjacency(simplices: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.bool_]:

@@ -10,7 +10,9 @@ so the bulk solver takes u from where the pair points now, and the matrix is tha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -21,7 +23,7 @@ from pasdedeux.fitting import Term
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["SpanTerm", "Spans", "aim_spans", "find_spans", "span_vectors"]
+__all__ = ["SpanTerm", "Spans", "aim_spans", "find_spans", "packer", "span_vectors"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
@@ -60,25 +62,33 @@ def find_spans(source: Source, weights: Array, added_m: Array) -> Spans:
         weights: Weight of each pair's distance (T, 22 of A, 22 of B).
         added_m: What is added to each pair's distance (22, 22), metres.
     """
-    is_used = weights > 0
-    frame, first, second = np.nonzero(is_used)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(frame, minlength=len(weights)))])
-    most = int(np.diff(starts).max(initial=0))
-    at = frame, np.arange(len(frame)) - starts[frame]
-    spans = Spans(
-        points=np.zeros((len(weights), most, 2), np.int64),
-        vectors_m=np.zeros((len(weights), most, 3)),
-        lengths_m=np.zeros((len(weights), most)),
-        weights=np.zeros((len(weights), most)),
-    )
+    frame, first, second = np.nonzero(weights > 0)
     vectors = source.positions_m[frame, 0, first] - source.positions_m[frame, 1, second]
     lengths = np.linalg.norm(vectors, axis=-1)
     wanted = np.maximum(lengths + added_m[first, second], 0.0)
-    spans.points[at] = np.stack([first, second + BODY22.num_joints], axis=-1)
-    spans.vectors_m[at] = vectors * (wanted / np.maximum(lengths, _SHORTEST_M))[:, None]
-    spans.lengths_m[at] = wanted
-    spans.weights[at] = weights[frame, first, second]
-    return spans
+    packed = packer(frame, len(weights))
+    return Spans(
+        points=packed(np.stack([first, second + BODY22.num_joints], axis=-1)),
+        vectors_m=packed(vectors * (wanted / np.maximum(lengths, _SHORTEST_M))[:, None]),
+        lengths_m=packed(wanted),
+        weights=packed(weights[frame, first, second]),
+    )
+
+
+def packer(frame: npt.NDArray[np.intp], num_frames: int) -> Callable[[npt.NDArray[Any]], npt.NDArray[Any]]:
+    """Return what lays values (n, ...) of these frames (n,), which rise, out by frame (num_frames, M, ...).
+
+    M is the greatest number in a frame; the others are filled up with zeros.
+    """
+    counts = np.bincount(frame, minlength=num_frames)
+    place = np.arange(len(frame)) - (np.cumsum(counts) - counts)[frame]
+
+    def packed(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        laid = np.zeros((num_frames, int(counts.max(initial=0)), *values.shape[1:]), values.dtype)
+        laid[frame, place] = values
+        return laid
+
+    return packed
 
 
 def span_vectors(spans: Spans, points_m: Array) -> Array:

@@ -9,6 +9,7 @@ import traceback
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from graphlib import TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
@@ -163,23 +164,13 @@ def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[Ar
 
 
 def _dependency_order(shards: Sequence[Shard]) -> list[Shard]:
-    """Order shards so that each follows those of the list that it reads; otherwise as given.
+    """Order shards so that each follows those of the list that it reads.
 
     A key contains the keys it comes after, so there are no cycles.
     """
     here = {shard.key: shard for shard in shards}
-    order: dict[str, Shard] = {}
-    stack = [(shard, False) for shard in reversed(shards)]
-    while stack:
-        shard, is_ready = stack.pop()
-        if shard.key in order:
-            continue
-        if is_ready:
-            order[shard.key] = shard
-            continue
-        stack.append((shard, True))
-        stack.extend((here[key], False) for key in shard.after if key in here and key not in order)
-    return list(order.values())
+    needs = {key: [other for other in shard.after if other in here] for key, shard in here.items()}
+    return [here[key] for key in TopologicalSorter(needs).static_order()]
 
 
 def _where(shard: Shard) -> str:

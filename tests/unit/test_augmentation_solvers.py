@@ -121,13 +121,11 @@ def test_half_to_one_and_a_half_bone_by_bone_is_always_finite_with_exact_bones_a
         assert (variant.verdict.level is Level.PASS) == (variant.verdict.reason == "")
 
 
-def test_a_take_in_one_plane_is_solved_and_its_frames_are_counted() -> None:
+def test_a_take_in_one_plane_is_solved() -> None:
     positions = swaying_pair(6)
     positions[..., 2] = 0.0
-    augmenter = Augmenter(Source(positions, 30.0))
-    (variant,) = augmenter.solve(uniform_variations([0.8], ["A"]))
+    (variant,) = Augmenter(Source(positions, 30.0)).solve(uniform_variations([0.8], ["A"]))
     assert np.isfinite(variant.positions_m).all()
-    assert augmenter.num_joggled == 6
 
 
 @pytest.mark.parametrize("solver", ["bulk", "polished"])

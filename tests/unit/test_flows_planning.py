@@ -180,18 +180,13 @@ def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:
         plan_toys(study, store, graph=Graph(stages))
 
 
-def test_partitions_come_after_those_they_need_and_tangled_ones_become_one() -> None:
+def test_partitions_come_after_those_they_need() -> None:
     a, b, c = (_shard(name, ()) for name in "abc")
     d = _shard("b2", (a.key,), partition="b")
     assert partitions_to_run(_plan_of(d, b, a, c)) == [
         Partition("a", (a,)),
         Partition("c", (c,)),
         Partition("b", (d, b), ("a",)),
-    ]
-    e = _shard("a2", (b.key,), partition="a")
-    assert partitions_to_run(_plan_of(a, e, b, d, c)) == [
-        Partition("c", (c,)),
-        Partition("a + b", (a, e, b, d), ("c",)),
     ]
 
 

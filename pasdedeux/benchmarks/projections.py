@@ -6,8 +6,6 @@ much; rates beside each other were measured in the same run.
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import resource
 import time
 from collections.abc import Callable
@@ -27,7 +25,6 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
 from pasdedeux.projections.search import (
     Neighbours,
-    ProjectionIndex,
     build_index,
     prepare_query,
     recall,
@@ -36,7 +33,6 @@ from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp
 from pasdedeux.reconstruction.reconstruct import Method, Searcher, reconstruct_track
-from pasdedeux.reconstruction.temporal import choose_viterbi, choose_window
 from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
@@ -176,10 +172,6 @@ def _query() -> BenchmarkResult:
     waits = _waits_ms(index.search, queries)
     found, expected = index.search(queries[:20]), search_brute_force(database, queries[:20])
     plain = measure_rate(lambda: search_brute_force(database, queries[:5]), count=5, repeats=2)
-    note = (
-        f"{database.num_projections:,} projections, one query a call: {_in_words(waits)} of processor time, "
-        f"recall@50 {recall(found, expected, num_best=50):.3f}"
-    )
     return BenchmarkResult(
         name="exact projection query, 50 best",
         unit="queries",
@@ -187,24 +179,11 @@ def _query() -> BenchmarkResult:
         fast_per_s=1e3 / float(np.mean(waits)),
         plain_name="brute force numpy",
         plain_per_s=plain,
-        note=f"{note}; {_flat_index(database, index, queries)}",
+        note=(
+            f"{database.num_projections:,} projections, one query a call: {_in_words(waits)} of processor time, "
+            f"recall@50 {recall(found, expected, num_best=50):.3f}"
+        ),
     )
-
-
-def _flat_index(database: Database, index: ProjectionIndex, queries: npt.NDArray[np.float64]) -> str:
-    """Say how a flat vector index does where one is installed; it has Euclidean distance only, no masks."""
-    if importlib.util.find_spec("faiss") is None:
-        return "no flat vector index (faiss) is installed"
-    faiss = importlib.import_module("faiss")
-    faiss.omp_set_num_threads(1)
-    flat = faiss.IndexFlatL2(2 * OP14.num_joints)
-    flat.add(database.project().reshape(-1, 2 * OP14.num_joints))
-    vectors = queries.reshape(len(queries), 1, -1).astype(np.float32)
-    waits = _waits_ms(lambda vector: flat.search(vector, 50), vectors)
-    numbers = np.concatenate([flat.search(vector, 50)[1] for vector in vectors])
-    found = Neighbours(numbers.astype(np.int64), np.zeros(numbers.shape), database.num_yaws)
-    share = recall(found, index.search(queries), num_best=50)
-    return f"flat vector index (faiss, Euclidean): {_in_words(waits)}, recall@50 {share:.3f}"
 
 
 def _published() -> BenchmarkResult:
@@ -311,28 +290,11 @@ def _large(num_projections: int) -> BenchmarkResult:
     )
 
 
-def _temporal() -> BenchmarkResult:
-    database = made_up_database(1_200)
-    frames = 200
-    noise = np.random.default_rng(2).normal(0.0, 0.02, (frames, OP14.num_joints, 2))
-    neighbours = build_index(database).search(database.poses_m[:frames, :, :2] + noise)
-    return BenchmarkResult(
-        name="choice over time among 50 candidates",
-        unit="frames",
-        fast_name="Viterbi",
-        fast_per_s=measure_rate(lambda: choose_viterbi(database, neighbours, rate_hz=24.0), count=frames),
-        plain_name="the paper's window rule",
-        plain_per_s=measure_rate(lambda: choose_window(database, neighbours), count=frames, repeats=1),
-        note="200 frames; the plain form is another rule, shown for scale",
-    )
-
-
 BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "build": _build,
     "query": _query,
     "published": _published,
     "live": _live,
-    "temporal": _temporal,
 }
 
 LARGE_BENCHMARKS: dict[str, Callable[[int], BenchmarkResult]] = {"large": _large}

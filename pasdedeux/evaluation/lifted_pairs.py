@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,6 @@ from pasdedeux.skeletons import PAIR17
 __all__ = [
     "BASELINES",
     "HIDDEN",
-    "LiftedErrors",
     "completion_scores",
     "in_between_scores",
     "lifted_errors",
@@ -47,56 +45,35 @@ HIDDEN = {
 _ROOT = PAIR17.root
 
 
-@dataclass(frozen=True)
-class LiftedErrors:
-    """Errors of lifted pairs, all (pair,), metres.
+def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
+    """Return errors (n,), metres, of lifted pairs (n, person=2, joint=17, 3) against the truth in the same camera axes.
 
-    Args:
-        pair_m: Mean joint distance, camera axes, the middle of the pair in one place: distance and depth count.
-        person_m: Mean joint distance, camera axes, each person about the own root.
-        shape_m: D_C: after the best rigid motion of the whole pair.
-        distance_m: Error of the distance between the two roots.
-        depth_m: Error of the relative depth of the two roots.
+    - `lifted_pair_error`: mean joint distance, the middle of the pair in one place: distance and depth count;
+    - `lifted_person_error`: mean joint distance, each person about the own root;
+    - `lifted_D_C`: after the best rigid motion of the whole pair;
+    - `person_distance_error`, `relative_depth_error`: of the distance between the two roots, and of its depth.
     """
-
-    pair_m: Array
-    person_m: Array
-    shape_m: Array
-    distance_m: Array
-    depth_m: Array
-
-
-def lifted_errors(lifted_m: Array, truth_m: Array) -> LiftedErrors:
-    """Return errors of lifted pairs (n, person=2, joint=17, 3) against the truth in the same camera axes, metres."""
     flat, true = (pairs.reshape(len(pairs), -1, 3) for pairs in (lifted_m, truth_m))
     centred, centred_truth = flat - flat.mean(axis=1, keepdims=True), true - true.mean(axis=1, keepdims=True)
-    own = lifted_m - lifted_m[:, :, _ROOT : _ROOT + 1]
-    own_truth = truth_m - truth_m[:, :, _ROOT : _ROOT + 1]
-    between = lifted_m[:, 1, _ROOT] - lifted_m[:, 0, _ROOT]
-    between_truth = truth_m[:, 1, _ROOT] - truth_m[:, 0, _ROOT]
-    return LiftedErrors(
-        pair_m=np.linalg.norm(centred - centred_truth, axis=-1).mean(axis=-1),
-        person_m=np.linalg.norm(own - own_truth, axis=-1).mean(axis=(-1, -2)),
-        shape_m=cartesian_dissimilarity(flat, true),
-        distance_m=np.abs(np.linalg.norm(between, axis=-1) - np.linalg.norm(between_truth, axis=-1)),
-        depth_m=np.abs(between[:, 2] - between_truth[:, 2]),
-    )
+    own, own_truth = (pairs - pairs[:, :, _ROOT : _ROOT + 1] for pairs in (lifted_m, truth_m))
+    between, between_truth = (pairs[:, 1, _ROOT] - pairs[:, 0, _ROOT] for pairs in (lifted_m, truth_m))
+    return {
+        "lifted_pair_error": np.linalg.norm(centred - centred_truth, axis=-1).mean(axis=-1),
+        "lifted_person_error": np.linalg.norm(own - own_truth, axis=-1).mean(axis=(-1, -2)),
+        "lifted_D_C": cartesian_dissimilarity(flat, true),
+        "person_distance_error": np.abs(np.linalg.norm(between, axis=-1) - np.linalg.norm(between_truth, axis=-1)),
+        "relative_depth_error": np.abs(between[:, 2] - between_truth[:, 2]),
+    }
 
 
 def lifted_scores(lifted_m: Mapping[str, Array], truth_m: Mapping[str, Array], *, split: str) -> list[Score]:
     """Score lifted pairs of each method (n, 2, 17, 3) against the truth of each (n, 2, 17, 3), metres."""
-    scores = []
-    for method, pairs in lifted_m.items():
-        errors = lifted_errors(pairs, truth_m[method])
-        for metric, values in (
-            ("lifted_pair_error", errors.pair_m),
-            ("lifted_person_error", errors.person_m),
-            ("lifted_D_C", errors.shape_m),
-            ("person_distance_error", errors.distance_m),
-            ("relative_depth_error", errors.depth_m),
-        ):
-            scores += _summary(values, metric, method, split)
-    return scores
+    return [
+        score
+        for method, pairs in lifted_m.items()
+        for metric, values in lifted_errors(pairs, truth_m[method]).items()
+        for score in _summary(values, metric, method, split)
+    ]
 
 
 def completion_scores(
@@ -166,19 +143,11 @@ def lifted_sheet(examples: Sequence[Mapping[str, Array]], *, title: str) -> byte
     panels: list[Panel] = []
     for example in examples:
         for method, pair in example.items():
-            standing = pair - pair.reshape(-1, 3).mean(axis=0)
-            standing = standing + np.array([0.0, 0.95, 0.0])
+            standing = pair - pair.reshape(-1, 3).mean(axis=0) + [0.0, 0.95, 0.0]
             panels.append(pair_panel(method.replace("_", " "), PAIR17, standing))
-    return skeleton_sheet(panels, yaws_rad=(0.0, np.pi / 2), title=title)
+    return skeleton_sheet(panels, title=title)
 
 
 def _summary(values: Array, metric: str, method: str, split: str, *, item: str = "all") -> list[Score]:
-    return summarise(
-        values,
-        metric=metric,
-        method=method,
-        unit="m",
-        is_baseline=method in BASELINES,
-        split=split,
-        item=item,
-    )
+    more = {"is_baseline": method in BASELINES, "split": split, "item": item}
+    return summarise(values, metric=metric, method=method, unit="m", **more)

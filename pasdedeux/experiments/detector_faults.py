@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -81,33 +81,24 @@ class JointCounts:
 
     def __add__(self, other: JointCounts) -> JointCounts:
         """Add up."""
-        return JointCounts(
-            self.wrong + other.wrong,
-            self.found + other.found,
-            self.changed + other.changed,
-            self.repaired + other.repaired,
-            self.left + other.left,
-        )
+        return JointCounts(*(one + two for one, two in zip(astuple(self), astuple(other), strict=True)))
 
     @property
-    def recall(self) -> float:
-        """Share of the wrong joints that was found; NaN where none is wrong."""
-        return self.found / self.wrong if self.wrong else float("nan")
+    def shares(self) -> dict[str, float]:
+        """Shares of the wrong joints found, put right, and still wrong and believed, and of the changed ones wrong.
 
-    @property
-    def precision(self) -> float:
-        """Share of the changed joints that was wrong; NaN where none was changed."""
-        return self.found / self.changed if self.changed else float("nan")
+        NaN where none is wrong, or none was changed.
+        """
+        return {
+            "share_of_wrong_joints_found": _share(self.found, self.wrong),
+            "share_of_changed_joints_that_were_wrong": _share(self.found, self.changed),
+            "share_of_wrong_joints_put_right": _share(self.repaired, self.wrong),
+            "share_of_wrong_joints_left": _share(self.left, self.wrong),
+        }
 
-    @property
-    def repaired_share(self) -> float:
-        """Share of the wrong joints that is right afterwards; NaN where none is wrong."""
-        return self.repaired / self.wrong if self.wrong else float("nan")
 
-    @property
-    def left_share(self) -> float:
-        """Share of the wrong joints that is still wrong and believed; NaN where none is wrong."""
-        return self.left / self.wrong if self.wrong else float("nan")
+def _share(count: int, among: int) -> float:
+    return count / among if among else float("nan")
 
 
 def count_joints(faulty: Faulty, true_px: Array, found: RepairedCrowd) -> JointCounts:

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.interaction.shape_context import INNER_RADIUS_M, NUM_SECTORS, NUM_SHELLS
+from pasdedeux.projections.tree import select
 from pasdedeux.sampling.kernels import ROUGH_TOLERANCE_M
 
 __all__ = ["best_cartesian", "best_shape", "fill_histograms"]
@@ -252,19 +253,7 @@ def _cost(shells, angles, angle, histograms, bound, is_exact, bins, own):  # typ
 
 @numba.njit(cache=True, nogil=True)
 def best_shape(  # type: ignore[no-untyped-def]
-    images,
-    counts,
-    slots,
-    histograms,
-    lanes_x,
-    lanes_y,
-    squares,
-    num_ranked,
-    is_exact,
-    limit,
-    margin,
-    best,
-    best_slot,
+    images, counts, slots, histograms, lanes_x, lanes_y, squares, num_ranked, is_exact, limit, margin, best, best_slot
 ):
     """Write the least shape-context cost of each view and the slot that has it, as far as it can matter.
 
@@ -311,7 +300,10 @@ def best_shape(  # type: ignore[no-untyped-def]
         if counts[view] == 0 or (not is_exact and _MIN_OF_FIRST * least[view] > overall + margin):
             continue
         bound = min(overall + margin, best[view])
-        kept = _nearest(residual[view], counts[view], counts[view] if is_exact else num_ranked, order)
+        order[: counts[view]] = np.arange(counts[view])
+        kept = counts[view] if is_exact else min(num_ranked, counts[view])
+        if kept < counts[view]:
+            select(residual[view], order, 0, counts[view], kept)
         for c in order[:kept]:
             if c == first[view]:
                 continue
@@ -321,31 +313,3 @@ def best_shape(  # type: ignore[no-untyped-def]
             if cost <= bound and cost < best[view]:
                 best[view], best_slot[view], bound = cost, slot, cost
         overall = min(overall, best[view])
-
-
-@numba.njit(cache=True, nogil=True)
-def _nearest(score, count, num_best, order):  # type: ignore[no-untyped-def]
-    """Write the indices of the `num_best` least scores into the front of `order`, in no order; give their number."""
-    for c in range(count):
-        order[c] = c
-    kept = min(num_best, count)
-    low, high = 0, count - 1
-    while low < high and kept < count:
-        pivot = score[order[(low + high) // 2]]
-        i, j = low, high
-        while i <= j:
-            while score[order[i]] < pivot:
-                i += 1
-            while score[order[j]] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if kept - 1 <= j:
-            high = j
-        elif kept - 1 >= i:
-            low = i
-        else:
-            break
-    return kept

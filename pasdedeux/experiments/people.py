@@ -81,13 +81,7 @@ def fault_scores(couples: Mapping[str, Array], *, rate_hz: float, noise_px: floa
     split = _noise(noise_px)
     scores = []
     for kind, one in counts.items():
-        figures = {
-            "share_of_wrong_joints_found": one.recall,
-            "share_of_changed_joints_that_were_wrong": one.precision,
-            "share_of_wrong_joints_put_right": one.repaired_share,
-            "share_of_wrong_joints_left": one.left_share,
-        }
-        scores += scores_of(figures, "repaired", split=split, item=f"fault: {kind}", count=one.wrong)
+        scores += scores_of(one.shares, "repaired", split=split, item=f"fault: {kind}", count=one.wrong)
     share = {"share_of_good_joints_touched": touched / joints if joints else float("nan")}
     return [*scores, *scores_of(share, "repaired", split=split, item="no fault", count=joints)]
 

@@ -43,7 +43,6 @@ class _Sums:
 
     gram: Array
     moment: Array
-    num_items: int = 0
 
 
 @dataclass
@@ -142,7 +141,6 @@ class RidgeScaleModel(VariantModel):
             raise InputError(f"{take}: variants of {total.moment.shape[1]} and of {len(change)} frames")
         total.gram += np.outer(features, features)
         total.moment += features[:, None, None, None, None] * change
-        total.num_items += 1
 
 
 def _ridge(gram: Array, moment: Array, share: float) -> Array:

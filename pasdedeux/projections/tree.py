@@ -28,7 +28,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Tree", "build_tree", "search_trees", "sort_into_cells"]
+__all__ = ["Tree", "build_tree", "search_trees", "select", "sort_into_cells"]
 
 _LANES = 16
 """Projections a leaf and children a node: wide enough for the processor's vector unit."""
@@ -184,7 +184,7 @@ def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Intege
 
 
 @numba.njit(cache=True, nogil=True)
-def _select(values: Floats32, order: Integers32, first: int, last: int, middle: int) -> None:
+def select(values: Floats32, order: Integers32, first: int, last: int, middle: int) -> None:
     """Reorder `order[first:last]` so that positions before `middle` hold the least values (Hoare's selection)."""
     low, high = first, last - 1
     while low < high:
@@ -247,7 +247,7 @@ def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> No
             left *= 2
         for at in range(first, last):
             values[order[at]] = flat[order[at], widest]
-        _select(values, order, first, last, first + left)
+        select(values, order, first, last, first + left)
         stack[depth, 0], stack[depth, 1] = first + left, last
         stack[depth + 1, 0], stack[depth + 1, 1] = first, first + left
         depth += 2

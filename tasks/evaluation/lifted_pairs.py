@@ -10,10 +10,11 @@ from pydantic import Field
 from pasdedeux.evaluation.lifted_pairs import (
     completion_scores,
     in_between_scores,
+    lifted_errors,
     lifted_scores,
     lifted_sheet,
 )
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
@@ -92,23 +93,16 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                     examples.setdefault(split, {}).setdefault(place, {"truth": truth})[method] = pair
     scores: list[Score] = []
     for split, methods in sorted(found.items()):
-        lifted = {method: np.stack([pair for pair, _ in rows]) for method, rows in sorted(methods.items())}
-        truth = {method: np.stack([true for _, true in rows]) for method, rows in methods.items()}
-        scores += lifted_scores(lifted, truth, split=split)
+        lifted, truths = (
+            {method: np.stack([row[at] for row in rows]) for method, rows in sorted(methods.items())} for at in (0, 1)
+        )
+        scores += lifted_scores(lifted, truths, split=split)
     for split, methods in sorted(between.items()):
         for method, rows in sorted(methods.items()):
-            errors = [np.linalg.norm(_middled(pair) - _middled(true), axis=-1).mean() for pair, true in rows]
-            scores.append(
-                Score(
-                    metric="in_between_lifted_error_mean",
-                    method=method,
-                    value=float(np.mean(errors)),
-                    unit="m",
-                    is_baseline=method == "straight",
-                    split=split,
-                    count=len(errors),
-                )
-            )
+            errors = lifted_errors(*(np.stack(column) for column in zip(*rows, strict=True)))["lifted_pair_error"]
+            figure = {"in_between_lifted_error_mean": float(np.mean(errors))}
+            more = {"is_baseline": method == "straight", "split": split, "count": len(errors)}
+            scores += scores_of(figure, method, "m", **more)
     pictures, captions = {}, {}
     for split, places in sorted(examples.items()):
         chosen = [places[place] for place in sorted(places)]
@@ -167,10 +161,6 @@ def _split(facts: dict[str, object], is_held_out: bool) -> str:
     if is_held_out:
         return "held_out"
     return "annotated" if facts["purpose"] == "random_views" else "unannotated"
-
-
-def _middled(pair: np.ndarray) -> np.ndarray:
-    return pair - pair.reshape(-1, 3).mean(axis=0)
 
 
 TOPIC = Topic(

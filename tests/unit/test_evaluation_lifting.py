@@ -30,7 +30,7 @@ def value(scores: list[Score], metric: str, method: str) -> float:
 
 def test_the_truth_has_no_error_and_a_shift_of_the_pair_is_none() -> None:
     errors = lifted_errors(PAIRS + np.array([1.0, 2.0, 3.0]), PAIRS)
-    for values in (errors.pair_m, errors.person_m, errors.shape_m, errors.distance_m, errors.depth_m):
+    for values in errors.values():
         np.testing.assert_allclose(values, 0.0, atol=1e-9)
 
 
@@ -38,16 +38,16 @@ def test_a_person_slid_in_depth_shows_between_people_only() -> None:
     slid = PAIRS.copy()
     slid[:, 1, :, 2] += 0.4
     errors = lifted_errors(slid, PAIRS)
-    np.testing.assert_allclose(errors.person_m, 0.0, atol=1e-9)
-    np.testing.assert_allclose(errors.depth_m, 0.4, atol=1e-9)
-    np.testing.assert_allclose(errors.pair_m, 0.2, atol=1e-9)
+    np.testing.assert_allclose(errors["lifted_person_error"], 0.0, atol=1e-9)
+    np.testing.assert_allclose(errors["relative_depth_error"], 0.4, atol=1e-9)
+    np.testing.assert_allclose(errors["lifted_pair_error"], 0.2, atol=1e-9)
 
 
 def test_a_turned_pair_has_the_right_shape() -> None:
     turned = PAIRS @ yaw_rotmat(0.5).T
     errors = lifted_errors(turned, PAIRS)
-    np.testing.assert_allclose(errors.shape_m, 0.0, atol=1e-7)
-    assert (errors.pair_m > 0.01).all()
+    np.testing.assert_allclose(errors["lifted_D_C"], 0.0, atol=1e-7)
+    assert (errors["lifted_pair_error"] > 0.01).all()
 
 
 def test_scores_name_baselines_and_count_pairs() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
 
 from pydantic import Field
 
@@ -31,27 +30,23 @@ class PeopleSettings(Parameters):
 class PeopleParameters(PeopleSettings):
     """One question at one noise."""
 
-    question: Literal["identities", "faults"]
+    question: str
     noise_px: float
-
-
-_QUESTIONS: tuple[Literal["identities", "faults"], ...] = ("identities", "faults")
 
 
 def _plan(inputs: StageInputs, settings: PeopleSettings) -> list[Shard]:
     """Plan one shard per question and noise, over all takes of two people."""
     takes = [take for take in inputs.of("poses") if take.facts["num_persons"] == 2]
-    num_views = settings.num_crowd_views
-    if not (takes and num_views):
+    if not (takes and settings.num_crowd_views):
         return []
     return [
         TOPIC.shard(
             inputs,
             f"{question}-{noise_px:g}px",
-            PeopleParameters(question=question, noise_px=noise_px, num_crowd_views=num_views),
+            settings.part(PeopleParameters, question=question, noise_px=noise_px),
             takes=takes,
         )
-        for question in _QUESTIONS
+        for question in ("identities", "faults")
         for noise_px in _NOISES_PX
     ]
 

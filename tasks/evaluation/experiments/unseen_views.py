@@ -70,7 +70,7 @@ class TakeParameters(Parameters):
 
     take_id: str
     unseen_views_deg: tuple[float, ...]
-    kind: str = "condition"
+    step: str = "condition"
     condition: int = 0
 
 
@@ -82,7 +82,7 @@ def _plan_setting(setting: Setting, inputs: StageInputs, settings: UnseenViewsSe
         _SETTINGS[setting].shard(
             inputs,
             f"{take_id}-{kind}" + (f"-{number}" if kind == "condition" else ""),
-            TakeParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg, kind=kind, condition=number),
+            settings.part(TakeParameters, take_id=take_id, step=kind, condition=number),
             take=[take],
             parts=parts,
             # A codebook is of use with exactly the parts it numbers.
@@ -101,7 +101,7 @@ def _plan_left_out(inputs: StageInputs, settings: UnseenViewsSettings) -> list[S
         LEFT_OUT_CLIPS.shard(
             inputs,
             take_id,
-            TakeParameters(take_id=take_id, unseen_views_deg=settings.unseen_views_deg),
+            settings.part(TakeParameters, take_id=take_id),
             take=[take],
             parts=parts,
         )
@@ -128,22 +128,22 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
     for person, motion in enumerate(_people(shard, store, rate_hz)):
-        labels = ("evaluation", setting.value, options.take_id, person, options.kind, options.condition)
+        labels = ("evaluation", setting.value, options.take_id, person, options.step, options.condition)
         draw = partial(stream, shard.seed, *labels)
         name = f"{setting.value}-{motion.item.replace(' ', '-')}"
-        if options.kind != "condition":
-            what = _LEVEL_LABELS[options.kind]
+        if options.step != "condition":
+            what = _LEVEL_LABELS[options.step]
             points = level_scores(
                 searcher,
                 motion,
                 setting,
-                kind=options.kind,
-                levels=_LEVELS[options.kind],
+                kind=options.step,
+                levels=_LEVELS[options.step],
                 methods=_CURVE_METHODS,
                 stream=draw,
             )
             scores += points
-            name = f"{name}-{options.kind}.png"
+            name = f"{name}-{options.step}.png"
             pictures[name] = _curves(points, f"{motion.item}, {setting.value}", what)
             captions[name] = f"{motion.item}: mean error over the views, root rotation kept, against {what}."
             continue
@@ -161,7 +161,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
         "a mark that knows the truth."
     )
-    notes = [note] if options.kind == "condition" else []
+    notes = [note] if options.step == "condition" else []
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)
 
 

@@ -9,7 +9,6 @@ names by hand per take and `key_joint_pairs` finds.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,23 +20,15 @@ from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["ModelErrors", "key_joint_pairs", "model_errors", "model_figure", "model_scores"]
+__all__ = ["key_joint_pairs", "model_errors", "model_figure", "model_scores"]
 
 Array = npt.NDArray[np.float64]
 Pairs = npt.NDArray[np.int64]
+Errors = Mapping[str, float]
 
 _CM = 100.0
 _MM = 1000.0
-_METRICS = {"E_r": ("e_r_cm", "cm"), "E_b": ("e_b_mm", "mm"), "JPD": ("jpd_cm", "cm")}
-
-
-@dataclass(frozen=True)
-class ModelErrors:
-    """Errors of one predicted variant: E_r in cm, E_b in mm, JPD in cm; JPD is NaN where a take has no key pair."""
-
-    e_r_cm: float
-    e_b_mm: float
-    jpd_cm: float
+_UNITS = {"E_r": "cm", "E_b": "mm", "JPD": "cm"}
 
 
 def key_joint_pairs(source_m: Array, *, max_pairs: int = 3) -> Pairs:
@@ -57,8 +48,8 @@ def key_joint_pairs(source_m: Array, *, max_pairs: int = 3) -> Pairs:
     return np.array([divmod(int(index), BODY22.num_joints) for index in chosen], dtype=np.int64).reshape(-1, 2)
 
 
-def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> ModelErrors:
-    """Compare a predicted variant with the true one.
+def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> dict[str, float]:
+    """Return E_r in cm, E_b in mm and JPD in cm of a predicted variant; JPD is NaN where a take has no key pair.
 
     Args:
         predicted_m: (T, 2, 22, 3), metres.
@@ -74,26 +65,23 @@ def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> ModelErrors
         raise InputError("a predicted or true motion is not finite")
     bones = [child for _, child in BODY22.bones]
     length_error = np.abs(bone_lengths(BODY22, predicted_m) - bone_lengths(BODY22, true_m))[..., bones]
-    if len(pairs):
-        apart = [np.linalg.norm(m[:, 0, pairs[:, 0]] - m[:, 1, pairs[:, 1]], axis=-1) for m in (predicted_m, true_m)]
-        jpd = float(np.abs(apart[0] - apart[1]).mean())
-    else:
-        jpd = float("nan")
-    return ModelErrors(
-        e_r_cm=_CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
-        e_b_mm=_MM * float(length_error.mean()),
-        jpd_cm=_CM * jpd,
-    )
+    apart = [np.linalg.norm(m[:, 0, pairs[:, 0]] - m[:, 1, pairs[:, 1]], axis=-1) for m in (predicted_m, true_m)]
+    jpd = float(np.abs(apart[0] - apart[1]).mean()) if len(pairs) else float("nan")
+    return {
+        "E_r": _CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
+        "E_b": _MM * float(length_error.mean()),
+        "JPD": _CM * jpd,
+    }
 
 
 def model_scores(
-    errors: Mapping[str, Sequence[ModelErrors]], *, baselines: Sequence[str], split: str, item: str
+    errors: Mapping[str, Sequence[Errors]], *, baselines: Sequence[str], split: str, item: str
 ) -> list[Score]:
     """Return mean E_r, E_b and JPD of each model over the test variants; a JPD that is NaN everywhere is left out."""
     scores = []
     for model, found in errors.items():
-        for metric, (name, unit) in _METRICS.items():
-            values = np.array([getattr(error, name) for error in found])
+        for metric, unit in _UNITS.items():
+            values = np.array([error[metric] for error in found])
             values = values[np.isfinite(values)]
             if len(values):
                 mean, is_baseline = float(values.mean()), model in baselines
@@ -102,14 +90,18 @@ def model_scores(
 
 
 def model_figure(
-    scales: Sequence[float], errors: Mapping[str, Sequence[ModelErrors]], *, baselines: Sequence[str], split: str
+    scales: Sequence[float],
+    errors: Mapping[str, Sequence[Errors]],
+    *,
+    baselines: Sequence[str],
+    split: str,
 ) -> bytes:
     """Draw E_r of each model against the scale of the test variants (mean over takes); PNG bytes."""
     at = np.array(scales)
     known = np.unique(np.round(at[np.isfinite(at)], 6))
     curves = []
     for model, found in errors.items():
-        values = np.array([error.e_r_cm for error in found])
+        values = np.array([error["E_r"] for error in found])
         means = np.array([values[np.isclose(at, scale)].mean() for scale in known])
         curves.append(Curve(model, known, means, is_baseline=model in baselines))
     return curve_figure(

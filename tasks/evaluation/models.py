@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.evaluation.models import ModelErrors, key_joint_pairs, model_errors, model_figure, model_scores
+from pasdedeux.evaluation.models import key_joint_pairs, model_errors, model_figure, model_scores
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
 from storage_schema import ArtifactRef, Store
@@ -36,7 +36,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keys, homes, scales = _test_variants(store, shard.refs("variants"), facts["test"])
     models = _read_models(store, shard.ref("models"))
     pairs = {take_id: key_joint_pairs(take.source.positions_m) for take_id, take in takes.items()}
-    errors: dict[str, list[ModelErrors]] = {name: [] for name in models}
+    errors: dict[str, list[dict[str, float]]] = {name: [] for name in models}
     at: list[float] = []
     owners: list[str] = []
     for item in read_items(store, keys, homes, takes):

@@ -93,7 +93,7 @@ def test_what_is_trained_beats_the_copy_on_its_take_and_refuses_to_learn_from_no
     models = [train(kind, train_on), train(MODELS["copy"], train_on)]
     none = np.zeros((0, 2), np.int64)
     own, copied = (
-        np.mean([model_errors(model.predict(item.request), item.motion_m, none).e_r_cm for item in variants])
+        np.mean([model_errors(model.predict(item.request), item.motion_m, none)["E_r"] for item in variants])
         for model in models
     )
     assert own < copied

@@ -14,7 +14,7 @@ from pasdedeux.evaluation.coverage import (
     curve_points,
     real_frame_levels,
 )
-from pasdedeux.evaluation.models import ModelErrors, model_figure, model_scores
+from pasdedeux.evaluation.models import model_figure, model_scores
 from pasdedeux.evaluation.overlay import floor_grid
 from pasdedeux.evaluation.reconstruction import Reconstructed, pair_scores, reconstruction_scores
 from pasdedeux.evaluation.score_tables import format_value, mean_table, score_table
@@ -142,7 +142,7 @@ def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_
 
 
 def test_model_scores_leave_out_a_distance_that_no_take_has() -> None:
-    errors = {"copy": [ModelErrors(1.0, 2.0, float("nan")), ModelErrors(3.0, 4.0, float("nan"))]}
+    errors = {"copy": [{"E_r": 1.0, "E_b": 2.0, "JPD": np.nan}, {"E_r": 3.0, "E_b": 4.0, "JPD": np.nan}]}
     scores = model_scores(errors, baselines=("copy",), split="cross_scale test", item="all")
     assert {s.metric: s.value for s in scores} == {"E_r": 2.0, "E_b": 3.0}
     assert model_figure([0.75, 1.25], errors, baselines=("copy",), split="cross_scale")

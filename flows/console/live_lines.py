@@ -17,7 +17,7 @@ import typer
 
 from flows.console.following import FollowedFile
 from pasdedeux.errors import InputError
-from pasdedeux.formats import OpenPoseFrame, check_anatomy, join_openpose_frames
+from pasdedeux.formats import OpenPoseFrame, check_anatomy, in_pixels, join_openpose_frames
 from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -92,7 +92,7 @@ def follow_lines(
             if len(seen) < _CHECKED_ROWS:
                 seen.append((file.number, frame))
                 if len(seen) == _CHECKED_ROWS:
-                    check_anatomy(join_openpose_frames(seen, sequence_id="video"))
+                    check_anatomy(in_pixels(join_openpose_frames(seen, sequence_id="video")))
             op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, frame.confidence)
             poses = people.push(file.number, op14.positions, op14.confidence)
         times.worked()

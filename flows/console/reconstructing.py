@@ -18,6 +18,7 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import (
     OpenPoseFrame,
     check_anatomy,
+    in_pixels,
     join_openpose_frames,
     read_openpose_frame,
     write_bvh,
@@ -93,7 +94,7 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     image_size = _image_size(whole.size)
     source, refs = _projections(database, store)
     frames = _read_all(folder)
-    joined = join_openpose_frames(frames, sequence_id="video", image_size_px=image_size)
+    joined = in_pixels(join_openpose_frames(frames, sequence_id="video"), image_size)
     check_anatomy(joined)
     searchers = _searchers(source, refs, whole.pitch_deg)
     settled = settle_people(replace(joined, rate_hz=whole.rate_hz))

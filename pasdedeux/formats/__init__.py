@@ -1,6 +1,6 @@
 """Formats: readers and writers of motion and keypoint files; bytes or text in, values out, never a path."""
 
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels
 from pasdedeux.formats.annotation_csv import read_annotation_csv
 from pasdedeux.formats.annotation_npz import read_annotation_npz
 from pasdedeux.formats.asf_amc import read_amc, read_asf
@@ -62,6 +62,7 @@ __all__ = [
     "guess_motion",
     "guess_unit",
     "guess_up_axis",
+    "in_pixels",
     "is_companion",
     "join_openpose_frames",
     "motion_from_positions",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,15 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 
-__all__ = ["MAX_IMAGE_PX", "MAX_RATE_HZ", "AnnotatedFrames", "check_anatomy", "get_keypoint_layout"]
+__all__ = [
+    "MAX_FOCAL_PX",
+    "MAX_IMAGE_PX",
+    "MAX_RATE_HZ",
+    "AnnotatedFrames",
+    "check_anatomy",
+    "get_keypoint_layout",
+    "in_pixels",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,14 +46,20 @@ _SEGMENTS = {
     ("neck", "right_shoulder"): 0.5,
     ("left_ankle", "left_big_toe"): 0.35,
     ("right_ankle", "right_big_toe"): 0.35,
+    ("left_ankle", "left_heel"): 0.35,
+    ("right_ankle", "right_heel"): 0.35,
     ("mid_hip", "left_hip"): 0.35,
     ("mid_hip", "right_hip"): 0.35,
     ("head", "neck"): 0.45,
     ("pelvis", "left_hip"): 0.35,
     ("pelvis", "right_hip"): 0.35,
 }
-MAX_STRETCH = 0.6
-"""Real detections come to 0.26 in their own layout and to 0.44 to 0.66 in wrong ones (tested)."""
+MAX_SHARE = 2.0
+MAX_NEGATIVE = 0.2
+"""Shares of the image: greatest coordinate, and greatest part of the coordinates below 0 (3D ones come to a half)."""
+SURE_STRETCH, MAX_STRETCH = 0.36, 0.6
+"""Dancers come to 0.20 to 0.31 in their own layout, with any noise and junk, and to 0.39 to 0.8 in wrong ones (tested):
+below the first the layout is right, above the second it is wrong, and between them another one may be better."""
 CLEARLY_SHORTER = 0.75
 """Another layout whose segments are shorter by this factor is the right one."""
 MAX_OFF_MIDDLE = 0.1
@@ -55,7 +70,8 @@ MIN_CHECKED_ROWS = 5
 
 MAX_RATE_HZ = 100_000.0
 MAX_IMAGE_PX = 100_000
-"""Frame rate and image side that a file may state."""
+MAX_FOCAL_PX = 1_000_000.0
+"""Frame rate, image side and focal length that a file may state."""
 _SEQUENCE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 """Sequences name files and partitions later on."""
 
@@ -68,11 +84,12 @@ class AnnotatedFrames:
         layout: Name of the keypoint layout.
         sequence_id: (row,) names of sequences.
         frame: (row,) frame numbers.
-        person_id: (row,) people as the source numbers them.
+        person_id: (row,) people as the source numbers them, else by their order in the frame.
         keypoints_px: (row, K, 2), NaN where missing; x right, y down.
         confidence: (row, K), 0 where missing.
-        image_size_px: Width and height, None when unknown.
+        image_size_px: Width and height of the images by sequence, of those where it is known.
         rate_hz: Frames per second, None when unknown.
+        focal_px: Focal length of the camera, pixels, None when unknown.
         skipped: Names of files that could not be read and were left out.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
@@ -87,8 +104,9 @@ class AnnotatedFrames:
     person_id: npt.NDArray[np.int64]
     keypoints_px: Array
     confidence: Array
-    image_size_px: tuple[int, int] | None = None
+    image_size_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     rate_hz: float | None = None
+    focal_px: float | None = None
     skipped: tuple[str, ...] = ()
     has_identities: bool = True
 
@@ -134,6 +152,36 @@ def get_keypoint_layout(name: str) -> KeypointLayout:
     if name not in KEYPOINT_LAYOUTS:
         raise InputError(f"keypoint layout '{name}' is not known; known layouts: {', '.join(KEYPOINT_LAYOUTS)}")
     return KEYPOINT_LAYOUTS[name]
+
+
+def in_pixels(frames: AnnotatedFrames, image_size_px: tuple[int, int] | None = None) -> AnnotatedFrames:
+    """Return annotations in pixels: coordinates that are shares of the image, 0 to 1, are multiplied by its size.
+
+    Shares lie about 0 to 1, a little outside where people leave the image; a person in pixels is larger than that.
+
+    Args:
+        frames: Annotations.
+        image_size_px: Width and height of the images, where the file's are not to be taken.
+
+    Raises:
+        InputError: The coordinates are shares and the size is not known, or they lie about 0 as 3D coordinates do.
+    """
+    points = frames.keypoints_px
+    if not np.isfinite(points).any() or np.nanmax(np.abs(points)) > MAX_SHARE:
+        return frames
+    if np.nanmean(points < 0) > MAX_NEGATIVE:
+        raise InputError(
+            "the coordinates lie about 0 within 2: they are neither pixels nor shares of the image, but perhaps "
+            "MediaPipe's world landmarks or another scale; pixels, or 0 to 1 across the image, are needed"
+        )
+    sizes = [image_size_px or frames.image_size_px.get(name) for name in frames.sequence_id]
+    known = [size for size in sizes if size is not None]
+    if len(known) < len(sizes):
+        raise InputError(
+            "all coordinates lie within 2; they seem to be shares of the image, not pixels: say the size of the image "
+            "(image_size_px, --size), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
+        )
+    return replace(frames, keypoints_px=points * np.array(known, dtype=np.float64).reshape(-1, 1, 2))
 
 
 def _stretch(layout: str, keypoints_px: Array, confidence: Array) -> float:
@@ -193,7 +241,8 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
     others = {
         name: _stretch(name, frames.keypoints_px, frames.confidence)
         for name, layout in KEYPOINT_LAYOUTS.items()
-        if name != frames.layout and layout.num_keypoints <= frames.keypoints_px.shape[1]
+        # op14 is the first part of coco18, which names the order better.
+        if name not in (frames.layout, "op14") and layout.num_keypoints <= frames.keypoints_px.shape[1]
     }
     better = [name for name, value in others.items() if value < CLEARLY_SHORTER * own]
     off_middle = _off_middle(frames)
@@ -203,7 +252,7 @@ def check_anatomy(frames: AnnotatedFrames) -> None:
             f"the keypoints do not look like people in the layout '{frames.layout}': the mid-hip lies "
             f"{off_middle:.0%} of a body from the middle of the hips{hint}"
         )
-    if own <= MAX_STRETCH and not better:
+    if own <= SURE_STRETCH or (own <= MAX_STRETCH and not better):
         return
     hint = f"; the order of '{min(better, key=lambda name: others[name])}' fits" if better else ""
     raise InputError(

@@ -5,6 +5,7 @@ A header line and a row per keypoint, columns in any order::
     # layout: pair17
     # image_size: 1920x1080
     # rate_hz: 30
+    # focal_px: 1400
     sequence,frame,person,joint,x,y,confidence
     clip1,0,0,left_knee,812.5,640.0,0.93
 
@@ -21,7 +22,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, MAX_RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import (
+    MAX_FOCAL_PX,
+    MAX_IMAGE_PX,
+    MAX_RATE_HZ,
+    AnnotatedFrames,
+    get_keypoint_layout,
+)
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import decode, parse_integer, parse_number, shorten, split_lines
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
@@ -122,15 +129,18 @@ def read_annotation_csv(data: bytes | str, *, sequence_id: str = "sequence", lay
             column = known.keypoint_names.index(name)
             keypoints[index, column] = x, y
             confidence[index, column] = trust
+    sequences = tuple(key[0] for key in people)
+    size = _image_size(notes)
     return AnnotatedFrames(
         layout=layout,
-        sequence_id=tuple(key[0] for key in people),
+        sequence_id=sequences,
         frame=np.array([key[1] for key in people], dtype=np.int64),
         person_id=np.array([key[2] for key in people], dtype=np.int64),
         keypoints_px=keypoints,
         confidence=confidence,
-        image_size_px=_image_size(notes),
-        rate_hz=_rate(notes),
+        image_size_px=dict.fromkeys(sequences, size) if size else {},
+        rate_hz=_number(notes, "rate_hz", "the frame rate", MAX_RATE_HZ),
+        focal_px=_number(notes, "focal_px", "the focal length", MAX_FOCAL_PX),
     )
 
 
@@ -177,11 +187,11 @@ def _image_size(notes: dict[str, tuple[int, str]]) -> tuple[int, int] | None:
     return size
 
 
-def _rate(notes: dict[str, tuple[int, str]]) -> float | None:
-    if "rate_hz" not in notes:
+def _number(notes: dict[str, tuple[int, str]], key: str, what: str, highest: float) -> float | None:
+    if key not in notes:
         return None
-    line, text = notes["rate_hz"]
-    rate = parse_number(text, f"line {line}: rate_hz")
-    if not 0 < rate <= MAX_RATE_HZ:
-        raise FormatError(f"line {line}: the frame rate is {rate:g}; allowed: above 0 to {MAX_RATE_HZ:g}")
-    return rate
+    line, text = notes[key]
+    value = parse_number(text, f"line {line}: {key}")
+    if not 0 < value <= highest:
+        raise FormatError(f"line {line}: {what} is {value:g}; allowed: above 0 to {highest:g}")
+    return value

@@ -1,7 +1,7 @@
 """Our own npz of 2D annotations, for programs.
 
 `keypoints_px` (row, K, 2), `confidence` (row, K), `frame` (row,), `person` (row,), `layout` (text), and optionally
-`sequence` (row,) of texts, `image_size_px` (2,), `rate_hz`.
+`sequence` (row,) of texts, `image_size_px` (2,), `rate_hz`, `focal_px`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, MAX_RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.formats.annotated_frames import (
+    MAX_FOCAL_PX,
+    MAX_IMAGE_PX,
+    MAX_RATE_HZ,
+    AnnotatedFrames,
+    get_keypoint_layout,
+)
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.formats.text import MAX_MAGNITUDE
@@ -81,9 +87,12 @@ def read_annotation_npz(data: bytes, *, sequence_id: str = "sequence", layout: s
         tuple(str(name) for name in get("sequence", "U", (rows,))) if "sequence" in arrays else (sequence_id,) * rows
     )
     size = get("image_size_px", "iu", (2,)) if "image_size_px" in arrays else None
-    rate = float(get("rate_hz", "fiu", ()).item()) if "rate_hz" in arrays else None
-    if rate is not None and not 0 < rate <= MAX_RATE_HZ:
-        raise FormatError(f"the frame rate is {rate}; allowed: above 0 to {MAX_RATE_HZ:g}")
+    numbers: dict[str, float | None] = {"rate_hz": None, "focal_px": None}
+    for name, highest in (("rate_hz", MAX_RATE_HZ), ("focal_px", MAX_FOCAL_PX)):
+        if name in arrays:
+            numbers[name] = value = float(get(name, "fiu", ()).item())
+            if not 0 < value <= highest:
+                raise FormatError(f"'{name}' is {value}; allowed: above 0 to {highest:g}")
     if size is not None and not ((size > 0) & (size <= MAX_IMAGE_PX)).all():
         raise FormatError(f"the image size is {size.tolist()}; allowed: 1 to {MAX_IMAGE_PX}")
     return AnnotatedFrames(
@@ -93,6 +102,7 @@ def read_annotation_npz(data: bytes, *, sequence_id: str = "sequence", layout: s
         person_id=person,
         keypoints_px=keypoints,
         confidence=confidence,
-        image_size_px=None if size is None else (int(size[0]), int(size[1])),
-        rate_hz=rate,
+        image_size_px={} if size is None else dict.fromkeys(sequence, (int(size[0]), int(size[1]))),
+        rate_hz=numbers["rate_hz"],
+        focal_px=numbers["focal_px"],
     )

@@ -1,154 +1,236 @@
-"""Reading COCO keypoint JSON with the 17 keypoints of a person: annotations of images, or a detector's results."""
+"""Reading COCO keypoint JSON: annotations of images, and the results of detectors in COCO's and mmpose's forms."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from pasdedeux.errors import FormatError
+from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.detections import (
+    MAX_FRAME,
+    Detection,
+    Place,
+    image_size,
+    join_detections,
+    known_footage,
+    places_of_names,
+)
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import parse_json, parse_triples
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 
 __all__ = ["Coco", "read_coco"]
 
-_NUM_KEYPOINTS = KEYPOINT_LAYOUTS["coco17"].num_keypoints
+Array = npt.NDArray[np.float64]
+
 _CONFIDENCE_OF_VISIBILITY = np.array([0.0, 0.5, 1.0])
 """COCO's v: 0 not labelled, 1 labelled but hidden, 2 labelled and visible."""
-_MAX_FRAME = 1_000_000_000
+_ID_KEYS = ("track_id", "idx", "person_id", "instance_id")
+"""Where a person's number stands: COCO's and trackers' `track_id`, AlphaPose's `idx`."""
+_FRAME_KEYS = ("frame_id", "frame_index", "frame")
 
 
 class Coco(AnnotationFormat):
-    """COCO keypoints: they may state the size of the images, never the rate."""
+    """COCO keypoints: they may state the size of the images, seldom the rate."""
 
     name = "coco"
-    recognised_by = "JSON with 'annotations', 'images' or 'keypoints'"
+    recognised_by = "JSON with 'annotations', 'images', 'keypoints' or 'instances'"
     suffixes = (".json",)
 
     def recognises(self, start: FileStart) -> bool:
-        """Tell whether the file is JSON with one of COCO's keys, and not OpenPose's."""
-        keys = ('"keypoints"', '"annotations"', '"images"')
-        return start.is_json and '"people"' not in start.text and any(key in start.text for key in keys)
+        """Tell whether the file is JSON with one of COCO's or mmpose's keys and not OpenPose's, or an empty list."""
+        if not start.is_json or '"people"' in start.text or '"landmarks"' in start.text:
+            return False
+        keys = ('"keypoints"', '"annotations"', '"images"', '"instances"', '"instance_info"')
+        return any(key in start.text for key in keys) or start.text.split() in (["[]"], ["[", "]"])
 
     def read(
         self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
     ) -> AnnotatedFrames:
         """Read the one file."""
         (data,) = files.values()
-        return read_coco(data, sequence_id=sequence_id)
+        return read_coco(data, sequence_id=sequence_id, layout=layout)
 
 
-def read_coco(data: bytes | str, *, sequence_id: str) -> AnnotatedFrames:
-    """Read COCO keypoints.
+@dataclass(frozen=True)
+class _Item:
+    """A person as the file lists it, in the image with this id, number or name."""
 
-    With a list `images`, frames are the images in the order of `frame_id` or `id`, sequences are their `video_id` where
-    they have one, and v = 0 means missing.  A plain list is taken as results: the third number is a confidence and
-    `image_id` the frame.  People are numbered by `track_id` where every annotation has one, else by their order.
+    image: int | str
+    content: dict[str, Any]
+    where: str
+
+
+def read_coco(data: bytes | str, *, sequence_id: str, layout: str = "auto") -> AnnotatedFrames:
+    """Read COCO keypoints: annotations, or results as mmpose, ViTPose, Detectron2, Ultralytics, AlphaPose write them.
+
+    With a list `images`, the third number of a keypoint is COCO's visibility (0 means missing), and an image is of its
+    `video_id` and the frame `frame_id`; else the frame that its file name tells, else of its place in the list.  In a
+    list of results the third number is a confidence, and `image_id` is the frame or the name of the image.  mmpose's
+    own form has a list of frames with `instances`, whose keypoints and `keypoint_scores` stand apart.  People are
+    numbered by `track_id` or AlphaPose's `idx` where everybody has one of their own, else by their order.
 
     Raises:
-        FormatError: Not JSON, not COCO keypoints, other than 17 keypoints, a visibility other than 0, 1, 2, an
-            unknown image, or a value that is no finite number.
+        FormatError: Not JSON, not COCO keypoints, a number of keypoints that no layout has, a visibility other than 0,
+            1, 2, an unknown image, or a value that is no finite number.
+        InputError: The file holds nobody.
     """
-    content = parse_json(data, "COCO file")
-    is_results = isinstance(content, list)
-    annotations = content if is_results else content.get("annotations") if isinstance(content, dict) else None
-    if not isinstance(annotations, list):
+    content = parse_json(data, "COCO file", has_nan=True)
+    is_annotations = isinstance(content, dict) and isinstance(content.get("annotations"), list)
+    listed = content.get("annotations" if is_annotations else "instance_info") if isinstance(content, dict) else content
+    if not isinstance(listed, list):
         raise FormatError("this is not a COCO file: it has no list 'annotations'")
-    images = {} if is_results else _images(content)
-    people = [item for item in annotations if not (isinstance(item, dict) and not item.get("keypoints", True))]
-    if not people:
-        raise FormatError("this COCO file holds no keypoints")
-    keypoints, confidences, keys = [], [], []
-    has_tracks = all(isinstance(item, dict) and _is_integer(item.get("track_id")) for item in people)
-    counts: dict[tuple[str, int], int] = {}
-    for index, item in enumerate(people):
-        where = f"annotation {index}"
-        if not isinstance(item, dict) or not isinstance(item.get("keypoints"), list):
-            raise FormatError(f"{where} has no list 'keypoints'")
-        numbers = item["keypoints"]
-        if len(numbers) != 3 * _NUM_KEYPOINTS:
-            raise FormatError(
-                f"{where} has {len(numbers)} values in 'keypoints'; {3 * _NUM_KEYPOINTS} are allowed (17 keypoints)"
+    items = list(_annotations(listed) if is_annotations else _results(listed))
+    if not items:
+        raise InputError("this file holds nobody: no image of it has keypoints")
+    if is_annotations:
+        places, sizes = _places_of_images(content)
+        for item in items:
+            if item.image not in places:
+                raise FormatError(f"{item.where}: its 'image_id' is not among the images")
+    else:
+        places, sizes = _places_of_ids(items), {}
+    footage = known_footage(content)
+    if footage.image_size_px:
+        sizes = sizes or {video: footage.image_size_px for video, _ in places.values()}
+    return join_detections(
+        [
+            Detection(
+                place=places[item.image],
+                person_id=_person_id(item.content),
+                table=_visibilities(table, item.where) if is_annotations else table,
+                where=item.where,
             )
-        table = parse_triples(numbers, f"{where}: 'keypoints'")
-        if is_results:
-            confidence = table[:, 2]
-            if (confidence < 0).any() or (confidence > 10).any():
-                raise FormatError(f"{where}: a confidence lies outside 0..10")
-        else:
-            if not np.isin(table[:, 2], [0, 1, 2]).all():
-                raise FormatError(f"{where}: a visibility is none of 0, 1, 2")
-            confidence = _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)]
-        image_id = item.get("image_id")
-        if is_results:
-            if not isinstance(image_id, int) or not _is_integer(image_id):
-                raise FormatError(f"{where}: 'image_id' must be a whole number from 0 to {_MAX_FRAME}")
-            place = (sequence_id, image_id)
-        elif not isinstance(image_id, int | str) or image_id not in images:
-            raise FormatError(f"{where}: its 'image_id' is not among the images")
-        else:
-            video, frame = images[image_id]
-            place = (f"{sequence_id}.{video}" if video else sequence_id, frame)
-        person = int(item["track_id"]) if has_tracks else counts.get(place, 0)
-        counts[place] = counts.get(place, 0) + 1
-        keypoints.append(np.where((confidence > 0)[:, None], table[:, :2], np.nan))
-        confidences.append(confidence)
-        keys.append((*place, person))
-    return AnnotatedFrames(
-        layout="coco17",
-        sequence_id=tuple(key[0] for key in keys),
-        frame=np.array([key[1] for key in keys], dtype=np.int64),
-        person_id=np.array([key[2] for key in keys], dtype=np.int64),
-        keypoints_px=np.array(keypoints),
-        confidence=np.array(confidences),
-        image_size_px=None if is_results else _common_size(content),
-        has_identities=has_tracks,
+            for item in items
+            for table in (_table(item.content, item.where),)
+        ],
+        sequence_id=sequence_id,
+        layout=layout,
+        sizes_px=sizes,
+        rate_hz=footage.rate_hz,
     )
 
 
-def _images(content: dict[str, Any]) -> dict[int | str, tuple[str, int]]:
-    """Return for each image id its video's name and its frame number there."""
+def _annotations(items: list[Any]) -> Iterator[_Item]:
+    """Yield the annotations that have keypoints."""
+    for index, content in enumerate(items):
+        where = f"annotation {index}"
+        if _has_keypoints(content, where):
+            image = content.get("image_id")
+            yield _Item(image if isinstance(image, int | str) else "", content, where)
+
+
+def _results(results: list[Any]) -> Iterator[_Item]:
+    """Yield the people of a list of results, or of a list of frames with `instances`."""
+    for index, one in enumerate(results):
+        where = f"annotation {index}"
+        if isinstance(one, dict) and isinstance(one.get("instances"), list):
+            frame = next((one[key] for key in _FRAME_KEYS if key in one), index)
+            for number, person in enumerate(one["instances"]):
+                inside = f"{where}, person {number}"
+                if _has_keypoints(person, inside):
+                    yield _Item(_checked_image(frame, inside, "frame_id"), person, inside)
+        elif _has_keypoints(one, where):
+            yield _Item(_checked_image(one.get("image_id"), where, "image_id"), one, where)
+
+
+def _has_keypoints(content: object, where: str) -> bool:
+    """Tell whether a person has keypoints; an empty list, as COCO has for crowds, is none."""
+    if not isinstance(content, dict) or not isinstance(content.get("keypoints"), list):
+        raise FormatError(f"{where} has no list 'keypoints'")
+    return bool(content["keypoints"])
+
+
+def _checked_image(value: object, where: str, key: str) -> int | str:
+    if isinstance(value, str) and value:
+        return value
+    if not _is_count(value):
+        raise FormatError(f"{where}: '{key}' must be a whole number from 0 to {MAX_FRAME}, or an image's name")
+    return int(str(value))
+
+
+def _table(content: dict[str, Any], where: str) -> Array:
+    """Return the keypoints (K, 3) of a person: triples end to end, or points with their scores apart."""
+    numbers, scores = content["keypoints"], content.get("keypoint_scores")
+    if all(isinstance(point, list) for point in numbers):
+        if not isinstance(scores, list) or len(scores) != len(numbers) or any(len(point) < 2 for point in numbers):
+            raise FormatError(f"{where}: 'keypoints' are points, which need as many 'keypoint_scores'")
+        numbers = [value for point, score in zip(numbers, scores, strict=True) for value in (*point[:2], score)]
+    if len(numbers) % 3:
+        raise FormatError(f"{where} has {len(numbers)} values in 'keypoints', which are no triples x, y, confidence")
+    return parse_triples(numbers, f"{where}: 'keypoints'")
+
+
+def _visibilities(table: Array, where: str) -> Array:
+    if not np.isin(table[:, 2], [0, 1, 2]).all():
+        raise FormatError(f"{where}: a visibility is none of 0, 1, 2")
+    return np.concatenate([table[:, :2], _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)][:, None]], axis=1)
+
+
+def _person_id(content: dict[str, Any]) -> int | None:
+    """Return the number of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
+    value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
+    while isinstance(value, list):
+        value = value[0] if value else None
+    return (
+        int(value)
+        if isinstance(value, float) and value.is_integer() and _is_count(int(value))
+        else (value if isinstance(value, int) and _is_count(value) else None)
+    )
+
+
+def _places_of_ids(items: list[_Item]) -> dict[int | str, Place]:
+    """Return video and frame by what results call their images: numbers are frames, names tell theirs."""
+    ids = {item.image for item in items}
+    if all(isinstance(image, int) for image in ids):
+        return {image: ("", int(image)) for image in ids}
+    places = places_of_names(str(image) for image in ids)
+    return {image: places[str(image)] for image in ids}
+
+
+def _places_of_images(content: dict[str, Any]) -> tuple[dict[int | str, Place], dict[str, tuple[int, int]]]:
+    """Return video and frame by image id, and the size of the images of each video where all of them have the same."""
     images = content.get("images")
     if not isinstance(images, list):
         raise FormatError("this is not a COCO file: it has no list 'images'")
-    result: dict[int | str, tuple[str, int]] = {}
-    counts: dict[str, int] = {}
+    known: dict[int | str, dict[str, Any]] = {}
     for index, image in enumerate(images):
         if not isinstance(image, dict) or not isinstance(image.get("id"), int | str):
             raise FormatError(f"image {index} has no 'id'")
-        if image["id"] in result:
+        if image["id"] in known:
             raise FormatError(f"image {index}: its id {str(image['id'])[:40]!r} appears twice")
-        video = (
-            re.sub(r"[^A-Za-z0-9_-]", "_", str(image["video_id"]))[:100]
-            if isinstance(image.get("video_id"), int | str)
-            else ""
-        )
-        frame = image.get("frame_id")
-        if frame is None:
-            frame = counts.get(video, 0)
-            counts[video] = frame + 1
-        elif not _is_integer(frame):
-            raise FormatError(f"image {index}: 'frame_id' must be a whole number from 0 to {_MAX_FRAME}")
-        result[image["id"]] = (video, int(frame))
-    return result
+        if image.get("frame_id") is not None and not _is_count(image["frame_id"]):
+            raise FormatError(f"image {index}: 'frame_id' must be a whole number from 0 to {MAX_FRAME}")
+        known[image["id"]] = image
+    places = _stated_places(known)
+    if places is None:
+        names = places_of_names(image["file_name"] for image in known.values())
+        places = {image_id: names[image["file_name"]] for image_id, image in known.items()}
+    sizes: dict[str, set[tuple[int, int] | None]] = {}
+    for image_id, image in known.items():
+        sizes.setdefault(places[image_id][0], set()).add(image_size(image))
+    return places, {video: size for video, found in sizes.items() if len(found) == 1 for size in found if size}
 
 
-def _common_size(content: dict[str, Any]) -> tuple[int, int] | None:
-    """Return the size that all images share, None where they differ or do not say."""
-    sizes = {(image.get("width"), image.get("height")) for image in content["images"] if _has_size(image)}
-    if len(sizes) != 1 or not all(_has_size(image) for image in content["images"]):
+def _stated_places(images: Mapping[int | str, dict[str, Any]]) -> dict[int | str, Place] | None:
+    """Return the places that images state, None where only their different file names can tell."""
+    is_stated = any(image.get("video_id") is not None or image.get("frame_id") is not None for image in images.values())
+    names = [image.get("file_name") for image in images.values()]
+    if not is_stated and all(isinstance(name, str) for name in names) and len(set(names)) == len(names):
         return None
-    width, height = sizes.pop()
-    return int(width), int(height)
+    counts: dict[str, int] = {}
+    places: dict[int | str, Place] = {}
+    for image_id, image in images.items():
+        video = str(image["video_id"]) if isinstance(image.get("video_id"), int | str) else ""
+        frame = counts.get(video, 0) if image.get("frame_id") is None else int(image["frame_id"])
+        counts[video] = counts.get(video, 0) + 1
+        places[image_id] = (video, frame)
+    return places
 
 
-def _has_size(image: dict[str, Any]) -> bool:
-    return all(_is_integer(image.get(key)) and 0 < image[key] < 100_000 for key in ("width", "height"))
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_FRAME
+def _is_count(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= MAX_FRAME

@@ -1,28 +1,26 @@
-"""Reading OpenPose keypoints: one JSON file per frame."""
+"""Reading OpenPose keypoints, and what others write in the same form: one JSON file per frame."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, get_keypoint_layout
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import parse_json, parse_triples
+from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
 
 __all__ = ["OpenPose", "OpenPoseFrame", "join_openpose_frames", "openpose_frame_number", "read_openpose_frame"]
 
 Array = npt.NDArray[np.float64]
 
-LAYOUT_OF_COUNT = {25: "body25", 18: "coco18"}
 MAX_PEOPLE = 1000
-MAX_CONFIDENCE = 10.0
-"""Confidences are heights of a heat map: about 1 at most, but not exactly."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class OpenPoseFrame:
     """The people of one frame.
 
     Args:
-        layout: body25 or coco18, told from the number of keypoints; None when nobody was seen.
+        layout: The layout of as many keypoints; None when nobody was seen.
         person_id: (person,) the file's ids where it has them, else the place in the file.
         keypoints_px: (person, K, 2), NaN where not detected.
         confidence: (person, K), 0 where not detected.
@@ -43,7 +41,10 @@ class OpenPoseFrame:
 
 
 class OpenPose(AnnotationFormat):
-    """A folder of OpenPose files, one for each frame, which its name tells; they state no image size and no rate."""
+    """A folder of OpenPose files, one for each frame, which its name tells; they state no image size and no rate.
+
+    Pose2Sim, RTMPose's and other tools write the same files with layouts of their own, told by the number of keypoints.
+    """
 
     name = "openpose"
     recognised_by = "JSON with 'people'"
@@ -62,119 +63,89 @@ class OpenPose(AnnotationFormat):
     def read(
         self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
     ) -> AnnotatedFrames:
-        """Read the files of all frames; the one that is damaged is named."""
-        frames: list[tuple[int, OpenPoseFrame]] = []
+        """Read the files of all frames; the one that is damaged is named.
+
+        The last file may be cut off, because its writer was stopped: it is left out like one that may be skipped.
+        """
+        detections: list[Detection] = []
         skipped: list[str] = []
-        for number, (name, data) in zip(self.frame_numbers(list(files)), files.items(), strict=True):
+        numbers = self.frame_numbers(list(files))
+        for number, (name, data) in zip(numbers, files.items(), strict=True):
             try:
-                frames.append((number, read_openpose_frame(data)))
+                detections += _detections(data, ("", number), name)
             except FormatError as error:
-                if not skip_unreadable:
+                if not skip_unreadable and (number < max(numbers) or len(files) == 1):
                     raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
                 skipped.append(name)
-        return replace(join_openpose_frames(frames, sequence_id=sequence_id, layout=layout), skipped=tuple(skipped))
+        return join_detections(detections, sequence_id=sequence_id, layout=layout, skipped=skipped)
 
 
 def openpose_frame_number(file_name: str) -> int | None:
-    """Return the frame number that OpenPose wrote into a file name such as `walk_000000000012_keypoints.json`."""
-    found = re.search(r"(\d{1,18})(?:_keypoints)?\.json$", file_name)
-    return int(found.group(1)) if found else None
+    """Return the frame number in a file name such as `walk_000000000012_keypoints.json`."""
+    number = number_in_name(file_name)[1] if file_name.endswith(".json") else None
+    return None if number is None or number > MAX_FRAME else number
 
 
 def read_openpose_frame(data: bytes | str) -> OpenPoseFrame:
     """Read the JSON of one frame, versions 1.0 to 1.7.  (0, 0) and confidence 0 both mean not detected.
 
     Raises:
-        FormatError: Not JSON, not OpenPose, a wrong number of values, or a value that is no finite number.
+        FormatError: Not JSON, not OpenPose, a number of keypoints that no layout has, or a value that is no number.
     """
-    content = parse_json(data, "OpenPose file")
+    detections = _detections(data, ("", 0), "")
+    if not detections:
+        return OpenPoseFrame(
+            layout=None, person_id=np.zeros(0, np.int64), keypoints_px=np.zeros((0, 0, 2)), confidence=np.zeros((0, 0))
+        )
+    joined = join_detections(detections, sequence_id="frame")
+    return OpenPoseFrame(joined.layout, joined.person_id, joined.keypoints_px, joined.confidence)
+
+
+def join_openpose_frames(frames: Sequence[tuple[int, OpenPoseFrame]], *, sequence_id: str) -> AnnotatedFrames:
+    """Return the frames of one video, given as (frame number, frame), as annotations.
+
+    Raises:
+        FormatError: Two layouts in one video.
+        InputError: Nobody in any frame.
+    """
+    return join_detections(
+        [
+            Detection(("", number), int(person_id), np.column_stack([points, confidence]), f"frame {number}")
+            for number, frame in frames
+            for person_id, points, confidence in zip(frame.person_id, frame.keypoints_px, frame.confidence, strict=True)
+        ],
+        sequence_id=sequence_id,
+    )
+
+
+def _detections(data: bytes | str, place: Place, name: str) -> list[Detection]:
+    """Return the people of one frame's file; those without any keypoint are left out."""
+    content = parse_json(data, "OpenPose file", has_nan=True)
     people = content.get("people") if isinstance(content, dict) else None
     if not isinstance(people, list):
         raise FormatError("this is not an OpenPose file: it has no list 'people'")
     if len(people) > MAX_PEOPLE:
         raise FormatError(f"{len(people)} people in one frame; at most {MAX_PEOPLE} are allowed")
-    values: list[Array] = []
-    ids: list[int] = []
+    found = []
     for index, person in enumerate(people):
+        where = f"person {index}"
         numbers = person.get("pose_keypoints_2d", person.get("pose_keypoints")) if isinstance(person, dict) else None
         if not isinstance(numbers, list):
-            raise FormatError(f"person {index} has no list 'pose_keypoints_2d'")
+            raise FormatError(f"{where} has no list 'pose_keypoints_2d'")
         if not numbers:
             continue
         if len(numbers) % 3 or len(numbers) // 3 not in LAYOUT_OF_COUNT:
-            raise FormatError(
-                f"person {index} has {len(numbers)} values in 'pose_keypoints_2d'; "
-                "allowed: 75 (BODY_25) and 54 (COCO-18)"
-            )
-        if values and len(numbers) != values[0].size:
-            raise FormatError(f"person {index} has {len(numbers)} values, person 0 has {values[0].size}")
-        values.append(parse_triples(numbers, f"person {index}: 'pose_keypoints_2d'"))
-        ids.append(_person_id(person, index))
-    if not values:
-        return OpenPoseFrame(
-            layout=None, person_id=np.zeros(0, np.int64), keypoints_px=np.zeros((0, 0, 2)), confidence=np.zeros((0, 0))
-        )
-    if len(set(ids)) != len(ids):
-        ids = list(range(len(ids)))
-    table = np.stack(values)
-    confidence = table[..., 2]
-    if (confidence < 0).any() or (confidence > MAX_CONFIDENCE).any():
-        raise FormatError(f"a confidence lies outside 0..{MAX_CONFIDENCE:g}")
-    is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
-    return OpenPoseFrame(
-        layout=LAYOUT_OF_COUNT[table.shape[1]],
-        person_id=np.array(ids, dtype=np.int64),
-        keypoints_px=np.where(is_seen[..., None], table[..., :2], np.nan),
-        confidence=np.where(is_seen, confidence, 0.0),
-    )
+            counts = ", ".join(f"{3 * count} ({layout.name})" for count, layout in sorted(LAYOUT_OF_COUNT.items()))
+            raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
+        table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
+        found.append(Detection(place, _person_id(person, index), table, f"{name}: {where}" if name else where))
+    return found
 
 
-def join_openpose_frames(
-    frames: Sequence[tuple[int, OpenPoseFrame]],
-    *,
-    sequence_id: str,
-    layout: str = "auto",
-    image_size_px: tuple[int, int] | None = None,
-) -> AnnotatedFrames:
-    """Join the frames of one sequence, given as (frame number, frame).
-
-    Raises:
-        InputError: The layout asked for is not the one of the files, two layouts in one sequence, nobody in any frame,
-            or coordinates that are shares of the image instead of pixels.
-    """
-    found = sorted({frame.layout for _, frame in frames if frame.layout})
-    if not found:
-        raise InputError(f"sequence '{sequence_id}': nobody was detected in any of its {len(frames)} frames")
-    if len(found) > 1:
-        raise InputError(f"sequence '{sequence_id}': files of different layouts: {', '.join(found)}")
-    if layout not in {"auto", found[0]}:
-        count = get_keypoint_layout(found[0]).num_keypoints
-        raise InputError(
-            f"sequence '{sequence_id}': the layout '{layout}' is asked for, but the files have {count} keypoints: "
-            f"'{found[0]}'"
-        )
-    people = [(number, frame) for number, frame in frames if len(frame.person_id)]
-    keypoints = np.concatenate([frame.keypoints_px for _, frame in people])
-    if np.isfinite(keypoints).any() and np.nanmax(np.abs(keypoints)) <= 2.0:
-        raise InputError(
-            f"sequence '{sequence_id}': all coordinates lie within 2; they seem to be shares of the image, not pixels "
-            "(run OpenPose with --keypoint_scale 0)"
-        )
-    counts = [len(frame.person_id) for _, frame in people]
-    return AnnotatedFrames(
-        layout=found[0],
-        sequence_id=(sequence_id,) * sum(counts),
-        frame=np.repeat(np.array([number for number, _ in people], dtype=np.int64), counts),
-        person_id=np.concatenate([frame.person_id for _, frame in people]),
-        keypoints_px=keypoints,
-        confidence=np.concatenate([frame.confidence for _, frame in people]),
-        image_size_px=image_size_px,
-        has_identities=False,
-    )
-
-
-def _person_id(person: dict[str, Any], index: int) -> int:
-    value = person.get("person_id", index)
+def _person_id(person: dict[str, Any], index: int) -> int | None:
+    """Return the file's number of a person; -1, which OpenPose writes, and the place in the list are none."""
+    value = person.get("person_id")
     value = value[0] if isinstance(value, list) and value else value
-    is_known = isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1_000_000
-    return value if is_known else index
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1_000_000 and value != index:
+        return value
+    return None

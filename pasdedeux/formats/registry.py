@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels
 from pasdedeux.formats.annotation_csv import AnnotationCsv
 from pasdedeux.formats.annotation_npz import AnnotationNpz
 from pasdedeux.formats.asf_amc import AsfAmc
@@ -100,15 +100,17 @@ def read_annotations(
     *,
     source_id: str,
     layout: str = "auto",
+    image_size_px: tuple[int, int] | None = None,
     skip_unreadable: bool = False,
 ) -> AnnotatedFrames:
-    """Read a source of 2D poses and check that they look like people; its sequences are named after the source.
+    """Read a source of 2D poses in pixels and check that they look like people; sequences are named after it.
 
     Args:
         kind: Format of the files.
         files: Content of each file by its name.
         source_id: Name of the source; stands in front of the names that the files give to their sequences.
         layout: Keypoint layout asked for, or "auto".
+        image_size_px: Width and height of the images, where the files do not say or are wrong.
         skip_unreadable: Leave out frames whose file is damaged.
 
     Raises:
@@ -122,7 +124,14 @@ def read_annotations(
         raise type(error)(f"{next(iter(files))}: {error}") from None
     if layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
+    frames = in_pixels(frames, image_size_px)
     check_anatomy(frames)
     own = f"{source_id}."
-    names = tuple(name if name == source_id or name.startswith(own) else own + name for name in frames.sequence_id)
-    return replace(frames, sequence_id=names)
+    names = {
+        name: name if name == source_id or name.startswith(own) else own + name for name in set(frames.sequence_id)
+    }
+    return replace(
+        frames,
+        sequence_id=tuple(names[name] for name in frames.sequence_id),
+        image_size_px={names[name]: size for name, size in frames.image_size_px.items()},
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -81,25 +81,32 @@ def parse_integer(token: str, where: str) -> int:
 
 
 def parse_triples(numbers: list[Any], where: str) -> npt.NDArray[np.float64]:
-    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3).
+    """Return keypoints of a JSON list as rows x, y and a third number, (K, 3); NaN is how some write "not detected".
 
     Raises:
         FormatError: A value is no number or absurdly large; `where` is put in front.
     """
-    if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) <= MAX_MAGNITUDE for n in numbers):
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) and not abs(n) > MAX_MAGNITUDE for n in numbers):
         raise FormatError(f"{where} holds a value that is no number or absurdly large")
     return np.array(numbers, dtype=np.float64).reshape(-1, 3)
 
 
-def parse_json(data: bytes | str, what: str) -> Any:
+def parse_json(data: bytes | str, what: str, *, has_nan: bool = False) -> Any:
     """Return the value of a JSON text; NaN and infinity are refused, as JSON does not know them.
+
+    Args:
+        data: The text.
+        what: What it is, for messages.
+        has_nan: Whether NaN may stand for what was not detected, as some detectors write it.
 
     Raises:
         FormatError: The text is empty, truncated, nested too deeply or otherwise not JSON; the line is named.
     """
     text = decode(data, what)
 
-    def refuse(constant: str) -> NoReturn:
+    def refuse(constant: str) -> float:
+        if has_nan and constant == "NaN":
+            return math.nan
         raise FormatError(f"this {what} holds {constant}, which is not a finite number")
 
     try:

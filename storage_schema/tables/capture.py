@@ -98,7 +98,7 @@ ANNOTATIONS = Table(
             "Take seen in virtual video, or named by the study for its own video; else null", is_nullable=True
         ),
         TAKE_FRAME,
-        text("layout", "Keypoint layout as given: coco18, body25, coco17, pair17 or op14"),
+        text("layout", "Keypoint layout: coco17, coco18, coco23, body25, halpe26, mediapipe33, pair17 or op14"),
         array(
             "keypoints_px",
             "Keypoints of that layout, (keypoint, 2) flattened; NaN where not detected or masked as a fault",

@@ -74,6 +74,7 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
         layout=parameters.layout,
+        image_size_px=parameters.image_size_px,
         skip_unreadable=parameters.on_unreadable == "skip",
     )
 
@@ -84,13 +85,13 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
         read_again(file)
     given = _read(parameters, shard.files)
     rate = parameters.rate_hz or given.rate_hz or DEFAULT_RATE_HZ
-    size = parameters.image_size_px or given.image_size_px
     try:
         settled = settle_people(replace(given, rate_hz=rate), parameters.part(PeopleSettings))
     except InputError as error:
         raise type(error)(f"annotations {parameters.id}: {error}") from None
     frames, op14 = settled.frames, settled.op14
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
+    sizes = [parameters.image_size_px or frames.image_size_px.get(name) for name in frames.sequence_id]
     count = frames.num_rows
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
@@ -116,8 +117,8 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "pair17_confidence": pair17.confidence,
                 "op14_px": op14.positions,
                 "op14_confidence": op14.confidence,
-                "image_width_px": [size[0] if size else None] * count,
-                "image_height_px": [size[1] if size else None] * count,
+                "image_width_px": [size[0] if size else None for size in sizes],
+                "image_height_px": [size[1] if size else None for size in sizes],
             }
         },
         facts={

@@ -28,7 +28,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 2
+VERSION = 3
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:

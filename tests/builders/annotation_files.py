@@ -22,7 +22,8 @@ def write_annotation_csv(frames: AnnotatedFrames) -> str:
     out = io.StringIO()
     out.write(f"# layout: {frames.layout}\n")
     if frames.image_size_px:
-        out.write(f"# image_size: {frames.image_size_px[0]}x{frames.image_size_px[1]}\n")
+        width, height = next(iter(frames.image_size_px.values()))
+        out.write(f"# image_size: {width}x{height}\n")
     if frames.rate_hz:
         out.write(f"# rate_hz: {frames.rate_hz!r}\n")
     writer = csv.writer(out, lineterminator="\n")
@@ -51,7 +52,7 @@ def write_annotation_npz(frames: AnnotatedFrames) -> bytes:
         "confidence": frames.confidence,
     }
     if frames.image_size_px:
-        arrays["image_size_px"] = np.array(frames.image_size_px)
+        arrays["image_size_px"] = np.array(next(iter(frames.image_size_px.values())))
     if frames.rate_hz:
         arrays["rate_hz"] = np.array(frames.rate_hz)
     out = io.BytesIO()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -197,6 +198,10 @@ _PERSON_PX = {
     "right_hip": (88, 190), "right_knee": (84, 248), "right_ankle": (82, 302),
     "left_big_toe": (126, 312), "left_small_toe": (132, 310), "left_heel": (116, 308),
     "right_big_toe": (74, 314), "right_small_toe": (68, 312), "right_heel": (84, 310),
+    "head_top": (100, 38), "mouth_left": (104, 66), "mouth_right": (96, 66),
+    "left_eye_inner": (103, 55), "left_eye_outer": (108, 55), "right_eye_inner": (97, 55), "right_eye_outer": (92, 55),
+    "left_pinky": (156, 92), "left_index": (152, 90), "left_thumb": (148, 92),
+    "right_pinky": (64, 180), "right_index": (66, 182), "right_thumb": (68, 178),
 }  # fmt: skip
 """Someone who faces the camera: the left side is on the image's right; the left hand is raised."""
 
@@ -220,6 +225,48 @@ def coco_text(num_frames: int = 3, people: int = 2) -> str:
             annotations.append({"image_id": 10 + frame, "keypoints": rows.round(2).reshape(-1).tolist()})
     images = [{"id": 10 + frame, "width": 640, "height": 480, "file_name": "x"} for frame in range(num_frames)]
     return json.dumps({"images": images, "annotations": annotations})
+
+
+def people_of(num_frames: int, people: int, layout: str = "coco17") -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield frame, person and keypoints (K, 3) with confidences 0.9; the right wrist of everybody is not detected."""
+    names = KEYPOINT_LAYOUTS[layout].keypoint_names
+    for frame in range(num_frames):
+        for person in range(people):
+            px = person_px(layout, seed=frame) + np.array([300.0 * person, 0.0])
+            table = np.concatenate([px, np.full((len(px), 1), 0.9)], axis=1).round(3)
+            table[names.index("right_wrist")] = 0.0
+            yield frame, person, table
+
+
+def result_texts(num_frames: int = 6, people: int = 2) -> dict[str, str]:
+    """Return the same people as detectors write them: by tool, from what their own code writes."""
+    found = list(people_of(num_frames, people))
+    flat = [(frame, person, table.reshape(-1).tolist()) for frame, person, table in found]
+    frames = [
+        {
+            "frame_id": frame,
+            "instances": [
+                {"keypoints": table[:, :2].tolist(), "keypoint_scores": table[:, 2].tolist(), "bbox_score": 0.9}
+                for at, _, table in found
+                if at == frame
+            ],
+        }
+        for frame in range(num_frames)
+    ]
+    return {
+        "detectron2": json.dumps([{"image_id": f, "category_id": 1, "score": 1.0, "keypoints": k} for f, _, k in flat]),
+        "ultralytics": json.dumps(
+            [{"image_id": f"clip_{f:06d}", "category_id": 1, "keypoints": k, "score": 0.9} for f, _, k in flat]
+        ),
+        "alphapose": json.dumps(
+            [
+                {"image_id": f"{f}.jpg", "category_id": 1, "keypoints": k, "score": 3.1, "idx": [p + 1.0]}
+                for f, p, k in flat
+            ]
+        ),
+        "mmpose demo": json.dumps({"meta_info": {"dataset_name": "coco"}, "instance_info": frames}),
+        "mmpose inferencer": json.dumps(frames),
+    }
 
 
 def csv_text(num_frames: int = 3) -> str:

@@ -10,18 +10,21 @@ import pytest
 
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import (
+    ANNOTATION_FORMATS,
     AnnotatedFrames,
     check_anatomy,
     join_openpose_frames,
     openpose_frame_number,
     read_annotation_csv,
     read_annotation_npz,
+    read_annotations,
     read_coco,
     read_openpose_frame,
 )
-from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from pasdedeux.formats.detections import places_of_names
+from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
-from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px
+from tests.builders.source_samples import coco_text, csv_text, openpose_text, people_of, person_px, result_texts
 
 
 def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
@@ -36,7 +39,9 @@ def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
     )
 
 
-@pytest.mark.parametrize(("layout", "count"), [("coco18", 18), ("body25", 25)])
+@pytest.mark.parametrize(
+    ("layout", "count"), [("coco18", 18), ("body25", 25), ("halpe26", 26), ("mediapipe33", 33), ("coco17", 17)]
+)
 def test_openpose_layouts_are_told_from_the_number_of_values(layout: str, count: int) -> None:
     frame = read_openpose_frame(openpose_text(layout, people=2))
     assert frame.layout == layout
@@ -61,11 +66,11 @@ def test_an_openpose_frame_without_people_is_a_frame() -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}', "3 values in 'pose_keypoints_2d'; allowed: 75"),
+        ('{"people": [{"pose_keypoints_2d": [1, 2, 3]}]}', r"3 values .*; allowed: 51 \(coco17\), 54"),
         ('{"people": [{"pose_keypoints_2d": "x"}]}', "no list 'pose_keypoints_2d'"),
         ('{"people": 1}', "no list 'people'"),
         ('{"people": [', "line 1"),
-        ('{"people": [{"pose_keypoints_2d": [NaN]}]}', "not a finite number"),
+        ('{"people": [{"pose_keypoints_2d": [Infinity]}]}', "not a finite number"),
     ],
 )
 def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
@@ -73,28 +78,66 @@ def test_a_fault_of_an_openpose_file_is_named(text: str, sentence: str) -> None:
         read_openpose_frame(text)
 
 
+def openpose_files(*texts: str) -> dict[str, bytes]:
+    return {f"w_{frame}_keypoints.json": text.encode() for frame, text in enumerate(texts)}
+
+
 def test_a_layout_other_than_the_files_is_refused() -> None:
-    frame = read_openpose_frame(openpose_text("coco18"))
+    kind, files = ANNOTATION_FORMATS["openpose"], openpose_files(openpose_text("coco18"))
     with pytest.raises(InputError, match="the layout 'body25' is asked for, but the files have 18 keypoints"):
-        join_openpose_frames([(0, frame)], sequence_id="s", layout="body25")
-    other = read_openpose_frame(openpose_text("body25"))
-    with pytest.raises(InputError, match="files of different layouts"):
-        join_openpose_frames([(0, frame), (1, other)], sequence_id="s")
+        kind.read(files, sequence_id="s", layout="body25")
+    with pytest.raises(FormatError, match=r"w_0_.*: person 0 has 18 keypoints and w_1_.* has 25: a source has one"):
+        kind.read(openpose_files(openpose_text("coco18"), openpose_text("body25")), sequence_id="s")
 
 
-def test_shares_of_the_image_are_not_taken_for_pixels() -> None:
-    content = json.loads(openpose_text("coco18"))
-    values = np.array(content["people"][0]["pose_keypoints_2d"]).reshape(-1, 3)
-    values[:, :2] /= 1000.0
-    content["people"][0]["pose_keypoints_2d"] = values.reshape(-1).tolist()
-    with pytest.raises(InputError, match="shares of the image"):
-        join_openpose_frames([(0, read_openpose_frame(json.dumps(content)))], sequence_id="s")
+def test_the_last_file_may_be_cut_off_and_costs_its_frame() -> None:
+    kind, texts = ANNOTATION_FORMATS["openpose"], [openpose_text("coco18", seed=seed) for seed in range(3)]
+    found = kind.read(openpose_files(*texts[:2], texts[2][:90]), sequence_id="s")
+    assert (found.frame.tolist(), found.skipped) == ([0, 1], ("w_2_keypoints.json",))
+    with pytest.raises(FormatError, match=r"w_1_keypoints.json: .*on_unreadable"):
+        kind.read(openpose_files(texts[0], texts[1][:90], texts[2]), sequence_id="s")
+    with pytest.raises(FormatError, match=r"w_0_keypoints.json"):
+        kind.read(openpose_files(texts[0][:90]), sequence_id="s")
+
+
+def shares(layout: str = "coco18", shift: float = 0.0) -> dict[str, bytes]:
+    """Return OpenPose files whose coordinates are shares of an image of 400 x 320."""
+    files = []
+    for seed in range(6):
+        content = json.loads(openpose_text(layout, seed=seed))
+        values = np.array(content["people"][0]["pose_keypoints_2d"]).reshape(-1, 3)
+        values[:, :2] = values[:, :2] / (400.0, 320.0) - shift
+        content["people"][0]["pose_keypoints_2d"] = values.reshape(-1).tolist()
+        files.append(json.dumps(content))
+    return openpose_files(*files)
+
+
+def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refused_elsewhere() -> None:
+    kind = ANNOTATION_FORMATS["openpose"]
+    with pytest.raises(InputError, match=r"shares of the image.*--size"):
+        read_annotations(kind, shares(), source_id="s")
+    found = read_annotations(kind, shares(), source_id="s", image_size_px=(400, 320))
+    np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
+    with pytest.raises(InputError, match="world landmarks"):
+        read_annotations(kind, shares(shift=0.4), source_id="s", image_size_px=(400, 320))
 
 
 def test_frame_numbers_come_from_file_names() -> None:
     assert openpose_frame_number("walk_000000000012_keypoints.json") == 12
     assert openpose_frame_number("7.json") == 7
+    assert openpose_frame_number("blaze_walk.00012.json") == 12
     assert openpose_frame_number("notes.json") is None
+
+
+def test_names_of_images_tell_cameras_and_frames() -> None:
+    one_camera = places_of_names(["cam/GX01_0010.jpg", "cam/GX01_0009.jpg"])
+    assert one_camera == {"cam/GX01_0010.jpg": ("", 10), "cam/GX01_0009.jpg": ("", 9)}
+    names = [f"cam{camera}_{frame:04d}.png" for camera in (1, 2) for frame in range(3)]
+    assert places_of_names(names)["cam2_0001.png"] == ("cam2", 1)
+    stills = places_of_names(["garden.jpg", "beach7.jpg", "hall3.jpg"])
+    assert stills == {"beach7.jpg": ("", 0), "garden.jpg": ("", 1), "hall3.jpg": ("", 2)}
+    with pytest.raises(FormatError, match=r"'a_1.jpg' and 'a_01.jpg' are both frame 1"):
+        places_of_names(["a_1.jpg", "a_01.jpg", "a_2.jpg"])
 
 
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
@@ -145,7 +188,7 @@ def test_coco_visibility_becomes_confidence_and_zero_is_missing() -> None:
     assert found.num_rows == 6
     assert found.frame.tolist() == [0, 0, 1, 1, 2, 2]
     assert found.person_id.tolist() == [0, 1] * 3
-    assert found.image_size_px == (640, 480)
+    assert found.image_size_px == {"clip": (640, 480)}
     assert np.isnan(found.keypoints_px[:, names.index("right_wrist")]).all()
     assert (found.confidence[:, names.index("left_wrist")] == 0.5).all()
     assert (found.confidence[:, names.index("nose")] == 1.0).all()
@@ -161,6 +204,55 @@ def test_coco_tracks_and_videos_are_kept() -> None:
     assert set(found.sequence_id) == {"clip.a_b"}
     assert found.frame.tolist() == [15, 15, 16, 16]
     assert found.person_id.tolist() == [7, 8, 7, 8]
+
+
+@pytest.mark.parametrize("tool", result_texts())
+def test_results_of_every_tool_are_the_same_people(tool: str) -> None:
+    found = read_coco(result_texts()[tool], sequence_id="r")
+    assert (found.layout, set(found.sequence_id)) == ("coco17", {"r"})
+    assert found.frame.tolist() == sorted(2 * list(range(6)))
+    assert found.has_identities == (tool == "alphapose")
+    assert found.person_id.tolist() == ([1, 2] if tool == "alphapose" else [0, 1]) * 6
+    for row, (_, _, table) in enumerate(people_of(6, 2)):
+        np.testing.assert_array_equal(found.confidence[row], table[:, 2])
+        np.testing.assert_array_equal(found.keypoints_px[row], np.where(table[:, 2:] > 0, table[:, :2], np.nan))
+
+
+def test_whole_body_results_are_read_without_face_and_hands() -> None:
+    for count, layout in ((133, "coco23"), (136, "halpe26")):
+        values = np.zeros((count, 3))
+        body = person_px(layout)
+        values[: len(body)] = np.concatenate([body, np.ones((len(body), 1))], axis=1)
+        found = read_coco(json.dumps([{"image_id": 0, "keypoints": values.reshape(-1).tolist()}]), sequence_id="r")
+        assert found.layout == layout
+        np.testing.assert_array_equal(found.keypoints_px[0], body)
+
+
+def test_unknown_numbers_of_keypoints_are_named_with_the_layouts_there_are() -> None:
+    with pytest.raises(FormatError, match=r"annotation 0 has 21 keypoints; known numbers of keypoints: 17 \(coco17\)"):
+        read_coco(json.dumps([{"image_id": 0, "keypoints": [1.0] * 63}]), sequence_id="r")
+
+
+def test_results_without_anybody_are_refused() -> None:
+    for text in ("[]", '[{"frame_id": 0, "instances": []}]', '{"images": [], "annotations": []}'):
+        with pytest.raises(InputError, match="nobody"):
+            read_coco(text, sequence_id="r")
+
+
+def test_results_of_one_number_for_two_people_are_numbered_by_their_order() -> None:
+    text = result_texts()["alphapose"].replace('"idx": [2.0]', '"idx": [1.0]', 1)
+    found = read_coco(text, sequence_id="r")
+    assert found.person_id.tolist() == [0, 1] * 6
+    assert not found.has_identities
+
+
+def test_images_of_several_sizes_have_none_and_videos_their_own() -> None:
+    content = json.loads(coco_text(num_frames=4))
+    for index, image in enumerate(content["images"]):
+        image |= {"video_id": index // 2, "width": (640, 640, 320, 1280)[index]}
+    found = read_coco(json.dumps(content), sequence_id="c")
+    assert found.image_size_px == {"c.0": (640, 480)}
+    assert set(found.sequence_id) == {"c.0", "c.1"}
 
 
 def test_coco_results_carry_confidences() -> None:
@@ -188,7 +280,8 @@ def test_a_fault_of_a_coco_file_is_named(old: str, new: str, sentence: str) -> N
 
 def test_our_csv_says_layout_size_and_rate_or_has_them_told() -> None:
     found = read_annotation_csv(csv_text())
-    assert (found.layout, found.image_size_px, found.rate_hz, found.num_rows) == ("pair17", (640, 480), 25.0, 3)
+    assert (found.layout, found.rate_hz, found.num_rows) == ("pair17", 25.0, 3)
+    assert found.image_size_px == {"sequence": (640, 480)}
     bare = "\n".join(line for line in csv_text().split("\n") if not line.startswith("#"))
     assert read_annotation_csv(bare).layout == "pair17"
     with pytest.raises(FormatError, match="the layout cannot be told"):
@@ -227,12 +320,12 @@ def test_our_formats_round_trip_with_missing_keypoints_and_people() -> None:
         person_id=np.array([0, 0, 1, 0]),
         keypoints_px=px,
         confidence=np.isfinite(px).all(-1) * 0.75,
-        image_size_px=(320, 240),
+        image_size_px={"a": (320, 240), "b": (320, 240)},
         rate_hz=29.97,
     )
     assert frames.sequence_id == ("a", "a", "b", "b")
     for again in (read_annotation_csv(write_annotation_csv(frames)), read_annotation_npz(write_annotation_npz(frames))):
-        assert (again.layout, again.image_size_px, again.rate_hz) == ("body25", (320, 240), 29.97)
+        assert (again.layout, again.image_size_px, again.rate_hz) == ("body25", frames.image_size_px, 29.97)
         assert again.sequence_id == frames.sequence_id
         np.testing.assert_array_equal(again.keypoints_px, frames.keypoints_px)
         np.testing.assert_array_equal(again.confidence, frames.confidence)
@@ -260,3 +353,17 @@ def test_reading_never_swaps_left_and_right(layout: str) -> None:
         px = read_coco(coco_text(1, 1), sequence_id="s").keypoints_px[0]
     assert px[names.index("left_wrist"), 1] < px[names.index("left_elbow"), 1]  # the raised hand is the left one
     assert px[names.index("left_shoulder"), 0] > px[names.index("right_shoulder"), 0]
+
+
+@pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
+def test_feet_are_given_where_a_layout_has_them(layout: str) -> None:
+    names = KEYPOINT_LAYOUTS[layout].keypoint_names
+    px = person_px(layout)
+    feet = KEYPOINT_LAYOUTS[layout].derive("feet4", px, np.ones(len(px)))
+    assert feet.positions.shape == (len(FEET4), 2)
+    assert ((feet.confidence > 0) == ("left_heel" in names)).all()
+    if "left_heel" in names:
+        heel, tip = (px[names.index(f"left_{name}")] for name in ("heel", "big_toe"))
+        np.testing.assert_array_equal(feet.positions[FEET4.index("left_heel")], heel)
+        ball = feet.positions[FEET4.index("left_toe")]
+        np.testing.assert_allclose(np.linalg.norm(ball - heel) + np.linalg.norm(tip - ball), np.linalg.norm(tip - heel))

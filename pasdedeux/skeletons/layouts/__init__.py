@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pasdedeux.skeletons.layouts.cmu import CMU_ASF, CMU_CGSPEED, CMU_DAZ
-from pasdedeux.skeletons.layouts.keypoints import KEYPOINT_LAYOUTS, KeypointLayout
+from pasdedeux.skeletons.layouts.keypoints import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT, KeypointLayout
 from pasdedeux.skeletons.layouts.layout import AddedPoint, Layout
 from pasdedeux.skeletons.layouts.others import BODY22_LAYOUT, LAFAN, MIXAMO, YIANNAKIDES
 
 __all__ = [
+    "FEET4",
     "KEYPOINT_LAYOUTS",
     "LAYOUTS",
+    "LAYOUT_OF_COUNT",
     "AddedPoint",
     "KeypointLayout",
     "Layout",

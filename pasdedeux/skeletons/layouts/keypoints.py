@@ -1,4 +1,4 @@
-"""Keypoint layouts of 2D detectors and annotations, and how they become pair17 and op14."""
+"""Keypoint layouts of 2D detectors and annotations, and how they become pair17, op14 and the points of feet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,18 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons.working import OP14, PAIR17, WORKING_SKELETONS
 
-__all__ = ["BODY25", "COCO17", "COCO18", "KEYPOINT_LAYOUTS", "KeypointLayout", "Keypoints"]
+__all__ = [
+    "BODY25",
+    "COCO17",
+    "COCO18",
+    "FEET4",
+    "HALPE26",
+    "KEYPOINT_LAYOUTS",
+    "LAYOUT_OF_COUNT",
+    "MEDIAPIPE33",
+    "KeypointLayout",
+    "Keypoints",
+]
 
 Array = npt.NDArray[np.float64]
 Recipe = tuple[Mapping[str, float], ...]
@@ -20,6 +31,11 @@ Recipe = tuple[Mapping[str, float], ...]
 _LIMBS = tuple(
     f"{side}_{joint}" for side in ("left", "right") for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 )
+
+FEET4 = ("left_heel", "left_toe", "right_heel", "right_toe")
+"""What `feet4` gives of feet: the back of the heel and body22's toe, the ball of the foot."""
+_BALL_OF_FOOT = 0.73
+"""Where the ball lies from the heel to the tip of the big toe: a usual proportion, not measured here."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +53,8 @@ class KeypointLayout:
     Args:
         name: Name of the layout.
         keypoint_names: Keypoints in the detector's order.
-        recipes: For pair17 and op14, for each joint its weighted means of keypoints, best first.
+        recipes: For pair17, op14 and feet4, for each joint its weighted means of keypoints, best first; none for a
+            joint that the layout does not have.
     """
 
     name: str
@@ -50,12 +67,12 @@ class KeypointLayout:
         return len(self.keypoint_names)
 
     def derive(self, skeleton_name: str, positions: Array, confidence: Array) -> Keypoints:
-        """Derive the joints of pair17 or op14 from keypoints.
+        """Derive the joints of pair17 or op14, or the points of `FEET4`, from keypoints.
 
         A joint is missing where a keypoint of each of its means is missing; its confidence is the least of its sources.
 
         Args:
-            skeleton_name: pair17 or op14.
+            skeleton_name: pair17, op14 or feet4.
             positions: (*batch, K, 2); missing where not finite or where the confidence is 0.
             confidence: (*batch, K).
 
@@ -68,14 +85,14 @@ class KeypointLayout:
             raise InputError(
                 f"layout '{self.name}' has {self.num_keypoints} keypoints, the data has {positions.shape[-2]}"
             )
-        target = WORKING_SKELETONS[skeleton_name]
+        joint_names = FEET4 if skeleton_name == "feet4" else WORKING_SKELETONS[skeleton_name].joint_names
         is_seen = np.isfinite(positions).all(axis=-1) & (confidence > 0)
         known = np.where(is_seen[..., None], positions, 0.0)
-        result = np.full((*positions.shape[:-2], target.num_joints, 2), np.nan)
-        result_confidence = np.zeros((*positions.shape[:-2], target.num_joints))
-        for row, joint in enumerate(target.joint_names):
+        result = np.full((*positions.shape[:-2], len(joint_names), 2), np.nan)
+        result_confidence = np.zeros((*positions.shape[:-2], len(joint_names)))
+        for row, joint in enumerate(joint_names):
             is_open = np.ones(positions.shape[:-2], dtype=bool)
-            for weights in self.recipes[skeleton_name][joint]:
+            for weights in self.recipes[skeleton_name].get(joint, ()):
                 columns = [self.keypoint_names.index(name) for name in weights]
                 is_used = is_open & is_seen[..., columns].all(axis=-1)
                 mean = np.einsum("k,...kd->...d", np.array(list(weights.values())), known[..., columns, :])
@@ -112,8 +129,19 @@ def _detector(name: str, keypoint_names: tuple[str, ...]) -> KeypointLayout:
                 "head": ({"left_ear": 0.5, "right_ear": 0.5}, {"nose": 1.0}),
             },
             OP14.name: {**limbs, "neck": neck, "head": ({"nose": 1.0},)},
+            "feet4": _feet(keypoint_names),
         },
     )
+
+
+def _feet(keypoint_names: tuple[str, ...]) -> dict[str, Recipe]:
+    """Return the recipes of those points of `FEET4` that a layout has keypoints for."""
+    recipes: dict[str, Recipe] = {}
+    for side in ("left", "right"):
+        heel, tip = f"{side}_heel", f"{side}_big_toe"
+        if heel in keypoint_names:
+            recipes |= {heel: ({heel: 1.0},), f"{side}_toe": ({heel: 1.0 - _BALL_OF_FOOT, tip: _BALL_OF_FOOT},)}
+    return recipes
 
 
 def _mix(
@@ -157,29 +185,56 @@ BODY25 = _detector(
 )
 """OpenPose's BODY_25 model."""
 
-COCO17 = _detector(
-    "coco17",
+_LEFT_AND_RIGHT_ARMS = (
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+)
+_LEFT_AND_RIGHT_LEGS = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle")
+_COCO17_NAMES = (
+    *("nose", "left_eye", "right_eye", "left_ear", "right_ear"),
+    *_LEFT_AND_RIGHT_ARMS,
+    *_LEFT_AND_RIGHT_LEGS,
+)
+
+COCO17 = _detector("coco17", _COCO17_NAMES)
+"""The COCO keypoint annotations."""
+
+COCO23 = _detector(
+    "coco23",
     (
-        "nose",
-        "left_eye",
-        "right_eye",
-        "left_ear",
-        "right_ear",
-        "left_shoulder",
-        "right_shoulder",
-        "left_elbow",
-        "right_elbow",
-        "left_wrist",
-        "right_wrist",
-        "left_hip",
-        "right_hip",
-        "left_knee",
-        "right_knee",
-        "left_ankle",
-        "right_ankle",
+        *_COCO17_NAMES,
+        *("left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel"),
     ),
 )
-"""The COCO keypoint annotations."""
+"""COCO-WholeBody without face and hands: the first 23 of its 133 keypoints."""
+
+HALPE26 = _detector(
+    "halpe26",
+    (
+        *_COCO17_NAMES,
+        *("head_top", "neck", "mid_hip"),
+        *("left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe", "left_heel", "right_heel"),
+    ),
+)
+"""The 26 body keypoints of Halpe Full-Body, the first of its 136; its "head" is the crown, its "hip" the middle."""
+
+MEDIAPIPE33 = _detector(
+    "mediapipe33",
+    (
+        "nose",
+        *("left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer"),
+        *("left_ear", "right_ear", "mouth_left", "mouth_right"),
+        *_LEFT_AND_RIGHT_ARMS,
+        *("left_pinky", "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb"),
+        *_LEFT_AND_RIGHT_LEGS,
+        *("left_heel", "right_heel", "left_big_toe", "right_big_toe"),
+    ),
+)
+"""MediaPipe's (BlazePose's) landmarks; what it calls foot index is the tip of the big toe here."""
 
 _PAIR17_2D = KeypointLayout(
     name="pair17",
@@ -188,6 +243,7 @@ _PAIR17_2D = KeypointLayout(
         PAIR17.name: {joint: ({joint: 1.0},) for joint in PAIR17.joint_names},
         # The nose is not among the joints of pair17; its head is the nearest there is.
         OP14.name: {joint: ({joint: 1.0},) for joint in OP14.joint_names},
+        "feet4": {},
     },
 )
 
@@ -203,9 +259,16 @@ _OP14_2D = KeypointLayout(
             "chest": (_mix(_OP14_MID_HIP, 1.0 / 3.0, {"neck": 1.0}, 2.0 / 3.0),),
         },
         OP14.name: {joint: ({joint: 1.0},) for joint in OP14.joint_names},
+        "feet4": {},
     },
 )
 
 KEYPOINT_LAYOUTS: dict[str, KeypointLayout] = {
-    layout.name: layout for layout in (COCO18, BODY25, COCO17, _PAIR17_2D, _OP14_2D)
+    layout.name: layout for layout in (COCO18, BODY25, COCO17, COCO23, HALPE26, MEDIAPIPE33, _PAIR17_2D, _OP14_2D)
 }
+LAYOUT_OF_COUNT: dict[int, KeypointLayout] = {
+    **{layout.num_keypoints: layout for layout in (COCO17, COCO18, COCO23, BODY25, HALPE26, MEDIAPIPE33)},
+    133: COCO23,
+    136: HALPE26,
+}
+"""The layout that detectors mean by a number of keypoints; of more keypoints than it has, its first ones."""

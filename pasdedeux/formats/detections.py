@@ -1,0 +1,214 @@
+"""The one form of what detectors write: a row for each person in each image, and how rows become sequences.
+
+Every reader of a detector's files ends here, so that layouts, people and frame numbers are told in one place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.annotated_frames import MAX_IMAGE_PX, MAX_RATE_HZ, AnnotatedFrames, get_keypoint_layout
+from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
+
+__all__ = [
+    "MAX_FRAME",
+    "Detection",
+    "Footage",
+    "image_size",
+    "join_detections",
+    "known_footage",
+    "number_in_name",
+    "places_of_names",
+]
+
+MAX_FRAME = 1_000_000_000
+MAX_CONFIDENCE = 10.0
+"""Confidences are heights of a heat map: about 1 at most, but not exactly."""
+
+_NAME = re.compile(r"(?P<front>.*?)(?P<number>\d{1,18})(?:[_-][A-Za-z_-]*)?(?:\.[A-Za-z0-9]{1,5})?")
+_SIZE_KEYS = (("width", "height"), ("image_width", "image_height"), ("frame_width", "frame_height"))
+_RATE_KEYS = ("rate_hz", "fps", "frame_rate", "frameRate")
+
+Place = tuple[str, int]
+"""Name of a video or camera, empty where there is one only, and frame."""
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One person in one image.
+
+    Args:
+        place: Video and frame.
+        person_id: Number that the file gives the person, None where it gives none.
+        table: (K, 3) x, y and confidence; a row with NaN or confidence 0 is not detected.
+        where: The place in the file, for messages.
+    """
+
+    place: Place
+    person_id: int | None
+    table: npt.NDArray[np.float64]
+    where: str
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What a file says of its images; None where it does not."""
+
+    image_size_px: tuple[int, int] | None = None
+    rate_hz: float | None = None
+
+
+def join_detections(
+    detections: Sequence[Detection],
+    *,
+    sequence_id: str,
+    layout: str = "auto",
+    sizes_px: Mapping[str, tuple[int, int]] | None = None,
+    rate_hz: float | None = None,
+    skipped: Sequence[str] = (),
+) -> AnnotatedFrames:
+    """Return detections as annotations: the layout by the number of keypoints, people by the file's numbers.
+
+    People are numbered by their order in the frame in a video where somebody has no number, or two have the same.
+
+    Args:
+        detections: In any order.
+        sequence_id: Name of the sequence; names of videos come after it.
+        layout: Layout asked for; of several with as many keypoints it is the one.
+        sizes_px: Image size by video, where it is known.
+        rate_hz: Frames per second, where the file says.
+        skipped: Files that were left out.
+
+    Raises:
+        FormatError: A number of keypoints that no layout has, or two in one source; a confidence out of range.
+        InputError: Nobody was detected, or the layout asked for has another number of keypoints.
+    """
+    if not detections:
+        raise InputError(f"sequence '{sequence_id}': nobody was detected in any frame")
+    counts = {len(one.table): one.where for one in reversed(detections)}
+    if len(counts) > 1:
+        (first, there), (second, here) = sorted(counts.items())[:2]
+        raise FormatError(f"{there} has {first} keypoints and {here} has {second}: a source has one layout")
+    (count,) = counts
+    known = LAYOUT_OF_COUNT.get(count)
+    asked = known if layout == "auto" else get_keypoint_layout(layout)
+    if asked is None or (known is None and asked.num_keypoints != count):
+        names = ", ".join(f"{number} ({one.name})" for number, one in sorted(LAYOUT_OF_COUNT.items()))
+        raise FormatError(f"{detections[0].where} has {count} keypoints; known numbers of keypoints: {names}")
+    if known is not None and known is not asked and asked.num_keypoints != count:
+        raise InputError(
+            f"sequence '{sequence_id}': the layout '{layout}' is asked for, but the files have {count} keypoints: "
+            f"'{known.name}'"
+        )
+    table = np.stack([one.table[: asked.num_keypoints] for one in detections])
+    confidence = np.nan_to_num(table[..., 2])
+    if (confidence < 0).any() or (confidence > MAX_CONFIDENCE).any():
+        row = int(np.flatnonzero(((confidence < 0) | (confidence > MAX_CONFIDENCE)).any(axis=1))[0])
+        raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
+    people, has_identities = _people(detections)
+    names_of = {video: _sequence_name(sequence_id, video) for video in {one.place[0] for one in detections}}
+    is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
+    return AnnotatedFrames(
+        layout=asked.name,
+        sequence_id=tuple(names_of[one.place[0]] for one in detections),
+        frame=np.array([one.place[1] for one in detections], dtype=np.int64),
+        person_id=np.array(people, dtype=np.int64),
+        keypoints_px=np.where(is_seen[..., None], table[..., :2], np.nan),
+        confidence=np.where(is_seen, confidence, 0.0),
+        image_size_px={names_of[video]: size for video, size in (sizes_px or {}).items() if video in names_of},
+        rate_hz=rate_hz,
+        has_identities=has_identities,
+        skipped=tuple(skipped),
+    )
+
+
+def _people(detections: Sequence[Detection]) -> tuple[list[int], bool]:
+    """Return a number for each detection, the file's in videos where everybody has an own one; and whether all do."""
+    named = Counter((one.place, one.person_id) for one in detections)
+    anew = {one.place[0] for one in detections if one.person_id is None or named[one.place, one.person_id] > 1}
+    seen: Counter[Place] = Counter()
+    ids = []
+    for one in detections:
+        ids.append(seen[one.place] if one.place[0] in anew or one.person_id is None else one.person_id)
+        seen[one.place] += 1
+    return ids, not anew
+
+
+def _sequence_name(sequence_id: str, video: str) -> str:
+    return f"{sequence_id}.{re.sub(r'[^A-Za-z0-9_-]', '_', video)[:100]}" if video else sequence_id
+
+
+def number_in_name(name: str) -> tuple[str, int | None]:
+    """Return what stands in front of the last number of an image's or a frame's file name, and that number.
+
+    >>> number_in_name("cam1_000000000012_keypoints.json")
+    ('cam1', 12)
+    >>> number_in_name("notes.json")
+    ('notes.json', None)
+    """
+    found = _NAME.fullmatch(name.replace("\\", "/").rpartition("/")[2])
+    return (found["front"].rstrip(" _-."), int(found["number"])) if found else (name, None)
+
+
+def places_of_names(names: Iterable[str]) -> dict[str, Place]:
+    """Return video and frame of each image by its name: `cam1_0012.jpg` is frame 12 of cam1.
+
+    Where there is one video only, its name is left out.  Names of which one has no number, or whose videos would mostly
+    have one frame, are single images: frames of one sequence, in the order of the names.
+
+    Raises:
+        FormatError: Two names are the same frame of the same video.
+    """
+    told = {name: number_in_name(name) for name in dict.fromkeys(names)}
+    fronts = {front for front, _ in told.values()}
+    is_stills = any(number is None or number > MAX_FRAME for _, number in told.values())
+    if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(told)):
+        return {name: ("", index) for index, name in enumerate(sorted(told))}
+    places: dict[str, Place] = {}
+    taken: dict[Place, str] = {}
+    for name, (front, number) in told.items():
+        place = (front if len(fronts) > 1 else "", int(number or 0))
+        if place in taken:
+            raise FormatError(f"'{taken[place][:60]}' and '{name[:60]}' are both frame {place[1]} by their names")
+        taken[place] = name
+        places[name] = place
+    return places
+
+
+def known_footage(content: object) -> Footage:
+    """Return size and rate that a JSON object states under the usual keys, itself or in an object inside it.
+
+    Raises:
+        FormatError: A rate or size that is no sensible number.
+    """
+    size, rate = None, None
+    inside = [one for one in content.values() if isinstance(one, dict)] if isinstance(content, dict) else []
+    for part in [content, *inside] if isinstance(content, dict) else []:
+        for keys in _SIZE_KEYS:
+            if size is None and all(key in part for key in keys):
+                size = image_size(part, keys)
+        for key in _RATE_KEYS:
+            if rate is None and part.get(key) is not None:
+                rate = part[key]
+                if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 < rate <= MAX_RATE_HZ:
+                    raise FormatError(f"'{key}' is {str(rate)[:40]}; allowed: above 0 to {MAX_RATE_HZ:g}")
+    return Footage(size, None if rate is None else float(rate))
+
+
+def image_size(image: Mapping[str, Any], keys: tuple[str, str] = ("width", "height")) -> tuple[int, int] | None:
+    """Return width and height of an image's JSON object, None where they are no whole numbers of pixels."""
+    width, height = (_side(image.get(key)) for key in keys)
+    return (width, height) if width and height else None
+
+
+def _side(value: object) -> int:
+    is_side = isinstance(value, int | float) and 0 < value <= MAX_IMAGE_PX and value == int(value)
+    return int(value) if is_side and isinstance(value, int | float) else 0

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flows.execution import Outcome, Partition, Run, begin, execute, partitions_to_run
-from flows.planning import Plan, StagePlan, make_plan
+from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.study import load_study
 from storage_schema import Store
@@ -99,11 +99,13 @@ def dataset(
     run = Run(chosen, graph, Store(store))
     plan = make_plan(chosen, graph, run.store)
     if plan.is_fresh:
+        refuse_nothing(plan.missing)
         return {stage.stage.name: 0 for stage in plan.stages}
     cluster = ClusterSettings(num_workers, int(worker_memory_gb * 1024**3), scheduler)
     with _workers(run, cluster) as workers:
         folder = begin(run, plan)
         outcome = execute(run, folder, plan, partial(_run_stage, workers, folder.run_id))
+    refuse_nothing(outcome.missing)
     return {stage.name: stage.num_computed for stage in outcome.stages}
 
 

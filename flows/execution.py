@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 
 from flows.listener import Listener
-from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs, stage_verdict
+from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs, stage_verdict, what_is_missing
 from flows.records import begin_record, copy_report, end_record, read_last_run, record_stage, report_folder
 from flows.study import Study
 from pasdedeux.verdict import Verdict
@@ -67,6 +67,7 @@ class StageOutcome:
     artifacts: tuple[ArtifactRef, ...]
     verdict: Verdict | None = None
     empty_reason: str = ""
+    missing: str = ""
 
     @classmethod
     def of(cls, plan: StagePlan, found: Sequence[Manifest], seconds: float) -> StageOutcome:
@@ -79,6 +80,7 @@ class StageOutcome:
             artifacts=tuple(manifest.ref for manifest in found),
             verdict=stage_verdict(found),
             empty_reason=plan.empty_reason,
+            missing=what_is_missing(plan, found),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -101,6 +103,11 @@ class Outcome:
     stages: tuple[StageOutcome, ...]
     report: Path | None
     peak_memory_bytes: int | None = None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Return what is missing for the stages that were asked for and made nothing, a sentence each."""
+        return tuple(stage.missing for stage in self.stages if stage.missing)
 
     @property
     def num_computed(self) -> int:
@@ -197,6 +204,7 @@ def _bring_up_to_date(
             stage, study.head.seed, {name: manifests[name] for name in run.graph.upstream[stage.name]}
         )
         plan = plan_stage(stage, study, inputs, run.store, is_forced=is_forced)
+        plan = replace(plan, is_asked=first.is_asked)
     run.listener.stage_started(plan)
     if plan.todo:
         for manifest in plan.manifests if is_forced else ():

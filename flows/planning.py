@@ -11,13 +11,14 @@ from typing import Any
 from flows.reasons import StageRecord, describe_inputs, why_not_fresh
 from flows.records import last_sections, read_last_run
 from flows.study import Study
-from pasdedeux.verdict import Verdict, summarise_verdicts
+from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import Manifest, Store
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
 from tasks.stage import Shard, Stage, StageInputs, verdict_of
 
 __all__ = [
+    "NothingMadeError",
     "Plan",
     "PlanError",
     "Selection",
@@ -26,13 +27,19 @@ __all__ = [
     "State",
     "make_plan",
     "plan_stage",
+    "refuse_nothing",
     "stage_inputs",
     "stage_verdict",
+    "what_is_missing",
 ]
 
 
 class PlanError(Exception):
     """A study cannot be planned as asked; the message is one clear sentence."""
+
+
+class NothingMadeError(Exception):
+    """Something was asked for of which nothing can be made; says what is needed, a stage a line."""
 
 
 class State(StrEnum):
@@ -60,10 +67,15 @@ class Selection:
     until: str | None = None
     force: tuple[str, ...] = ()
 
+    @property
+    def targets(self) -> frozenset[str]:
+        """Return the stages that are named as what is wanted."""
+        return frozenset([*self.only, *self.force, *filter(None, (self.start, self.until))])
+
     def stages(self, graph: Graph) -> frozenset[str]:
         """Return the names of the selected stages; PlanError for a name that is not in the graph."""
         try:
-            for name in (*self.only, *self.force, *filter(None, (self.start, self.until))):
+            for name in sorted(self.targets):
                 graph.stage(name)
         except GraphError as error:
             raise PlanError(str(error)) from None
@@ -91,11 +103,12 @@ class ShardPlan:
 class StagePlan:
     """One stage and how its shards stand; a pending stage has no shards yet, but knows the partitions it had.
 
-    `absent_tables` are those it reads that nothing wrote.
+    `absent_tables` are those it reads that nothing wrote; `is_asked`: the study or the command names the stage.
     """
 
     stage: Stage
     is_selected: bool
+    is_asked: bool = False
     shards: tuple[ShardPlan, ...] = ()
     pending_on: tuple[str, ...] = ()
     last_partitions: tuple[tuple[str, int], ...] = ()
@@ -183,6 +196,11 @@ class Plan:
         return all(stage.is_fresh for stage in self.stages if stage.is_selected)
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Return what is missing for the stages that are asked for and made nothing, a sentence each."""
+        return tuple(text for stage in self.stages if (text := what_is_missing(stage, stage.manifests)))
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Say which fresh stages were computed by other sources under the same version."""
         now = source_digest()
@@ -217,6 +235,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     """
     selection = selection or Selection()
     selected = selection.stages(graph)
+    asked = (study.asked | selection.targets) & selected
     for stage in graph.stages:
         if stage.check is not None and stage.name in selected:
             stage.check(study.parameters[stage.name])
@@ -234,6 +253,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
             plans[stage.name] = StagePlan(
                 stage=stage,
                 is_selected=stage.name in selected,
+                is_asked=stage.name in asked,
                 pending_on=waiting,
                 last_partitions=tuple(Counter(r.partition for r in last(stage.name).shards or ()).items()),
             )
@@ -242,8 +262,35 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
             stage, study.head.seed, {name: plans[name].manifests for name in graph.upstream[stage.name]}
         )
         plan = _plan_stage(stage, study, inputs, store, last(stage.name), is_forced=stage.name in selection.force)
-        plans[stage.name] = replace(plan, is_selected=stage.name in selected)
+        plans[stage.name] = replace(plan, is_selected=stage.name in selected, is_asked=stage.name in asked)
     return Plan(study=study.name, stages=tuple(plans.values()))
+
+
+def what_is_missing(plan: StagePlan, found: Sequence[Manifest]) -> str:
+    """Say of what a stage makes something where nothing came of it; empty where something did, or nobody asked.
+
+    Args:
+        plan: The stage as it was planned.
+        found: What came of its shards.
+    """
+    if plan.is_pending or not plan.is_selected or any(part.rows for one in found for part in one.tables.values()):
+        return ""
+    verdict = stage_verdict(found)
+    has_failed = verdict is not None and verdict.level is Level.FAIL
+    if (plan.shards and len(found) < len(plan.shards)) or not (plan.is_asked or has_failed):
+        return ""
+    reason = f"{verdict.reason}; " if verdict is not None and verdict.reason else ""
+    return f"nothing was made by {plan.stage.name}: {reason}it needs {plan.stage.needs}"
+
+
+def refuse_nothing(missing: Sequence[str]) -> None:
+    """Fail where a stage that was asked for made nothing; what others made is in the store.
+
+    Raises:
+        NothingMadeError: Says which stages, and what they need.
+    """
+    if missing:
+        raise NothingMadeError("\n       ".join(missing))
 
 
 def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manifest]]) -> StageInputs:

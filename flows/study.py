@@ -48,12 +48,16 @@ class StudyHead(BaseModel):
 
 
 class Study(BaseModel):
-    """A study with everything resolved: defaults filled in, overrides applied, paths absolute."""
+    """A study with everything resolved: defaults filled in, overrides applied, paths absolute.
+
+    `asked` are the stages that its files name, by a section or in `stages`: of those something must come.
+    """
 
     model_config = ConfigDict(frozen=True)
 
     head: StudyHead
     parameters: Mapping[str, SerializeAsAny[Parameters]]
+    asked: frozenset[str] = frozenset()
 
     @property
     def name(self) -> str:
@@ -109,6 +113,7 @@ def study_from_tree(
     Raises:
         StudyError: Lists every problem.
     """
+    sections = tuple(tree.values)
     problems = tree.override(settings, os.environ if environment is None else environment, here)
     known = (HEAD, *graph.names)
     for name in tree.values:
@@ -128,7 +133,8 @@ def study_from_tree(
     if problems or head is None:
         raise StudyError([f"study {tree.label}: {problem}" for problem in problems])
     wanted = graph if head.stages is None else graph.only(head.stages)
-    return Study(head=head, parameters={name: parameters[name] for name in wanted.names}), wanted
+    asked = frozenset(wanted.names).intersection([*sections, *(head.stages or ())])
+    return Study(head=head, parameters={name: parameters[name] for name in wanted.names}, asked=asked), wanted
 
 
 def _validate(model: type[M], values: Any, section: str, problems: list[str]) -> M | None:

@@ -218,4 +218,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Variants of every pair for other body proportions, by interaction mesh with exact bone lengths",
+    needs="takes of two people ([[ingest.takes]], [ingest.pairs])",
 )

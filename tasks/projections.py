@@ -75,7 +75,11 @@ class ProjectionsParameters(Parameters):
         "stands distance_m away",
     )
     distance_m: float = Field(4.0, gt=1.5, le=100, description="Distance of the camera from the mid-hip")
-    include_draws: bool = Field(False, description="Poses of the chains' draws enter the database")
+    include_draws: bool | None = Field(
+        None,
+        description="Poses of the chains' draws enter the database; when not given they do where no take is there to "
+        "enter",
+    )
     include_variants: bool = Field(
         False,
         description="Poses of the variants enter the database; to search 14 million projections a worker needs 3 GB "
@@ -143,7 +147,8 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
     """Plan a shard per take that is not held out, per artifact of draws and per artifact of variants."""
     shards = []
     wanted: list[tuple[Literal["take", "draw", "variant"], str]] = [("take", "poses")]
-    if parameters.include_draws:
+    has_takes = any(not one.facts.get("is_held_out", False) for one in inputs.of("poses"))
+    if parameters.include_draws or (parameters.include_draws is None and not has_takes):
         wanted.append(("draw", "draws"))
     if parameters.include_variants:
         wanted.append(("variant", "variants"))
@@ -402,4 +407,6 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Builds the projection database: poses on one body, mid-hip at the origin, heading removed",
+    needs="takes that are not held out ([[ingest.takes]], ingest.held_out), or draws or variants "
+    "(projections.include_draws, projections.include_variants)",
 )

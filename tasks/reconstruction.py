@@ -339,4 +339,7 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Reconstructs 3D motions of annotated people from the projection database",
+    needs="videos ([[ingest.annotations]], or ingest.virtual_video.num_videos of takes that "
+    "ingest.held_out names; reconstruction.sequences), and projections of other takes or of "
+    "draws (projections.include_draws)",
 )

@@ -145,6 +145,7 @@ class Stage:
         plan: Gives the shards for these inputs and parameters; reads manifests, never data.
         run_shard: Computes one shard and commits it.
         meaning: One line for people.
+        needs: What it makes something of, with the keys that give it; told where it was asked for and made nothing.
         check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
     """
@@ -157,6 +158,7 @@ class Stage:
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
     run_shard: Callable[[Shard, Store], ArtifactRef] = field(repr=False)
     meaning: str = ""
+    needs: str = ""
     check: Callable[[Any], None] | None = field(default=None, repr=False)
 
 

@@ -216,4 +216,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Models that give a pair's motion for new body proportions",
+    needs="variants ([augmentation] of takes of two people)",
 )

@@ -177,4 +177,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="view hypotheses of annotated pairs",
+    needs="annotations of two people ([[ingest.annotations]], or ingest.virtual_video of takes of two people)",
 )

@@ -20,7 +20,7 @@ from flows.console.context import (
 from flows.console.display import counted, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.machine import GIB, free_bytes, memory_bytes, usable_cores
-from flows.planning import Plan, PlanError, Selection, make_plan
+from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.study import Study, load_study
 from storage_schema import Store
 from tasks.graph import Graph
@@ -117,16 +117,18 @@ def build_and_report(
     seconds = time.perf_counter() - started
     if as_json:
         print_json({**outcome.to_json(), "seconds": round(seconds, 3)})
+        refuse_nothing(outcome.missing)
         return
     for line in (*outcome_lines(outcome), *(f"warning: {w}" for w in made.warnings)):
         typer.echo(line)
     if made.is_fresh:
-        typer.echo(f"everything is fresh, nothing to do ({seconds:.1f} s)")
+        typer.echo(f"{'' if outcome.missing else 'everything is fresh, '}nothing to do ({seconds:.1f} s)")
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
+    refuse_nothing(outcome.missing)
 
 
 @app.command(help=_PLAN)
@@ -151,6 +153,7 @@ def plan(
         return
     for line in plan_lines(made, is_long=is_long):
         typer.echo(line)
+    refuse_nothing(made.missing)
     typer.echo("everything is fresh" if made.is_fresh else "run it with: pasdedeux run " + study)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from pasdedeux.formats import (
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file, read_again
+from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
+from tasks.views import ViewsParameters
 
 __all__ = ["new_study", "write_new_study"]
 
@@ -44,6 +47,7 @@ class _Annotations:
     path: Path
     format: str
     note: str
+    num_persons: int = 2
 
 
 def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
@@ -107,6 +111,12 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
         lines += ["", *_take(take_id, people, base)]
     for source in annotations:
         lines += ["", *_annotations(source, base)]
+    are_pairs = any(one.num_persons >= 2 for one in annotations)
+    if are_pairs:
+        lines += ["", *_assumptions()]
+    if annotations and not takes:
+        lines += ["", *(_from_2d_alone() if are_pairs else _one_person_alone())]
+        return "\n".join([*lines, ""])
     lines += [
         "",
         "[ingest.virtual_video]  # virtual cameras that see the takes",
@@ -152,7 +162,8 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
             if kind.is_file_per_frame:
                 raise InputError("a single file of this format is one frame; give the folder")
             found = kind.read({path.name: loaded.data}, sequence_id=_identifier(path.stem))
-            return _Annotations(path, kind.name, f"poses of one person in one frame: {found.num_rows}")
+            most = max(Counter(zip(found.sequence_id, found.frame.tolist(), strict=True)).values(), default=0)
+            return _Annotations(path, kind.name, f"poses of one person in one frame: {found.num_rows}", most)
         companion = find_companion(path, kind)
         motion = kind.read(loaded.data, read_again(companion) if companion else b"")
         return _Motion(path, motion.num_frames, guess_motion(motion))
@@ -236,6 +247,54 @@ def _annotations(source: _Annotations, base: Path | None) -> list[str]:
         "# rate_hz = 30",
         "# image_size_px = [1920, 1080]",
         '# on_unreadable = "skip"   # go on without damaged OpenPose files, and count them',
+    ]
+
+
+def _assumptions() -> list[str]:
+    """Return what is assumed of the camera, as keys: the defaults, from where they stand."""
+    views = ViewsParameters()
+    return [
+        "[views]                     # 2D shows neither how far away the camera is nor how it is tilted: assumed",
+        f"distance_m = {views.distance_m}            # from the camera to the people, metres",
+        f"camera_pitch_deg = {views.camera_pitch_deg}     # how far the camera looks down",
+        f"camera_pitch_deviation_deg = {views.camera_pitch_deviation_deg}   # how sure that is: standard deviation",
+        f"lean_deviation_deg = {views.lean_deviation_deg}   # backs are upright, this far from it: standard deviation",
+    ]
+
+
+def _from_2d_alone() -> list[str]:
+    """Return the sections that make 3D of annotated pairs where no take is there."""
+    return [
+        "[seeds]                     # no take is there to start from: pairs of two people are lifted from 2D alone",
+        f"num_lifted = {LIFTED_OF_2D_ALONE}             # annotated pairs that stand for all",
+        f"num_grown = {GROWN_OF_2D_ALONE}            # at most: annotated pairs that those lift in turn",
+        "",
+        "[chains]                    # 3D pairs that agree with the annotations",
+        'densities = ["ic"]',
+        "num_chains = 1              # of each seed",
+        "num_draws = 250             # of each chain; more of both show whether chains agree",
+        "",
+        "[lifting]",
+        "max_frames = 40             # annotated pairs of each source that are lifted with the draws",
+        "",
+        "[projections]               # the draws are the database that motion is reconstructed from; takes of such",
+        "include_draws = true        # motion are a better one: [[ingest.takes]], `pasdedeux fetch cmu`",
+        "",
+        "[reconstruction]            # motion of everybody, also where only one person is seen",
+        'sequences = "given"',
+    ]
+
+
+def _one_person_alone() -> list[str]:
+    """Return the section that asks for motion of single people, which needs takes."""
+    return [
+        "# Nobody is seen with a partner, so nothing can be lifted from 2D alone: takes of such motion are needed.",
+        "# [[ingest.takes]]          # or `pasdedeux fetch cmu`, see `pasdedeux study show everyday`",
+        '# id = "walk"',
+        '# files = ["walk.bvh"]',
+        "",
+        "[reconstruction]",
+        'sequences = "given"',
     ]
 
 

@@ -136,22 +136,21 @@ def lift_seeds(
         annotated: Annotated pairs, each under its likeliest view alone.
         limits: Joint limits.
         basis: Torso basis, of other takes.
-        num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.
+        num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.  There
+            are fewer where no such pair is possible, or where there are not so many annotations.
         max_annotations: Annotations that are grouped, evenly spread over all.
         prior: Weights of eq. 2; the defaults when not given.
 
     Raises:
-        InputError: There are fewer annotations than seeds, or too few that give a possible pair.
+        InputError: No annotation gives a possible pair.
     """
     count = len(annotated.points_m)
     lengths = apparent_bone_lengths(annotated.points_m)
-    if count < num_seeds:
-        raise InputError(f"{num_seeds} seeds were to be lifted, but there are only {count} annotated pairs")
     shown = evenly_spread(count, max(max_annotations, num_seeds))
     matrix = dissimilarity_matrix(annotated.points_m[shown].reshape(len(shown), -1, 2))
     found: list[Array] = []
     used: list[int] = []
-    for medoid in choose_medoids(matrix, num_seeds):
+    for medoid in choose_medoids(matrix, min(num_seeds, count)):
         near = [int(index) for index in np.argsort(matrix[medoid], kind="stable") if index not in used]
         for index in near[:_NUM_TRIES]:
             entry = int(shown[index])
@@ -160,11 +159,8 @@ def lift_seeds(
                 found.append(gauge_fix(pair))
                 used.append(index)
                 break
-    if len(found) < num_seeds:
-        raise InputError(
-            f"{num_seeds} seeds were to be lifted, but near {num_seeds - len(found)} of the chosen annotations no pair "
-            "keeps the joint limits"
-        )
+    if not found:
+        raise InputError(f"no seed can be lifted from 2D alone: no pair of {count} annotations keeps the joint limits")
     pairs = np.array(found)
     return LiftedSeeds(pairs_m=pairs, entry=shown[used], log_prior=seed_quality(pairs, limits, prior).log_prior)
 

@@ -17,4 +17,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="draws of 3D pose pairs from the density that the annotations support",
+    needs="seeds: takes of two people (seeds.num_seeds), annotations of two people (seeds.num_lifted) or seeds.files",
 )

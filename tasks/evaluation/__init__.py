@@ -59,6 +59,7 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
         plan=partial(_plan, tuple(topics)),
         run_shard=partial(_run_shard, tuple(topics)),
         meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
+        needs="results to score or to show",
     )
 
 

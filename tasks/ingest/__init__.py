@@ -43,4 +43,5 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     meaning="Takes with poses, and 2D annotations, from files, built-in duets and virtual video",
+    needs="takes or annotations ([[ingest.takes]], [[ingest.annotations]])",
 )

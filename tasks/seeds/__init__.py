@@ -17,4 +17,6 @@ STAGE = Stage(
     run_shard=run_shard,
     check=check,
     meaning="3D pose pairs from which chains start",
+    needs="takes of two people that are not held out ([[ingest.takes]], ingest.held_out), "
+    "annotations of two people ([[ingest.annotations]], seeds.num_lifted), or seeds.files",
 )

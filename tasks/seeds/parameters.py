@@ -11,7 +11,10 @@ from tasks.stage import Parameters
 
 __all__ = ["VERSION", "ChosenSeed", "FrameSeed", "GrownSeeds", "LiftedSeeds", "SeedFrame", "SeedsParameters"]
 
-VERSION = 4
+VERSION = 5
+
+NUM_CHOSEN, LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE = 2, 20, 1000
+"""Seeds of each kind where a study does not say how many."""
 
 
 class SeedFrame(Parameters):
@@ -24,31 +27,42 @@ class SeedFrame(Parameters):
 class SeedsParameters(PenetrationWeight, GrowthOptions, Parameters):
     """How many seeds there are and where they come from."""
 
-    num_seeds: int = Field(2, ge=0, le=10_000, description="Frames of takes chosen automatically when none are named")
+    num_seeds: int | None = Field(
+        None,
+        ge=0,
+        le=10_000,
+        description="Frames of takes chosen automatically when none are named; when not given "
+        f"{NUM_CHOSEN} where there are takes",
+    )
     frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
     files: tuple[SeedFile, ...] = Field((), description="Files that become seeds too: pairs edited or restarted from")
     max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
-    num_lifted: int = Field(
-        0,
+    num_lifted: int | None = Field(
+        None,
         ge=0,
         le=10_000,
-        description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I)",
+        description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I); when not given "
+        f"{LIFTED_OF_2D_ALONE} where no other seed is known, else none",
     )
     max_annotations: int = Field(500, ge=1, description="Annotations that are grouped to choose those to lift")
-    num_grown: int = Field(
-        0, ge=0, le=1_000_000, description="Annotations lifted from the seeds by frontier growth; 0: no growth"
+    num_grown: int | None = Field(
+        None,
+        ge=0,
+        le=1_000_000,
+        description="Annotations lifted from the seeds by frontier growth; 0: no growth; when not given "
+        f"{GROWN_OF_2D_ALONE} where the seeds are lifted from 2D alone, else none",
     )
     num_starts: int = Field(0, ge=0, le=10_000, description="Grown seeds, drawn from all, from which chains start too")
 
     @model_validator(mode="after")
     def _there_are_seeds(self) -> SeedsParameters:
-        if not (self.num_seeds or self.frames or self.files or self.num_lifted):
+        if self.num_seeds == 0 and self.num_lifted == 0 and not (self.frames or self.files):
             raise ValueError("num_seeds, frames, files and num_lifted all ask for none; chains need at least one seed")
         return self
 
     @model_validator(mode="after")
     def _starts_are_grown(self) -> SeedsParameters:
-        if self.num_starts > self.num_grown:
+        if self.num_starts > (GROWN_OF_2D_ALONE if self.num_grown is None else self.num_grown):
             raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
         return self
 

@@ -8,7 +8,18 @@ from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.seeds.files import SeedFile, load_seed
-from tasks.seeds.parameters import VERSION, ChosenSeed, FrameSeed, GrownSeeds, LiftedSeeds, SeedFrame, SeedsParameters
+from tasks.seeds.parameters import (
+    GROWN_OF_2D_ALONE,
+    LIFTED_OF_2D_ALONE,
+    NUM_CHOSEN,
+    VERSION,
+    ChosenSeed,
+    FrameSeed,
+    GrownSeeds,
+    LiftedSeeds,
+    SeedFrame,
+    SeedsParameters,
+)
 from tasks.stage import Parameters, Shard, SourceFile, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
 
@@ -18,30 +29,36 @@ __all__ = ["check", "plan", "start_indices"]
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     """Plan a shard per seed from takes that are not held out or from files, one for lifted and one for grown seeds.
 
+    Where there is none of the former, seeds are lifted from 2D alone, unless the study says how many.
+
     Raises:
-        InputError: A named frame or file cannot be a seed, or seeds are asked of annotations and there are none.
+        InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
+            none.
     """
     shards = _from_takes(inputs, parameters)
     shards += [_from_file(inputs, parameters, len(shards) + at, file) for at, file in enumerate(parameters.files)]
-    if not (parameters.num_lifted or parameters.num_grown):
-        return shards
     annotated = annotated_pairs(inputs)
     views = views_of(annotated, inputs)
-    if not (annotated and views):
-        if not shards:
-            raise InputError(
-                "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views"
-            )
-        return shards
-    if parameters.num_lifted:
+    is_2d_alone = bool(not shards and annotated and views)
+    num_lifted, num_grown = parameters.num_lifted, parameters.num_grown
+    if num_lifted is None:
+        num_lifted = LIFTED_OF_2D_ALONE if is_2d_alone else 0
+    if num_grown is None:
+        num_grown = GROWN_OF_2D_ALONE if is_2d_alone else 0
+    if (num_lifted or num_grown) and not (annotated and views):
+        raise InputError(
+            "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views"
+        )
+    if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
         refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
-        shards.append(_shard(inputs, "lifted", "lifted", parameters.part(LiftedSeeds, first_index=len(shards)), refs))
-    if parameters.num_grown and shards:
-        first = len(shards) + max(parameters.num_lifted - 1, 0)
+        options = parameters.model_copy(update={"num_lifted": num_lifted}).part(LiftedSeeds, first_index=len(shards))
+        shards.append(_shard(inputs, "lifted", "lifted", options, refs))
+    if num_grown and shards:
+        first = len(shards) + max(num_lifted - 1, 0)
         refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views)
         after = tuple(shard.key for shard in shards)
-        options = parameters.part(GrownSeeds, first_index=first)
+        options = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
         shards.append(_shard(inputs, "grown", "grown", options, refs, after=after))
     return shards
 
@@ -72,9 +89,15 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
         _check_frame(frame, takes)
         wanted.append(frame.part(FrameSeed, seed_index=index, alpha=parameters.alpha))
         poses.append([takes[frame.take]])
+    if parameters.num_seeds and not takes:
+        raise InputError(
+            f"seeds.num_seeds asks for {parameters.num_seeds} frames of takes, but there is no take of two people that "
+            "is not held out; seeds.num_lifted lifts seeds from 2D alone"
+        )
     if not parameters.frames and takes:
-        wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(parameters.num_seeds)]
-        poses += [list(takes.values())] * parameters.num_seeds
+        count = NUM_CHOSEN if parameters.num_seeds is None else parameters.num_seeds
+        wanted += [parameters.part(ChosenSeed, seed_index=index) for index in range(count)]
+        poses += [list(takes.values())] * count
     return [
         _shard(inputs, f"seed{one.seed_index}", "seed", one, named_refs(poses=own, joint_limits=limits))
         for one, own in zip(wanted, poses, strict=True)

@@ -150,7 +150,15 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
         "num_annotations_skipped": placed.gathered.num_skipped,
         "takes": _takes(shard, store),
     }
-    verdict = Verdict(Level.PASS, figure="lifted seeds", value=len(indices))
+    is_short = len(indices) < options.num_lifted
+    verdict = Verdict(
+        Level.WARN if is_short else Level.PASS,
+        "near the other annotations chosen no pair keeps the joint limits" if is_short else "",
+        figure="lifted seeds",
+        value=len(indices),
+        baseline=options.num_lifted,
+        baseline_name="asked for",
+    )
     return commit(shard, store, tables={"seeds": columns}, facts=facts, verdict=verdict)
 
 

@@ -228,7 +228,9 @@ TOYS = Graph(
         Stage("judge", 1, ("models",), ("scores",), JudgeParameters, plan_judge, run_judge, "adds it all up"),
         Stage("grow", 1, (), ("training_log",), GrowParameters, plan_grow, run_grow, "makes values"),
         Stage("bend", 1, ("training_log",), ("models",), BendParameters, plan_bend, run_bend, "rounds them"),
-        Stage("aside", 1, (), ("codebook",), AsideParameters, plan_aside, run_aside, "stands alone"),
+        Stage(
+            "aside", 1, (), ("codebook",), AsideParameters, plan_aside, run_aside, "stands alone", "a size (aside.size)"
+        ),
     )
 )
 

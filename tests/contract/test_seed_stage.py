@@ -153,7 +153,7 @@ def test_lifted_seeds_never_see_a_torso_basis_of_their_own_takes(inputs: Any) ->
     columns = {name: table[name] for name in table.column_names}
     prior_take = put(store, "ingest", "prior", {"poses": columns}, {**take.facts, "is_prior": True})
     (learned,) = run(priors.plan(StageInputs({"poses": [prior_take]}, seed=1), PriorsParameters()), priors, store)
-    asked = SeedsParameters(num_seeds=0, num_lifted=2)
+    asked = SeedsParameters(num_seeds=0, num_lifted=2, num_grown=0)
     (shard,) = seeds.plan(StageInputs({**tables, "joint_limits": [learned], "torso_basis": [learned]}, seed=1), asked)
     assert (shard.refs("joint_limits"), shard.refs("torso_basis")) == ((learned.ref,), ())
     # The same joint limits from an artifact that holds no basis at all.
@@ -177,7 +177,7 @@ def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
     assert grown["seed_index"][0] == 2
     assert made[0].facts["takes"] == ["one"]
     with pytest.raises(ValueError, match="at least one seed"):
-        SeedsParameters(num_seeds=0)
+        SeedsParameters(num_seeds=0, num_lifted=0)
 
 
 def test_more_starts_than_grown_seeds_are_refused() -> None:

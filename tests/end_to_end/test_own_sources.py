@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flows.console.study_new import write_new_study
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, open_table, read_latest
 from tests.builders.own_sources import FilmedDuet, film_duet, write_coco, write_csv, write_openpose, write_walk
-from tests.builders.real_study import build_here, call_in_process
+from tests.builders.real_study import build_here, call_in_process, graph
+from tests.builders.toy_runs import run_toys
 
 pytestmark = pytest.mark.slow
 
@@ -217,25 +219,25 @@ def test_one_changed_source_file_is_named_and_rebuilds_what_rests_on_it(
     assert {name: computed[name] for name in untouched} == dict.fromkeys(untouched, 0)
 
 
-def test_a_study_of_2d_poses_alone_goes_as_far_as_it_can(own: Own, tmp_path: Path) -> None:
+def test_a_new_study_of_2d_poses_alone_gives_3d(own: Own, tmp_path: Path) -> None:
     study = tmp_path / "video.toml"
-    study.write_text(
-        f"""
-[study]
-name = "video"
+    write_new_study(study, [own.study.with_name("labelled.json")])
+    small = ("seeds.num_lifted=3", "seeds.num_grown=10", "chains.num_draws=4", "chains.num_candidates=8")
+    outcome = run_toys(study, tmp_path / "store", *small, graph=graph())
+    assert outcome.missing == ()
+    for table in ("seeds", "draws", "lifted_pairs", "projections", "motions"):
+        assert open_table(f"{table}:video", tmp_path / "store").num_rows > 0, table
 
-[ingest]
-annotations = [{{ id = "detected", path = "{own.study.with_name("known")}" }}]
-"""
-    )
-    computed = build_here(study, tmp_path / "store")
-    assert computed["ingest"] == 1
-    assert computed["views"] == 1
-    assert computed["reconstruction"] == 1
-    assert (computed["seeds"], computed["chains"], computed["augmentation"], computed["training"]) == (0, 0, 0, 0)
-    (page,) = (tmp_path / "store" / "runs").glob("*/report/report.html")
-    assert "detected: there is no projection database without the sequence" in page.read_text()
-    assert open_table("views:video", tmp_path / "store").num_rows > 0
+
+def test_a_new_study_of_one_person_alone_says_what_it_needs(own: Own, tmp_path: Path) -> None:
+    table, study = tmp_path / "one.csv", tmp_path / "one.toml"
+    lines = own.study.with_name("table.csv").read_text().splitlines()
+    table.write_text("\n".join(line for line in lines if line.split(",")[1:2] not in (["1"], ["2"])))
+    write_new_study(study, [table])
+    outcome = run_toys(study, tmp_path / "store", graph=graph())
+    (missing,) = outcome.missing
+    assert missing.startswith("nothing was made by reconstruction: one: there is no projection database without")
+    assert "projections.include_draws" in missing
 
 
 @pytest.mark.parametrize("source", ["90_01.amc", "known", "labelled.json", "table.csv"])

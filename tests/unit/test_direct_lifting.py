@@ -74,10 +74,9 @@ def test_lifted_seeds_are_close_to_the_pairs_that_were_seen() -> None:
 
 def test_lifting_says_what_it_cannot_do() -> None:
     _, entries = annotated(5)
-    with pytest.raises(InputError, match="only 5 annotated pairs"):
-        lift_seeds(entries, LIMITS, BASIS, num_seeds=6)
+    assert len(lift_seeds(entries, LIMITS, BASIS, num_seeds=6).pairs_m) <= 5
     narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
-    with pytest.raises(InputError, match="no pair keeps the joint limits"):
+    with pytest.raises(InputError, match="no pair of 5 annotations keeps the joint limits"):
         lift_seeds(entries, narrow, BASIS, num_seeds=1)
     lengths = apparent_bone_lengths(entries.points_m)
     assert lift_pair(np.zeros((2, 17, 2)), entries.directions[0], lengths, LIMITS, BASIS) is None

@@ -78,6 +78,22 @@ def test_a_stage_without_shards_has_nothing_to_do(tmp_path: Path, capsys: pytest
     assert "aside           nothing to do\n" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("asks", ["[aside]\nsize = 0\n", "stages", "--until"])
+def test_a_stage_that_was_asked_for_and_makes_nothing_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], asks: str
+) -> None:
+    study, store = Path(write_study(tmp_path)), str(tmp_path / "store")
+    run_toys(study, Path(store), "aside.size=0")
+    if asks.startswith("["):
+        study.write_text(study.read_text() + asks)
+    chosen = {"stages": ["--set", 'study.stages=["aside"]'], "--until": ["--until", "aside"]}.get(asks, [])
+    for command in ("run", "plan"):
+        assert call(command, str(study), "--store", store, "--set", "aside.size=0", *chosen) == 1
+        said = capsys.readouterr()
+        assert said.err.splitlines()[-1] == "error: nothing was made by aside: it needs a size (aside.size)"
+        assert "everything is fresh" not in said.out
+
+
 def test_the_keys_of_a_study_are_printed_with_type_default_unit_and_meaning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -8,9 +8,15 @@ from pathlib import Path
 import pytest
 
 from flows.console.study_new import new_study, write_new_study
+from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.formats import guess_motion, read_bvh, write_bvh
+from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
+from tasks.projections import ProjectionsParameters
+from tasks.seeds import SeedsParameters
+from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
+from tasks.views import ViewsParameters
 from tests.builders.source_samples import bvh_text, csv_text, figure_motion, openpose_text
 
 
@@ -91,3 +97,21 @@ def test_salsa_files_of_another_name_get_the_guess_and_the_doubt_they_deserve(da
     text = new_study("salsa", [tmp_path / "leader.bvh", tmp_path / "follower.bvh"])
     assert "rate_hz = 120         # stated by the file" in text  # it lies: 60 Hz is true
     assert text.count("A GUESS - SET IT") == 2  # 1.29 m tall in metres: not believed
+
+
+def test_2d_alone_gets_the_sections_that_make_3d_with_what_is_assumed_as_keys(tmp_path: Path) -> None:
+    first = csv_text().splitlines()
+    second = [line.replace(",0,", ",1,", 1) for line in first if line[0].isdigit()]
+    (tmp_path / "table.csv").write_text("\n".join([*first, *second]))
+    study = tmp_path / "mine.toml"
+    write_new_study(study, [tmp_path / "table.csv"])
+    chosen, _ = load_study(str(study), load_graph())
+    views, seeds, projections = (chosen.parameters[name] for name in ("views", "seeds", "projections"))
+    assert isinstance(views, ViewsParameters)
+    assert views == ViewsParameters()
+    assert {"distance_m", "camera_pitch_deg", "lean_deviation_deg"} <= views.model_fields_set
+    assert chosen.asked >= {"views", "seeds", "chains", "lifting", "projections", "reconstruction"}
+    assert isinstance(seeds, SeedsParameters)
+    assert (seeds.num_lifted, seeds.num_grown) == (LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE)
+    assert isinstance(projections, ProjectionsParameters)
+    assert projections.include_draws

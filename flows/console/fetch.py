@@ -6,7 +6,7 @@ import re
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
@@ -14,9 +14,10 @@ from typing import Annotated
 
 import typer
 
+from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
 
-__all__ = ["FetchError", "Fetched", "app", "fetch_cmu"]
+__all__ = ["FetchError", "Fetched", "app", "fetch_cmu", "takes_of_study"]
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
 CMU_CREDIT = """The data used in this project was obtained from mocap.cs.cmu.edu.
@@ -51,16 +52,24 @@ def _group() -> None:
 
 @app.command("cmu")
 def cmu(
-    subjects: Annotated[str, typer.Option(help="Subjects, such as 60,61.")],
     out: Annotated[Path, typer.Option(help="Folder for the files.")],
-    takes: Annotated[str | None, typer.Option(help="Takes, such as 01,03; by default all that the site lists.")] = None,
+    study: Annotated[str, typer.Option(help="Study whose takes are brought where no subjects are named.")] = "everyday",
+    subjects: Annotated[str | None, typer.Option(help="Subjects, such as 60,61.")] = None,
+    takes: Annotated[
+        str | None, typer.Option(help="Their takes, such as 01,03; by default all that the site lists.")
+    ] = None,
     base_url: Annotated[str, typer.Option(help="Address of the site.")] = CMU_BASE_URL,
 ) -> None:
-    """Bring ASF/AMC files of the CMU motion capture database."""
+    """Bring ASF/AMC files of the CMU motion capture database: those of a study, or of some subjects."""
+    if subjects is None and takes is not None:
+        raise InputError("--takes are those of --subjects; a study names its own")
+    wanted: Mapping[str, Sequence[str] | None] = (
+        takes_of_study(study)
+        if subjects is None
+        else dict.fromkeys(_numbers(subjects, "subjects"), _numbers(takes, "takes") if takes else None)
+    )
     count = 0
-    for item in fetch_cmu(
-        _numbers(subjects, "subjects"), out, takes=_numbers(takes, "takes") if takes else None, base_url=base_url
-    ):
+    for item in fetch_cmu(wanted, out, base_url=base_url):
         count += 1
         state = "was there" if item.was_there else "fetched"
         typer.echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
@@ -69,10 +78,9 @@ def cmu(
 
 
 def fetch_cmu(
-    subjects: Sequence[str],
+    wanted: Mapping[str, Sequence[str] | None],
     out: Path,
     *,
-    takes: Sequence[str] | None = None,
     base_url: str = CMU_BASE_URL,
     wait_s: float = _FIRST_WAIT_S,
 ) -> Iterator[Fetched]:
@@ -81,9 +89,9 @@ def fetch_cmu(
     A file that is there and can be read is left alone; one that comes is written only when it is whole and was parsed.
 
     Args:
-        subjects: Numbers of subjects, such as "60".
+        wanted: Numbers of subjects, such as "60", each with the numbers of its takes; None for those that the
+            subject's page lists.
         out: Folder, made if needed.
-        takes: Numbers of takes; by default those that the subject's page lists.
         base_url: Address of the site.
         wait_s: Wait before the first repetition, doubled each time.
 
@@ -96,14 +104,30 @@ def fetch_cmu(
         (out / "CREDITS.txt").write_text(CMU_CREDIT, encoding="utf-8")
     except OSError as error:
         raise FetchError(f"folder {out} cannot be written: {error.strerror}") from None
-    for subject in subjects:
-        wanted = list(takes) if takes is not None else _listed_takes(base, subject, wait_s)
+    for subject, takes in wanted.items():
         folder = f"{base}/subjects/{subject}"
         skeleton = out / f"{subject}.asf"
         yield _fetch_file(f"{folder}/{subject}.asf", skeleton, None, wait_s)
-        for take in wanted:
+        for take in _listed_takes(base, subject, wait_s) if takes is None else takes:
             name = f"{subject}_{take}.amc"
             yield _fetch_file(f"{folder}/{name}", out / name, skeleton, wait_s)
+
+
+def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
+    """Return the takes of each subject that a study names in `ingest.pairs`, as CMU numbers them.
+
+    Raises:
+        StudyError: There is no such study.
+        InputError: It names no takes of subjects with numbers.
+    """
+    wanted: dict[str, list[str]] = {}
+    for family in read_study_tree(name_or_path, Path.cwd()).values.get("ingest", {}).get("pairs", {}).values():
+        for subject in family.get("subjects", ()):
+            if str(subject).isdigit():
+                wanted.setdefault(str(subject), []).extend(family.get("takes", ()))
+    if not wanted:
+        raise InputError(f"study {name_or_path} names no takes of CMU's subjects in [ingest.pairs]; name --subjects")
+    return wanted
 
 
 def _numbers(text: str, what: str) -> list[str]:

@@ -79,7 +79,7 @@ def test_what_a_study_says_wrongly_is_named_with_its_full_path(
 
 
 def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    study = write(tmp_path, SMALL.replace("num_chains", "num_chain").replace("num_seeds = 1", "num_seeds = 0"))
+    study = write(tmp_path, SMALL.replace("num_chains", "num_chain").replace("num_seeds = 1", "num_seeds = -1"))
     assert len(refuse(capsys, study).splitlines()) == 2
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from flows.console.fetch import FetchError, app, fetch_cmu
+from flows.console.fetch import FetchError, app, fetch_cmu, takes_of_study
+from pasdedeux.errors import InputError
 from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
@@ -70,24 +71,24 @@ def site() -> Iterator[Site]:
 
 
 def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_path: Path) -> None:
-    found = list(fetch_cmu(["60"], tmp_path, base_url=site.url, wait_s=0.0))
+    found = list(fetch_cmu({"60": None}, tmp_path, base_url=site.url, wait_s=0.0))
     assert [item.path.name for item in found] == ["60.asf", "60_01.amc", "60_02.amc"]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert "mocap.cs.cmu.edu" in (tmp_path / "CREDITS.txt").read_text()
 
 
 def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
-    list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     site.requests.clear()
-    again = list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))
+    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert all(item.was_there for item in again)
     assert site.requests == []
 
 
 def test_a_damaged_file_that_is_there_is_brought_again(site: Site, tmp_path: Path) -> None:
-    list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     (tmp_path / "60_01.amc").write_bytes(AMC.encode()[:60])
-    again = list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))
+    again = list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert [item.was_there for item in again] == [True, False]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
@@ -95,28 +96,28 @@ def test_a_damaged_file_that_is_there_is_brought_again(site: Site, tmp_path: Pat
 def test_a_file_that_was_cut_off_is_asked_for_again(site: Site, tmp_path: Path) -> None:
     path = "/subjects/60/60_01.amc"
     site.cut_after[path] = [50, 20]
-    list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert site.requests.count(path) == 3
 
 
 def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:
     site.fail_times["/subjects/60/60.asf"] = 2
-    assert len(list(fetch_cmu(["60"], tmp_path, takes=["01"], base_url=site.url, wait_s=0.0))) == 2
+    assert len(list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))) == 2
 
 
 def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Path) -> None:
     with pytest.raises(FetchError, match=r"60_77.amc: the site answers 404"):
-        list(fetch_cmu(["60"], tmp_path, takes=["77"], base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": ["77"]}, tmp_path, base_url=site.url, wait_s=0.0))
     site.files["/subjects/60/60_03.amc"] = b"<html>down for maintenance</html>"
     with pytest.raises(FetchError, match=r"60_03.amc did not send a motion file: line 1"):
-        list(fetch_cmu(["60"], tmp_path, takes=["03"], base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": ["03"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CREDITS.txt"]
     site.files["/search.php?subjectnumber=60"] = b"nothing"
     with pytest.raises(FetchError, match="lists no takes of subject 60; name them with --takes"):
-        list(fetch_cmu(["60"], tmp_path, base_url=site.url, wait_s=0.0))
+        list(fetch_cmu({"60": None}, tmp_path, base_url=site.url, wait_s=0.0))
     with pytest.raises(FetchError, match="the same command goes on from here"):
-        list(fetch_cmu(["60"], tmp_path / "new", takes=["01"], base_url="http://127.0.0.1:9", wait_s=0.0))
+        list(fetch_cmu({"60": ["01"]}, tmp_path / "new", base_url="http://127.0.0.1:9", wait_s=0.0))
 
 
 def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:
@@ -125,3 +126,21 @@ def test_the_command_says_what_it_did(site: Site, tmp_path: Path) -> None:
     assert "60_01.amc" in result.output
     assert "3 files in" in result.output
     assert "NSF EIA-0196217" in result.output
+
+
+def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_path: Path) -> None:
+    study = tmp_path / "mine.toml"
+    study.write_text('[ingest.pairs.a]\nfolder = "cmu"\nsubjects = ["60"]\ntakes = ["02"]\n')
+    found = CliRunner().invoke(
+        app, ["cmu", "--study", str(study), "--out", str(tmp_path / "cmu"), "--base-url", site.url]
+    )
+    assert found.exit_code == 0, found.output
+    assert sorted(path.name for path in (tmp_path / "cmu").iterdir()) == ["60.asf", "60_02.amc", "CREDITS.txt"]
+
+
+def test_the_database_that_ships_has_people_with_a_partner_and_alone() -> None:
+    wanted = takes_of_study("everyday")
+    assert all(wanted[first] == wanted[second] for first, second in (("18", "19"), ("20", "21"), ("22", "23")))
+    assert {"02", "07", "13", "60", "61"} <= set(wanted)
+    with pytest.raises(InputError, match="names no takes of CMU's subjects"):
+        takes_of_study("duets")

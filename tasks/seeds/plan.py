@@ -52,14 +52,14 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]
         refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views, torso_basis=bases)
-        options = parameters.model_copy(update={"num_lifted": num_lifted}).part(LiftedSeeds, first_index=len(shards))
-        shards.append(_shard(inputs, "lifted", "lifted", options, refs))
+        lifted = parameters.model_copy(update={"num_lifted": num_lifted}).part(LiftedSeeds, first_index=len(shards))
+        shards.append(_shard(inputs, "lifted", "lifted", lifted, refs))
     if num_grown and shards:
         first = len(shards) + max(num_lifted - 1, 0)
         refs = named_refs(joint_limits=inputs.of("joint_limits"), annotations=annotated, views=views)
         after = tuple(shard.key for shard in shards)
-        options = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
-        shards.append(_shard(inputs, "grown", "grown", options, refs, after=after))
+        grown = parameters.model_copy(update={"num_grown": num_grown}).part(GrownSeeds, first_index=first)
+        shards.append(_shard(inputs, "grown", "grown", grown, refs, after=after))
     return shards
 
 

@@ -129,9 +129,10 @@ def corrupt(rng: np.random.Generator, pairs_m: Array, directions: Array, kind: C
             false[row] = moved[row]
     else:
         order, parents = np.array(PAIR17.order), np.array(PAIR17.parents)
+        tightness = np.full(seen.shape[1:3], _TIGHTNESS)
         for own, other in enumerate(rng.permutation(len(seen)).tolist()):
             image, depth = np.ascontiguousarray(seen[own, ..., :2]), np.ascontiguousarray(seen[other, ..., 2])
-            place_bones(image, depth, bone_lengths(PAIR17, seen[own]), order, parents, _TIGHTNESS, false[own])
+            place_bones(image, depth, bone_lengths(PAIR17, seen[own]), order, parents, tightness, false[own])
     return Corrupted(rows=rows, pairs_m=false[rows], seen_m=seen[rows])
 
 

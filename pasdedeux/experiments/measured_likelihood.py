@@ -3,7 +3,8 @@
 The densities that Yin et al. (2018), Fig. 9, compare with: eqs. 6 and 9 as they stand, with the mean joint distance or
 the shape-context cost of the images, after the best turn in the plane, in place of d_I.  Their bandwidth is not
 published.  Here the dissimilarity is multiplied by what makes nearest neighbours among the annotations as far apart, in
-the median, as they are in d_I (`matched_scale`), so that all densities are equally sharp at the data.
+the median, as they are in d_I (`matched_scale`), so that all densities are equally sharp at the data.  They mask
+nothing: only annotations that show all joints are compared with.
 """
 
 from __future__ import annotations
@@ -60,13 +61,15 @@ def matched_scale(pairs: AnnotatedPairs, measure: ImageMeasure) -> float:
     """Return factor that makes nearest annotations as far apart as in d_I, in the median over 60 evenly spread ones.
 
     The nearest is the one with the least rigid residual among those whose view is within half a radian; 1 when there
-    are no neighbours or they coincide.
+    are no neighbours or they coincide.  Annotations that lack a joint do not count.
     """
-    points = pairs.points_m.reshape(len(pairs.points_m), -1, 2)
+    is_whole = pairs.is_seen.all(axis=(1, 2))
+    directions, index = pairs.directions[is_whole], pairs.annotation_index[is_whole]
+    points = pairs.points_m[is_whole].reshape(len(index), -1, 2)
     interaction, own = [], []
     for row in evenly_spread(len(points), _NUM_MATCHED):
-        is_near = angle_between_directions(pairs.directions[row], pairs.directions) < 0.5
-        others = np.flatnonzero(is_near & (pairs.annotation_index != pairs.annotation_index[row]))
+        is_near = angle_between_directions(directions[row], directions) < 0.5
+        others = np.flatnonzero(is_near & (index != index[row]))
         if not len(others):
             continue
         nearest = points[others[int(np.argmin(plane_residual(points[row], points[others])))]]
@@ -83,7 +86,7 @@ class MeasuredLikelihood:
 
     Args:
         pairs: Annotated pairs.
-        bank: Views and their candidates.
+        bank: Views and their candidates, all of which show every joint.
         measure: The dissimilarity.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres of d_I, to which the dissimilarity is scaled.
         num_ranked: Shape contexts of a view that are compared, nearest by rigid residual; Cartesian distances are all.
@@ -187,6 +190,7 @@ class CartesianKind(ImageKind[ImageSettings]):
 
     name = "cartesian"
     meaning = "mean joint distance of the images"
+    needs_all_joints = True
     settings = ImageSettings
 
     def compare(self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:
@@ -207,6 +211,7 @@ class ShapeContextKind(ImageKind[ShapeContextSettings]):
 
     name = "shape_context"
     meaning = "shape context of the images"
+    needs_all_joints = True
     settings = ShapeContextSettings
 
     def compare(self, settings: ShapeContextSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:

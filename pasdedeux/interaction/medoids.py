@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M
-from pasdedeux.interaction.kernels import edge_table, side_sum
+from pasdedeux.interaction.kernels import edge_table, keep_seen_edges, side_sum
 
 __all__ = ["choose_medoids", "dissimilarity_matrix"]
 
@@ -21,14 +21,13 @@ _MAX_ROUNDS = 30
 def dissimilarity_matrix(points: Array, *, beta_m: float = BETA_M) -> Array:
     """Return d_I (eq. 8 of Yin et al. 2018), metres, between all planar point sets (set, n, 2): (set, set), symmetric.
 
-    Raises:
-        InputError: A coordinate is not finite.
+    Points that are NaN are not seen.  Sets that share no edge are as far apart as any two sets are.
     """
     table = edge_table(points, beta_m=beta_m)
-    centred = np.ascontiguousarray(points - points.mean(axis=1, keepdims=True))
+    is_seen = np.isfinite(points).all(axis=-1)
     matrix = np.zeros((len(points), len(points)))
-    _fill(centred, table.edges, table.weights, table.counts, matrix)
-    return matrix
+    _fill(np.ascontiguousarray(points), is_seen, table.edges, table.weights, table.counts, matrix)
+    return np.where(np.isfinite(matrix), matrix, matrix[np.isfinite(matrix)].max(initial=0.0))
 
 
 def choose_medoids(matrix: Array, count: int) -> Indices:
@@ -63,15 +62,36 @@ def choose_medoids(matrix: Array, count: int) -> Indices:
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill(points, edges, weights, counts, matrix):  # type: ignore[no-untyped-def]
+def _fill(points, is_seen, edges, weights, counts, matrix):  # type: ignore[no-untyped-def]
     num_sets, num_points = points.shape[0], points.shape[1]
     dx, dy = np.empty(num_points), np.empty(num_points)
+    is_shared = np.empty(num_points, dtype=np.bool_)
+    kept, kept_weights = np.empty_like(edges[0]), np.empty_like(weights[0])
     for a in range(num_sets):
         for b in range(a):
+            ax = ay = bx = by = 0.0
+            number = 0
+            for k in range(num_points):
+                is_shared[k] = is_seen[a, k] and is_seen[b, k]
+                if is_shared[k]:
+                    ax += points[a, k, 0]
+                    ay += points[a, k, 1]
+                    bx += points[b, k, 0]
+                    by += points[b, k, 1]
+                    number += 1
+            divisor = max(number, 1)
+            ax, ay, bx, by = ax / divisor, ay / divisor, bx / divisor, by / divisor
             dot = cross = 0.0
             for k in range(num_points):
-                dot += points[a, k, 0] * points[b, k, 0] + points[a, k, 1] * points[b, k, 1]
-                cross += points[a, k, 0] * points[b, k, 1] - points[a, k, 1] * points[b, k, 0]
+                if is_shared[k]:
+                    px, py, qx, qy = (
+                        points[a, k, 0] - ax,
+                        points[a, k, 1] - ay,
+                        points[b, k, 0] - bx,
+                        points[b, k, 1] - by,
+                    )
+                    dot += px * qx + py * qy
+                    cross += px * qy - py * qx
             length = np.sqrt(dot * dot + cross * cross)
             cosine, sine = 1.0, 0.0
             if length > 1e-300:
@@ -80,8 +100,10 @@ def _fill(points, edges, weights, counts, matrix):  # type: ignore[no-untyped-de
                 x, y = points[a, k, 0], points[a, k, 1]
                 dx[k] = cosine * x - sine * y - points[b, k, 0]
                 dy[k] = sine * x + cosine * y - points[b, k, 1]
-            total = side_sum(dx, dy, edges[b], counts[b], weights[b])
             # The edges of `a` are turned with it, which does not change their length.
-            total += side_sum(dx, dy, edges[a], counts[a], weights[a])
-            matrix[a, b] = total
-            matrix[b, a] = total
+            total, num_kept = 0.0, 0
+            for own in (a, b):
+                count = keep_seen_edges(edges[own], counts[own], weights[own], is_shared, kept, kept_weights)
+                total += side_sum(dx, dy, kept, count, kept_weights)
+                num_kept += count
+            matrix[a, b] = matrix[b, a] = total if num_kept else np.inf

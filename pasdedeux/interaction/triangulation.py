@@ -197,15 +197,22 @@ def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no
 def _edges_of_all(points, offsets, triangles, neighbours, scratch, edges, counts):  # type: ignore[no-untyped-def]
     x = np.empty(points.shape[1])
     y = np.empty(points.shape[1])
+    seen = np.empty(points.shape[1], dtype=np.int32)
     for row in range(points.shape[0]):
+        num_seen = 0
         for k in range(points.shape[1]):
-            x[k] = points[row, k, 0] + offsets[k, 0]
-            y[k] = points[row, k, 1] + offsets[k, 1]
-        counts[row] = triangulate(x, y, triangles, neighbours, scratch, edges[row])
+            if np.isfinite(points[row, k, 0]) and np.isfinite(points[row, k, 1]):
+                x[num_seen] = points[row, k, 0] + offsets[num_seen, 0]
+                y[num_seen] = points[row, k, 1] + offsets[num_seen, 1]
+                seen[num_seen] = k
+                num_seen += 1
+        counts[row] = triangulate(x[:num_seen], y[:num_seen], triangles, neighbours, scratch, edges[row])
+        for e in range(counts[row]):
+            edges[row, e, 0], edges[row, e, 1] = seen[edges[row, e, 0]], seen[edges[row, e, 1]]
 
 
 def delaunay_edges_fast(points: Array) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Return the Delaunay edges of many point sets (set, n, 2), metres.
+    """Return the Delaunay edges of many point sets (set, n, 2), metres; points that are not finite are left out.
 
     Returns:
         Edges (set, max_edges, 2) with i < j in each pair, and the number of valid ones of each set (set,).

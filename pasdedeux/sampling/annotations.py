@@ -7,13 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.cameras import angle_between_directions
+from pasdedeux.cameras import MIN_TORSO_JOINTS, TORSO_INDICES, angle_between_directions
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 
-__all__ = ["MIN_CANDIDATES", "AnnotatedPairs", "GatheredPairs", "ViewBank", "build_bank", "gather_pairs"]
+__all__ = [
+    "MIN_CANDIDATES",
+    "AnnotatedPairs",
+    "GatheredPairs",
+    "ViewBank",
+    "build_bank",
+    "gather_pairs",
+    "shows_enough",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -21,17 +29,31 @@ MIN_CANDIDATES = 20
 """Annotations a view is compared with even when none is within the view bandwidth."""
 
 
+MIN_SEEN_SHARE = 0.5
+"""Share of the joints of both people that an annotation must show to be compared with."""
+
+
+def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
+    """Return which annotations (*batch, person=2, joint=17, 2) show enough; NaN where a joint is not seen.
+
+    Half of all joints, and of each person the four of the torso that a view needs.
+    """
+    is_seen = np.asarray(np.isfinite(points).all(axis=-1))
+    has_torsos = (is_seen[..., TORSO_INDICES].sum(axis=-1) >= MIN_TORSO_JOINTS).all(axis=-1)
+    return np.asarray(has_torsos & (is_seen.mean(axis=(-1, -2)) >= MIN_SEEN_SHARE))
+
+
 @dataclass(frozen=True)
 class AnnotatedPairs:
     """Annotated pairs in metres with the views they are seen under; an annotation may come with several views.
 
     Args:
-        points_m: Image points (entry, person=2, joint=17, 2), metres, x right, y up; all finite.
+        points_m: Image points (entry, person=2, joint=17, 2), metres, x right, y up; NaN where a joint is not seen.
         directions: View of each entry in the pair's local frame, unit (a, b, c), (entry, 3).
         annotation_index: Which annotation an entry is a view hypothesis of, (entry,).
 
     Raises:
-        InputError: No entry, shapes that do not fit, or a value that is not finite.
+        InputError: No entry, shapes that do not fit, an entry that shows too little, or a view that is not finite.
     """
 
     points_m: Array
@@ -42,7 +64,7 @@ class AnnotatedPairs:
         """Check shapes and finiteness."""
         count = len(self.points_m)
         if count == 0:
-            raise InputError("no annotated pair is left: the likelihood needs at least one with all joints and a view")
+            raise InputError("no annotated pair is left: the likelihood needs at least one that shows enough")
         if self.points_m.shape != (count, 2, 17, 2) or self.directions.shape != (count, 3):
             raise InputError(
                 f"annotations {self.points_m.shape} and views {self.directions.shape} do not fit: "
@@ -50,8 +72,21 @@ class AnnotatedPairs:
             )
         if len(self.annotation_index) != count:
             raise InputError(f"{count} annotated pairs but {len(self.annotation_index)} annotation indices")
-        if not (np.isfinite(self.points_m).all() and np.isfinite(self.directions).all()):
-            raise InputError("an annotated pair or its view has a value that is not finite")
+        if not (shows_enough(self.points_m).all() and np.isfinite(self.directions).all()):
+            raise InputError("an annotated pair shows too few joints, or its view is not finite")
+
+    @property
+    def is_seen(self) -> npt.NDArray[np.bool_]:
+        """Which joints are seen, (entry, person=2, joint=17)."""
+        return np.asarray(np.isfinite(self.points_m).all(axis=-1))
+
+    @property
+    def centred_m(self) -> Array:
+        """Image points of both people (entry, n, 2), metres, the mean of those seen at (0, 0); 0 where not seen."""
+        points = self.points_m.reshape(len(self.points_m), -1, 2)
+        is_seen = self.is_seen.reshape(len(points), -1, 1)
+        mean = np.where(is_seen, points, 0.0).sum(axis=1, keepdims=True) / is_seen.sum(axis=1, keepdims=True)
+        return np.where(is_seen, points - mean, 0.0)
 
 
 @dataclass(frozen=True)
@@ -61,7 +96,7 @@ class GatheredPairs:
     Args:
         pairs: Annotated pairs, an entry per annotation and view hypothesis.
         weights: Weight of each entry's view in the view density, (entry,).
-        num_skipped: Annotations left out because a joint, the scale or the view was missing.
+        num_skipped: Annotations left out because they show too little, or the scale or the view was missing.
         metres_per_pixel: Scale of each person in each entry, (entry, person=2).
     """
 
@@ -82,7 +117,7 @@ def gather_pairs(
     weights: Array,
     annotation_index: npt.NDArray[np.int64],
 ) -> GatheredPairs:
-    """Return the annotations with all joints and a view, in metres.
+    """Return the annotations that show enough (`shows_enough`) and have a view, in metres.
 
     Args:
         pair17_px: Keypoints of each entry, (entry, person=2, joint=17, 2), pixels; NaN where missing.
@@ -95,25 +130,25 @@ def gather_pairs(
         InputError: No annotation is left.
     """
     points = pair_in_metres(pair17_px, metres_per_pixel)
-    is_whole = np.isfinite(points).all(axis=(1, 2, 3)) & np.isfinite(directions).all(axis=1)
-    is_whole &= np.isfinite(weights) & (weights > 0.0) & (np.linalg.norm(directions, axis=1) > 1e-9)
+    is_usable = shows_enough(points) & np.isfinite(directions).all(axis=1)
+    is_usable &= np.isfinite(weights) & (weights > 0.0) & (np.linalg.norm(directions, axis=1) > 1e-9)
     num_annotations = len(np.unique(annotation_index))
-    num_skipped = num_annotations - len(np.unique(annotation_index[is_whole]))
-    if not is_whole.any():
+    num_skipped = num_annotations - len(np.unique(annotation_index[is_usable]))
+    if not is_usable.any():
         raise InputError(
-            f"none of the {num_annotations} annotated pairs has all joints of both people and a view: "
-            "the likelihood needs at least one"
+            f"none of the {num_annotations} annotated pairs shows half of the joints, four torso joints of both people "
+            "among them, and has a view: the likelihood needs at least one"
         )
     pairs = AnnotatedPairs(
-        points_m=points[is_whole],
-        directions=normalise(directions[is_whole]),
-        annotation_index=np.asarray(annotation_index[is_whole], dtype=np.int64),
+        points_m=points[is_usable],
+        directions=normalise(directions[is_usable]),
+        annotation_index=np.asarray(annotation_index[is_usable], dtype=np.int64),
     )
     return GatheredPairs(
         pairs=pairs,
-        weights=weights[is_whole],
+        weights=weights[is_usable],
         num_skipped=num_skipped,
-        metres_per_pixel=np.asarray(metres_per_pixel, dtype=np.float64)[is_whole],
+        metres_per_pixel=np.asarray(metres_per_pixel, dtype=np.float64)[is_usable],
     )
 
 
@@ -133,12 +168,17 @@ class ViewBank:
 
 
 def build_bank(
-    directions: Array, pairs: AnnotatedPairs, *, num_candidates: int = 500, view_bandwidth_rad: float = 0.5
+    directions: Array,
+    pairs: AnnotatedPairs,
+    *,
+    num_candidates: int = 500,
+    view_bandwidth_rad: float = 0.5,
+    is_wanted: npt.NDArray[np.bool_] | None = None,
 ) -> ViewBank:
     """Return the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
 
     An annotation enters a view once, by its nearest hypothesis.  Annotations farther than the bandwidth are dropped as
-    long as 20 stay.
+    long as 20 stay, and entries that are not wanted (entry,) from the beginning.
 
     Raises:
         InputError: There is no view or `num_candidates` is not positive.
@@ -149,6 +189,8 @@ def build_bank(
     for direction in directions:
         angle = angle_between_directions(direction, pairs.directions)
         order = np.argsort(angle, kind="stable")
+        if is_wanted is not None:
+            order = order[is_wanted[order]]
         _, first = np.unique(pairs.annotation_index[order], return_index=True)
         order = order[np.sort(first)][:num_candidates]
         num_similar = int(np.searchsorted(angle[order], view_bandwidth_rad, side="right"))

@@ -3,8 +3,9 @@
 Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some.  The
 torso is lifted with the torso basis; what remains is discrete: either twin of each torso, towards or away from the
 camera for each limb bone, and the relative depth of the people.  Joint limits choose among the 256 poses of a person's
-limbs, the estimated view and penetration among twins and depths.  A lifted pair is right to 8-11 cm on captured
-dancers; growth (`growth.grow`) then finds what the others have in common.
+limbs, the estimated view and penetration among twins and depths.  Joints that are not seen are guessed in the image
+first: those of the torso where the lifted one has them, those of limbs by what is seen of the limb.  A lifted pair is
+right to 8-11 cm on captured dancers; growth (`growth.grow`) then finds what the others have in common.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ _NUM_TRIES = 8
 _ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
 _LIMBS = PAIR17.limbs
 _PELVIS, _SPINE, _CHEST, _NECK, _HEAD = PAIR17.indices(("pelvis", "spine", "chest", "neck", "head"))
+_DOWN = np.array([1.0, -1.0])
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2 * len(_LIMBS))))
 
 
@@ -72,12 +74,22 @@ class LiftedSeeds:
 def apparent_bone_lengths(points_m: Array) -> Array:
     """Return bone lengths (person=2, joint=17), metres, from images (n, person=2, joint=17, 2), metres, of many views.
 
-    Left and right get the mean of the two; a root's length is 0.
+    Left and right get the mean of the two; a root's length is 0.  A bone counts in the images that show both its ends
+    (NaN where a joint is not seen).
+
+    Raises:
+        InputError: No image shows a bone of a person, on neither side of the body; names it.
     """
     flat = np.linalg.norm(points_m - points_m[:, :, _PARENTS], axis=-1)
-    lengths = np.percentile(flat, LENGTH_PERCENTILE, axis=0)
+    flat[..., PAIR17.root] = 0.0
+    either = np.concatenate([flat, flat[..., list(PAIR17.mirror)]])
+    if (is_unknown := ~np.isfinite(either).any(axis=0)).any():
+        person, joint = np.argwhere(is_unknown)[0]
+        name = PAIR17.joint_names[joint]
+        raise InputError(f"no annotation shows the bone to '{name}' of person {'AB'[person]}: its length is not known")
+    is_seen = np.isfinite(flat).any(axis=0)
+    lengths = np.nanpercentile(np.where(is_seen, flat, either[len(flat) :]), LENGTH_PERCENTILE, axis=0)
     lengths = 0.5 * (lengths + lengths[:, list(PAIR17.mirror)])
-    lengths[:, PAIR17.root] = 0.0
     return np.asarray(lengths)
 
 
@@ -92,20 +104,24 @@ def lift_pair(
     """Return the likeliest pair (person=2, joint=17, 3), metres, camera axes, of one image; None without torsos.
 
     Args:
-        image_m: Image points (person=2, joint=17, 2), metres, x right, y up.
+        image_m: Image points (person=2, joint=17, 2), metres, x right, y up; NaN where a joint is not seen.
         direction: Estimated view in the pair's local frame, (3,).
         lengths_m: Bone lengths (person=2, joint=17), metres.
         limits: Joint limits.
         basis: Torso basis, of other takes.
         prior: Weights of eq. 2; the defaults when not given.
     """
-    torsos = lift_torsos(image_m[:, TORSO_INDICES] * np.array([1.0, -1.0]), basis)
+    torsos = lift_torsos(image_m[:, TORSO_INDICES] * _DOWN, basis)
     if not torsos.is_lifted.all():
         return None
-    people = [
-        [_lift_person(image_m[person], torsos.torso_m[person, twin], lengths_m[person], limits) for twin in range(2)]
-        for person in range(2)
-    ]
+    people = []
+    for person in range(2):
+        torso_m = torsos.torso_m[person]
+        flat = (
+            torso_m[..., :2] / torsos.metres_per_pixel[person, :, None, None] + torsos.root_px[person, :, None] * _DOWN
+        )
+        image = _completed(image_m[person], flat.mean(axis=0), lengths_m[person])
+        people.append([_lift_person(image, own, lengths_m[person], limits) for own in torso_m])
     pairs, costs = [], []
     for first, second in itertools.product(*people):
         placed = np.stack([np.broadcast_to(first.pose_m, (len(_DEPTHS_M), 17, 3))] * 2, axis=1)
@@ -171,6 +187,38 @@ class _Person:
     cost: float
 
 
+def _completed(image_m: Array, torso_m: Array, lengths_m: Array) -> Array:
+    """Return an image (17, 2) with a guess where no joint is seen (NaN).
+
+    Args:
+        image_m: The image, metres.
+        torso_m: Image of the lifted torso, (6, 2), metres.
+        lengths_m: Bone lengths, (17,), metres.
+
+    A head goes on along the backbone, an elbow or knee is half way, a hand or foot goes straight on, and a limb of
+    which nothing is seen hangs down along the body.
+    """
+    image = image_m.copy()
+
+    def guess(joint: int, place: Array) -> None:
+        if not np.isfinite(image[joint]).all():
+            image[joint] = place
+
+    for joint, place in zip(TORSO_INDICES, torso_m, strict=True):
+        guess(int(joint), place)
+    back = image[_NECK] - image[_PELVIS]
+    along = np.cumsum(lengths_m[[_SPINE, _CHEST, _NECK, _HEAD]])
+    per_metre = back / max(float(along[2]), 1e-9)
+    for joint, length in ((_SPINE, along[0]), (_CHEST, along[1]), (_HEAD, along[3])):
+        guess(joint, image[_PELVIS] + length * per_metre)
+    for root, middle, end in _LIMBS:
+        halfway = 0.5 * (image[root] + image[end])
+        guess(middle, halfway if np.isfinite(halfway).all() else image[root] - lengths_m[middle] * per_metre)
+        ahead = (image[middle] - image[root]) / max(float(lengths_m[middle]), 1e-9)
+        guess(end, image[middle] + lengths_m[end] * ahead)
+    return image
+
+
 def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits) -> _Person:
     """Return the likeliest of 256 poses of a person's limbs, (17, 3), pelvis at depth 0, and its cost."""
     up = normalise(torso_m[1] - torso_m[0])
@@ -189,7 +237,7 @@ def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: Joint
     poses = np.empty((len(_SIGNS), PAIR17.num_joints, 3))
     images = np.ascontiguousarray(np.broadcast_to(image_m, (len(_SIGNS), *image_m.shape)))
     lengths = np.ascontiguousarray(np.broadcast_to(lengths_m, depth.shape))
-    place_bones(images, depth, lengths, _ORDER, _PARENTS, TIGHTNESS, poses)
+    place_bones(images, depth, lengths, _ORDER, _PARENTS, np.full_like(depth, TIGHTNESS), poses)
     cost = -PriorSettings().log_prior(limits.nearest_valid(poses).squared_distance_m2)
     for root, _, end in _LIMBS:
         cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)

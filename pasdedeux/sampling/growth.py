@@ -6,7 +6,8 @@ annotation, depth and bone lengths from the pair); if the physical prior finds i
 
 Depth comes from several lifted pairs that look alike, not from one, and once everything is lifted the neighbours agree:
 the depth of each grown pair becomes that of the pairs that look like it under its view.  Their image planes are others,
-so what one annotation does not see another one does.  Grown pairs are no draws: they are starts for chains,
+so what one annotation does not see another one does.  A joint that an annotation does not show counts in no distance,
+and is placed in the image as well as in depth by those pairs.  Grown pairs are no draws: they are starts for chains,
 and a set that covers.  Our own; Yin et al. (2018) start from one seed.
 """
 
@@ -18,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.cameras import pair_frame
+from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
@@ -38,6 +40,11 @@ Indices = npt.NDArray[np.int64]
 _ORDER = np.array(PAIR17.order)
 _PARENTS = np.array(PAIR17.parents)
 _NUM_POINTS = 2 * PAIR17.num_joints
+_TREE = np.zeros((PAIR17.num_joints, PAIR17.num_joints))
+for _child, _parent in enumerate(PAIR17.parents):
+    if _parent >= 0:
+        _TREE[[_child, _parent], [_child, _parent]] += 1.0
+        _TREE[[_child, _parent], [_parent, _child]] -= 1.0
 
 
 class GrowthOptions(Settings):
@@ -131,27 +138,31 @@ class ViewedImages:
     """Images and views of some entries, ready for the residuals of any pair.
 
     Args:
-        images: Centred images, coordinate before joint, (entry, 2, 34), metres.
+        images: Centred images, coordinate before joint, (entry, 2, 34), metres; 0 where a joint is not seen.
+        is_seen: Which joints are seen, (entry, 34).
         directions: Views (entry, 3) in the pair's local frame.
 
     With C = sum p X' the covariance of image and pair and w the direction to the camera, |a + ib|^2 of the best turn in
     the plane is |C_x|^2 - (C_x w)^2 + |C_y|^2 - (C_y w)^2 + 2 w (C_x x C_y), so the pair is never projected at all.
     """
 
-    def __init__(self, images: Array, directions: Array) -> None:
+    def __init__(self, images: Array, is_seen: npt.NDArray[np.bool_], directions: Array) -> None:
         self._images, self._directions = np.ascontiguousarray(images), np.ascontiguousarray(directions)
         self._squares = (images**2).sum(axis=(1, 2))
+        self._num_missing = (~is_seen).sum(axis=1)
+        self._missing = np.argsort(is_seen, axis=1, kind="stable")[:, : self._num_missing.max(initial=0)]
 
     def residuals(self, pair_m: Array) -> Array:
         """Return how far a pair (2, 17, 3), metres, under the views is from the images, (entry,), metres.
 
-        Root mean square over the joints, after the best turn in the plane.
+        Root mean square over the joints that are seen, after the best turn in the plane.
         """
         points = pair_m.reshape(_NUM_POINTS, 3)
         points = np.ascontiguousarray((points - points.mean(axis=0)).T)
         axes = np.ascontiguousarray(pair_frame(pair_m).axes)
         residual = np.empty(len(self._images))
-        fill_residuals(points, points @ points.T, axes, self._directions, self._images, self._squares, residual)
+        images = (self._directions, self._images, self._squares, self._missing, self._num_missing)
+        fill_residuals(points, points @ points.T, axes, *images, residual)
         return residual
 
 
@@ -159,12 +170,12 @@ class _Frontier:
     """Everything lifted so far, and for each entry the lifted pairs that look most like it."""
 
     def __init__(self, annotated: AnnotatedPairs, options: GrowthOptions) -> None:
-        points = annotated.points_m.reshape(len(annotated.points_m), _NUM_POINTS, 2)
-        points = points - points.mean(axis=1, keepdims=True)
+        points = annotated.centred_m
         self.options = options
         self.images = np.ascontiguousarray(np.swapaxes(points, 1, 2))
+        self.is_seen = annotated.is_seen.reshape(len(points), _NUM_POINTS)
         self.directions = annotated.directions
-        self._views = ViewedImages(self.images, self.directions)
+        self._views = ViewedImages(self.images, self.is_seen, self.directions)
         self.annotation = annotated.annotation_index
         self.is_done = np.zeros(len(points), dtype=bool)
         self.distance_m, self.which = self._nobody(len(points))
@@ -206,14 +217,21 @@ class _Frontier:
         is_there = which >= 0
         squared = distance_m[is_there] ** 2
         weight = np.exp(-0.5 * (squared - squared[0]) / self.options.neighbour_deviation_m**2)
+        weight = weight / weight.sum()
         pairs = np.stack([self.pairs[index] for index in which[is_there]])
         points = pairs.reshape(len(pairs), _NUM_POINTS, 3)
         towards = pair_frame(pairs).direction(self.directions[entry])
         depths = np.einsum("knx,kx->kn", points - points.mean(axis=1, keepdims=True), towards)
-        depth = (weight / weight.sum()) @ depths
+        depth = weight @ depths
         placed = np.empty((2, PAIR17.num_joints, 3))
-        image = np.ascontiguousarray(self.images[entry].T).reshape(2, PAIR17.num_joints, 2)
-        tightness = self.options.tightness
+        image, is_seen = np.ascontiguousarray(self.images[entry].T), self.is_seen[entry]
+        if not is_seen.all():
+            shown = np.where(is_seen[:, None], image, np.nan)
+            seen = project_pair(pairs, self.directions[entry]).reshape(len(pairs), _NUM_POINTS, 2)
+            image = _completed(shown, np.einsum("k,knx->nx", weight, align_plane(seen, shown)))
+        # Where nothing is seen the image knows no more than the depth.
+        tightness = np.where(is_seen, self.options.tightness, 1.0).reshape(2, -1)
+        image = image.reshape(2, PAIR17.num_joints, 2)
         place_bones(image, depth.reshape(2, -1), lengths, _ORDER, _PARENTS, tightness, placed)
         return placed
 
@@ -223,7 +241,7 @@ class _Frontier:
         if not len(entries) or len(self.pairs) < 2:
             return
         distance_m, which = self._nobody(len(entries))
-        views = ViewedImages(self.images[entries], self.directions[entries])
+        views = ViewedImages(self.images[entries], self.is_seen[entries], self.directions[entries])
         for index, pair in enumerate(self.pairs):
             residual = views.residuals(pair)
             if index >= num_seeds:
@@ -255,3 +273,16 @@ class _Frontier:
             num_refused=num_refused,
             num_left=len(np.unique(self.annotation)) - len(grown) - num_refused,
         )
+
+
+def _completed(shown: Array, alike: Array) -> Array:
+    """Return an image (n, 2), NaN where a joint is not seen, completed by one of a pair that looks like it (n, 2).
+
+    An unseen joint is displaced from where the other pair has it by the mean of its neighbours in the skeleton.
+    """
+    displacement = (shown - alike).reshape(2, PAIR17.num_joints, 2)
+    for own in displacement:
+        is_missing = np.isnan(own[:, 0])
+        pull = _TREE[np.ix_(is_missing, ~is_missing)] @ own[~is_missing]
+        own[is_missing] = np.linalg.solve(_TREE[np.ix_(is_missing, is_missing)], -pull)
+    return alike + displacement.reshape(shown.shape)

@@ -19,7 +19,7 @@ _MIN_DEPTH_M = 1e-4
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def place_bones(
-    image: Array, depth: Array, lengths: Array, order: Indices, parents: Indices, tightness: float, out: Array
+    image: Array, depth: Array, lengths: Array, order: Indices, parents: Indices, tightness: Array, out: Array
 ) -> None:
     """Place the joints of both people near an image and near given depths, with exact bone lengths, root outward.
 
@@ -32,10 +32,9 @@ def place_bones(
         lengths: Bone lengths (person, joint), metres; a root's is unused.
         order: Joints from the root outward.
         parents: Parent of each joint, -1 for the root.
-        tightness: Weight of the squared depth against the squared image distance; positive.
+        tightness: Weight of the squared depth against the squared image distance, (person, joint); positive.
         out: Result (person, joint, 3), metres, camera axes.
     """
-    lowest = -min(1.0, tightness)
     for person in range(image.shape[0]):
         for at in range(order.shape[0]):
             j = order[at]
@@ -49,20 +48,21 @@ def place_bones(
             z = depth[person, j] - depth[person, p]
             if abs(z) < _MIN_DEPTH_M:
                 z = _MIN_DEPTH_M if z >= 0.0 else -_MIN_DEPTH_M
-            z *= tightness
+            tight = tightness[person, j]
+            z *= tight
             flat = x * x + y * y
             squared = lengths[person, j] ** 2
             # The multiplier of the sphere: the length of the weighted mean falls as it grows.
-            low, high = lowest, 1.0
-            while flat / (1.0 + high) ** 2 + (z / (tightness + high)) ** 2 > squared and high < 1e12:
+            low, high = -min(1.0, tight), 1.0
+            while flat / (1.0 + high) ** 2 + (z / (tight + high)) ** 2 > squared and high < 1e12:
                 high *= 4.0
             for _ in range(50):
                 middle = 0.5 * (low + high)
-                if flat / (1.0 + middle) ** 2 + (z / (tightness + middle)) ** 2 > squared:
+                if flat / (1.0 + middle) ** 2 + (z / (tight + middle)) ** 2 > squared:
                     low = middle
                 else:
                     high = middle
-            x, y, z = x / (1.0 + high), y / (1.0 + high), z / (tightness + high)
+            x, y, z = x / (1.0 + high), y / (1.0 + high), z / (tight + high)
             scale = lengths[person, j] / max(math.sqrt(x * x + y * y + z * z), 1e-300)
             out[person, j, 0] = out[person, p, 0] + scale * x
             out[person, j, 1] = out[person, p, 1] + scale * y
@@ -71,22 +71,42 @@ def place_bones(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def fill_residuals(
-    points: Array, spread: Array, axes: Array, directions: Array, images: Array, squares: Array, residual: Array
+    points: Array,
+    spread: Array,
+    axes: Array,
+    directions: Array,
+    images: Array,
+    squares: Array,
+    missing: Indices,
+    num_missing: Indices,
+    residual: Array,
 ) -> None:
-    """Write how far a pair under many views is from their images (`growth.ViewedImages`).
+    """Write how far a pair under many views is from their images (`growth.ViewedImages`), over the joints they show.
 
     Args:
         points: Centred joints of both people, coordinate before joint, (3, n), metres.
         spread: points points', (3, 3).
         axes: Columns i, j, k of the pair's local frame, (3, 3).
         directions: Views (entry, 3) in that frame.
-        images: Centred images (entry, 2, n), metres.
+        images: Centred images (entry, 2, n), metres; 0 where a joint is not seen.
         squares: Sum of squares of each image, (entry,).
+        missing: Joints that an image does not show, (entry, most).
+        num_missing: Their number, (entry,).
         residual: Result (entry,), metres.
     """
-    num_points = points.shape[1]
-    trace = spread[0, 0] + spread[1, 1] + spread[2, 2]
     for entry in range(images.shape[0]):
+        # The pair's own spread, and its mean, over the joints that are seen.
+        num_points = points.shape[1] - num_missing[entry]
+        xx, yy, zz, xy, xz, yz = spread[0, 0], spread[1, 1], spread[2, 2], spread[0, 1], spread[0, 2], spread[1, 2]
+        if num_missing[entry]:
+            mx = my = mz = 0.0
+            for k in missing[entry, : num_missing[entry]]:
+                px, py, pz = points[0, k], points[1, k], points[2, k]
+                mx, my, mz = mx + px, my + py, mz + pz
+                xx, yy, zz = xx - px * px, yy - py * py, zz - pz * pz
+                xy, xz, yz = xy - px * py, xz - px * pz, yz - py * pz
+            xx, yy, zz = xx - mx * mx / num_points, yy - my * my / num_points, zz - mz * mz / num_points
+            xy, xz, yz = xy - mx * my / num_points, xz - mx * mz / num_points, yz - my * mz / num_points
         a, b, c = directions[entry, 0], directions[entry, 1], directions[entry, 2]
         x = axes[0, 0] * a + axes[0, 1] * b + axes[0, 2] * c
         y = axes[1, 0] * a + axes[1, 1] * b + axes[1, 2] * c
@@ -94,7 +114,7 @@ def fill_residuals(
         length = max(math.sqrt(x * x + y * y + z * z), 1e-300)
         x, y, z = x / length, y / length, z / length
         ux = uy = uz = vx = vy = vz = 0.0
-        for k in range(num_points):
+        for k in range(points.shape[1]):
             u, v = images[entry, 0, k], images[entry, 1, k]
             px, py, pz = points[0, k], points[1, k], points[2, k]
             ux += u * px
@@ -106,10 +126,8 @@ def fill_residuals(
         best = ux * ux + uy * uy + uz * uz - (ux * x + uy * y + uz * z) ** 2
         best += vx * vx + vy * vy + vz * vz - (vx * x + vy * y + vz * z) ** 2
         best += 2.0 * (x * (uy * vz - uz * vy) + y * (uz * vx - ux * vz) + z * (ux * vy - uy * vx))
-        sx = spread[0, 0] * x + spread[0, 1] * y + spread[0, 2] * z
-        sy = spread[1, 0] * x + spread[1, 1] * y + spread[1, 2] * z
-        sz = spread[2, 0] * x + spread[2, 1] * y + spread[2, 2] * z
-        squared = trace - (x * sx + y * sy + z * sz) + squares[entry] - 2.0 * math.sqrt(max(best, 0.0))
+        sx, sy, sz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+        squared = xx + yy + zz - (x * sx + y * sy + z * sz) + squares[entry] - 2.0 * math.sqrt(max(best, 0.0))
         residual[entry] = math.sqrt(max(squared, 0.0) / num_points)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from pasdedeux.interaction.kernels import fill_edge_weights, side_sum
+from pasdedeux.interaction.kernels import fill_edge_weights, keep_seen_edges, side_sum
 from pasdedeux.interaction.triangulation import triangulate
 from pasdedeux.sampling.image_kernels import pair_axes, project
 from pasdedeux.skeletons import PAIR17
@@ -37,14 +37,17 @@ class BankTables(NamedTuple):
         rank_y: y of them.
         rank_squares: The quadratic forms' values at them, (m, kind=3, most), float32, square metres.
         factors: What each root counts in the estimate, (m, kind=3, most), float32.
-        points: Centred annotations (annotation, n, 2), metres.
-        edges: Their Delaunay edges.
+        points: Centred annotations (annotation, n, 2), metres; 0 where a joint is not seen.
+        edges: Their Delaunay edges, between joints that are seen.
         weights: Their weights, summing to 1.
         num_edges: Their numbers of edges.
         rough_points: The centred annotations (annotation, 2, n), float32, metres.
         rough_starts: First joints of the edges, (annotation, edge), uint8.
         rough_ends: Second joints of them.
         rough_weights: The weights, float32.
+        is_seen: Which joints of the annotations are seen, (annotation, n).
+        is_whole: Whether all of them are, (annotation,).
+        has_partial: Whether there is an annotation that is not whole.
         offsets: Jitter of the triangulation, (n, 2), metres.
         beta_m: Edge length below which weights stop growing, metres.
         min_ratio: A candidate is left when so many times its estimate is more than matters; 0 never loses any.
@@ -70,6 +73,9 @@ class BankTables(NamedTuple):
     rough_starts: np.ndarray
     rough_ends: np.ndarray
     rough_weights: np.ndarray
+    is_seen: np.ndarray
+    is_whole: np.ndarray
+    has_partial: bool
     offsets: np.ndarray
     beta_m: float
     min_ratio: float
@@ -92,7 +98,7 @@ def _estimate(  # type: ignore[no-untyped-def]
         rank_squares: c' L c of them, (kind=3, most), float32, square metres.
         factors: What the root of each kind counts, (kind=3, most), float32.
         count: Number of candidates.
-        work: Scratch (8, most), float32.
+        work: Scratch (8, most), float32; the first three rows become the values of the quadratic forms, square metres.
         turn: Result (2, most), float32: cosine and sine.
         estimate: Result (most,), float32, metres.
     """
@@ -126,6 +132,7 @@ def _estimate(  # type: ignore[no-untyped-def]
         a = constants[0] + rank_squares[0, c] - two * (cosine * along_a[c] + sine * across_a[c])
         b = constants[1] + rank_squares[1, c] - two * (cosine * along_b[c] + sine * across_b[c])
         ab = constants[2] + rank_squares[2, c] - two * (cosine * along_ab[c] + sine * across_ab[c])
+        work[0, c], work[1, c], work[2, c] = a, b, ab
         estimate[c] = (
             factors[0, c] * np.sqrt(max(a, zero))
             + factors[1, c] * np.sqrt(max(b, zero))
@@ -172,8 +179,64 @@ def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: 
                     pulls[kind, axis, k] *= unit
         x16, y16, squares, own = rank_x[view], rank_y[view], rank_squares[view], estimate[view]
         _estimate(image, pulls, constants, x16, y16, squares, factors[view], count, work, turn[view], own)
+        if bank.has_partial:
+            _leave_unseen(x[view], y[view], bank, view, work, turn[view], own)
         at = np.argmin(own[:count])
         least[view], first[view] = own[at], at
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-untyped-def]
+    """Take the springs of joints that a candidate does not show out of its estimate; float32.
+
+    Args:
+        x: The centred image, (n,), metres.
+        y: The same upwards.
+        bank: Tables of the bank.
+        view: Which view it is.
+        values: Values of the quadratic forms of each candidate, (kind=3, most), square metres.
+        turn: Cosine and sine of each candidate's best rotation, (2, most).
+        estimate: Result for candidates that are not whole, (most,), metres.
+    """
+    num_points = x.shape[0]
+    dx, dy = np.empty(num_points, dtype=np.float32), np.empty(num_points, dtype=np.float32)
+    is_left = np.empty(num_points, dtype=np.float32)
+    springs, factors, slots = bank.springs[view], bank.factors[view], bank.slots[view]
+    zero = np.float32(0.0)
+    for c in range(bank.counts[view]):
+        slot = slots[c]
+        if bank.is_whole[slot]:
+            continue
+        cosine, sine = turn[0, c], turn[1, c]
+        for k in range(num_points):
+            px, py = np.float32(x[k]), np.float32(y[k])
+            dx[k] = cosine * px - sine * py - bank.rough_points[slot, 0, k]
+            dy[k] = sine * px + cosine * py - bank.rough_points[slot, 1, k]
+            is_left[k] = np.float32(1.0)
+        a, b, ab = values[0, c], values[1, c], values[2, c]
+        for j in range(num_points):
+            if bank.is_seen[slot, j]:
+                continue
+            is_left[j] = zero
+            is_second = j >= _NUM_JOINTS
+            own, between = springs[1 if is_second else 0, j], springs[2, j]
+            within, across = zero, zero
+            # Off the diagonal a form has minus the spring; a spring that an earlier joint took is not taken again.
+            for k in range(num_points):
+                u, v = dx[k] - dx[j], dy[k] - dy[j]
+                squared = is_left[k] * (u * u + v * v)
+                within += own[k] * squared
+                across += between[k] * squared
+            ab += across
+            if is_second:
+                b += within
+            else:
+                a += within
+        estimate[c] = (
+            factors[0, c] * np.sqrt(max(a, zero))
+            + factors[1, c] * np.sqrt(max(b, zero))
+            + factors[2, c] * np.sqrt(max(ab, zero))
+        )
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
@@ -295,6 +358,9 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
     weights = np.empty(3 * num_points)
     starts32, ends32 = np.empty(3 * num_points, dtype=np.uint8), np.empty(3 * num_points, dtype=np.uint8)
     weights32 = np.empty(3 * num_points, dtype=np.float32)
+    own, own_weights = np.empty((3 * num_points, 2), dtype=np.int32), np.empty(3 * num_points)
+    own_starts, own_ends = np.empty(3 * num_points, dtype=np.uint8), np.empty(3 * num_points, dtype=np.uint8)
+    own_weights32 = np.empty(3 * num_points, dtype=np.float32)
     chosen = np.empty(most, dtype=np.int32)
     touched = np.float32(0.0)
     for view in range(num_views):
@@ -342,12 +408,21 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
                     fill_edge_weights(x, y, edges, num_edges, bank.beta_m, weights)
                     for e in range(num_edges):
                         starts32[e], ends32[e], weights32[e] = edges[e, 0], edges[e, 1], weights[e]
-                rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
-                if rough > bound + ROUGH_TOLERANCE_M:
-                    continue
                 fixed, others, shares = annotations[slot], edges_of[slot], weights_of[slot]
                 count = num_edges_of[slot]
-                total = _exact(x, y, fixed, others, count, shares, edges, num_edges, weights, dx, dy)
+                if bank.is_whole[slot]:
+                    rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
+                    if rough > bound + ROUGH_TOLERANCE_M:
+                        continue
+                    total = _exact(x, y, fixed, others, count, shares, edges, num_edges, weights, dx, dy)
+                else:
+                    num_own = keep_seen_edges(edges, num_edges, weights, bank.is_seen[slot], own, own_weights)
+                    for e in range(num_own):
+                        own_starts[e], own_ends[e], own_weights32[e] = own[e, 0], own[e, 1], own_weights[e]
+                    rough += _rough_side(dx32, dy32, own_starts, own_ends, num_own, own_weights32, squares32)
+                    if rough > bound + ROUGH_TOLERANCE_M:
+                        continue
+                    total = _exact(x, y, fixed, others, count, shares, own, num_own, own_weights, dx, dy)
                 if total < best[view] and total <= matters:
                     best[view], best_slot[view] = total, slot
                     bound = total

@@ -2,7 +2,8 @@
 
 Yin et al. 2018, eqs. 6 and 9: the mean over m views of the greatest, over annotations with a similar view, of
 exp(-d_I / (2 sigma_l^2)).  The views are drawn once per seed from the view density and then stay: the target is one
-fixed function.  `plain_log_likelihood` is the definition; `InteractionLikelihood` gives the same value fast.
+fixed function.  An annotation that lacks joints is compared over those that it shows (`interaction_dissimilarity`).
+`plain_log_likelihood` is the definition; `InteractionLikelihood` gives the same value fast.
 """
 
 from __future__ import annotations
@@ -87,10 +88,14 @@ def plain_log_likelihood(
         difference = align_plane(image, fixed) - fixed
         edges = delaunay_edges(image)
         along = difference[:, edges[:, 1]] - difference[:, edges[:, 0]]
-        total = np.linalg.norm(along, axis=-1) @ edge_weights(image, edges, beta_m=beta_m)
+        lengths, is_kept = np.linalg.norm(along, axis=-1), np.isfinite(along).all(axis=-1)
+        weights = np.where(is_kept, edge_weights(image, edges, beta_m=beta_m), 0.0)
+        total = np.where(is_kept, weights * lengths, 0.0).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 1e-300)
         start, end = np.moveaxis(table.edges[own], -1, 0)[..., None]
         along = np.take_along_axis(difference, end, axis=1) - np.take_along_axis(difference, start, axis=1)
-        total += np.sum(table.weights[own] * np.linalg.norm(along, axis=-1), axis=-1)
+        # Beyond an annotation's own edges the table has weight 0 and joint 0, which may be unseen.
+        lengths = np.where(table.weights[own] > 0.0, np.linalg.norm(along, axis=-1), 0.0)
+        total += np.sum(table.weights[own] * lengths, axis=-1)
         best[view], entry[view] = total.min(), own[int(total.argmin())]
     return Match(log_likelihood=log_mean(best, sigma_l), dissimilarity_m=best, entry=entry)
 
@@ -141,11 +146,11 @@ class InteractionLikelihood:
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
-        images = pairs.points_m[used].reshape(len(used), -1, 2)
-        points = np.ascontiguousarray(images - images.mean(axis=1, keepdims=True))
-        table: EdgeTable = edge_table(images, beta_m=beta_m)
+        is_seen = pairs.is_seen[used].reshape(len(used), -1)
+        points = np.ascontiguousarray(pairs.centred_m[used])
+        table: EdgeTable = edge_table(pairs.points_m[used].reshape(len(used), -1, 2), beta_m=beta_m)
         slots = np.searchsorted(used, np.maximum(bank.candidates, used[0])).astype(np.int32)
-        springs, factors = _springs(points, table, slots, bank.counts)
+        springs, factors = _springs(points, is_seen, table, slots, bank.counts)
         # Tables of the estimate, a candidate per lane: (view, joint, candidate).
         met = points[slots]
         squares = [
@@ -171,6 +176,9 @@ class InteractionLikelihood:
             rough_starts=np.ascontiguousarray(table.edges[..., 0], dtype=np.uint8),
             rough_ends=np.ascontiguousarray(table.edges[..., 1], dtype=np.uint8),
             rough_weights=table.weights.astype(np.float32),
+            is_seen=is_seen,
+            is_whole=np.asarray(is_seen.all(axis=1)),
+            has_partial=not bool(is_seen.all()),
             offsets=jitter(points.shape[1]),
             beta_m=beta_m,
             min_ratio=0.0 if is_exact else min_ratio,
@@ -243,7 +251,11 @@ class InteractionKind(ImageKind[InteractionSettings]):
 
 
 def _springs(
-    points: Array, table: EdgeTable, slots: npt.NDArray[np.int32], counts: npt.NDArray[np.int64]
+    points: Array,
+    is_seen: npt.NDArray[np.bool_],
+    table: EdgeTable,
+    slots: npt.NDArray[np.int32],
+    counts: npt.NDArray[np.int64],
 ) -> tuple[Array, npt.NDArray[np.float32]]:
     """Return the springs of each view, whose roots at a difference of images estimate d_I, and what each root counts.
 
@@ -252,10 +264,12 @@ def _springs(
     (sum w l)^2 <= (sum w s) (sum w l^2 / s) by Cauchy and Schwarz, close where lengths are as typical.  The right side
     is a quadratic form of the difference.  Edges within each person and between them have forms of their own: two
     people too far apart stretch only the latter.  A candidate's root of each kind is scaled to the weight that its own
-    edges of that kind have.  The estimate is no bound, as the pair's own edges are others.
+    edges of that kind have.  The estimate is no bound, as the pair's own edges are others.  For a candidate that lacks
+    joints the sums go over the edges between joints that it shows; the kernel takes the other springs out.
 
     Args:
         points: Centred annotations (annotation, n, 2), metres.
+        is_seen: Which joints they show, (annotation, n).
         table: Their edges.
         slots: Annotation of each candidate, (m, most).
         counts: Valid candidates of each view, (m,).
@@ -266,16 +280,22 @@ def _springs(
     num_points = points.shape[1]
     person = np.arange(num_points) >= num_points // 2
     kind_of = np.where(person[:, None] != person[None], 2, person[:, None].astype(int))
-    typical = np.full((num_points, num_points), 1e-9)
+    typical, times = np.full((num_points, num_points), 1e-9), np.zeros((num_points, num_points))
+    missing = np.where(is_seen[..., None], points, np.nan)
     for view, count in enumerate(counts):
-        own = points[slots[view, :count]]
+        own = missing[slots[view, :count]]
         spread = np.unique(np.linspace(0, max(count - 1, 0), max(_NUM_SPRUNG // len(counts), 1)).astype(int))
         for row in spread[: count if count > 1 else 0]:
             residual = plane_residual(own[row], own)
             residual[row] = np.inf
             nearest = own[int(residual.argmin())]
             difference = align_plane(own[row], nearest) - nearest
-            typical += np.linalg.norm(difference[:, None] - difference[None], axis=-1)
+            apart = np.linalg.norm(difference[:, None] - difference[None], axis=-1)
+            typical += np.nan_to_num(apart, nan=0.0)
+            times += np.isfinite(apart)
+    # As if all had been seen every time; those never seen together are as the others.
+    rest = typical[times > 0].mean() if times.any() else 1.0
+    typical = np.where(times > 0, typical * (times.max() / np.maximum(times, 1.0)), rest)
     forms = np.zeros((len(counts), 3, num_points, num_points))
     factors = np.zeros((len(counts), 3, slots.shape[1]), dtype=np.float32)
     for view, count in enumerate(counts):
@@ -283,6 +303,7 @@ def _springs(
         edges, own_weights = table.edges[chosen], table.weights[chosen]
         every = np.zeros((num_points, num_points))
         np.add.at(every, (edges[..., 0], edges[..., 1]), own_weights)
+        seen = is_seen[chosen].astype(np.float64)
         for kind in range(3):
             weight = np.where(kind_of == kind, (every + every.T) / max(count, 1), 0.0)
             total = 0.5 * weight.sum()
@@ -291,4 +312,8 @@ def _springs(
                 forms[view, kind] = np.diag(stiffness.sum(axis=1)) - stiffness
             of_kind = kind_of[edges[..., 0], edges[..., 1]] == kind
             factors[view, kind, :count] = 2.0 * (own_weights * of_kind).sum(axis=1)
+            if not seen.all() and total > 0.0:
+                left = 0.5 * ((seen @ weight) * seen).sum(axis=1)
+                stretched = 0.5 * ((seen @ (weight * typical)) * seen).sum(axis=1) / (0.5 * (weight * typical).sum())
+                factors[view, kind, :count] *= np.sqrt(stretched) / np.maximum(left / total, 1e-9)
     return forms, factors

@@ -79,7 +79,6 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
     num_frames = tracks_m.shape[1]
     time = np.arange(num_frames) - (num_frames - 1) / 2
     here = tracks_m[:, num_frames // 2]
-    centred = tracks_m - tracks_m.mean(axis=(2, 3), keepdims=True)
     drift = _slope(tracks_m, time)
     bones = here - here[:, :, _PARENTS]
     rate = _rate(bones, drift - drift[:, :, _PARENTS])
@@ -87,7 +86,10 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
     rate[:, :, _PELVIS] = backbone
     turn = rate - rate[:, :, _PARENTS]
     turn[:, :, _PELVIS] = backbone
-    shift = _slope(centred[:, :, :, _PELVIS], time)
+    # The centre of the pair moves as the joints do, in the mean over those of which there is a slope.
+    is_known = np.isfinite(drift)
+    centre = np.where(is_known, drift, 0.0).sum(axis=(1, 2)) / np.maximum(is_known.sum(axis=(1, 2)), 1)
+    shift = drift[:, :, _PELVIS] - centre[:, None]
     return Speeds(
         turn=np.nan_to_num(turn.reshape(-1, NUM_BLOCKS), nan=0.0) ** 2,
         shift=np.nan_to_num(0.5 * (shift**2).sum(axis=-1), nan=0.0),

@@ -186,7 +186,7 @@ class Evidence:
         if self.num_skipped:
             total = self.num_annotations + self.num_skipped
             notes.append(
-                f"{self.num_skipped} of {total} annotations lack a joint, a person or a view and were left out"
+                f"{self.num_skipped} of {total} annotations show too little or have no view, and were left out"
             )
         if self.num_swapped:
             notes.append(f"round {self.num_swapped} annotations people were numbered anew, which speeds undo")

@@ -42,27 +42,40 @@ def note_of(store: Store, made: list[Manifest]) -> str:
     return str(table["note"][0])
 
 
-def test_missing_joints_leave_the_annotation_out_and_are_counted(tmp_path: Path) -> None:
+def test_missing_joints_are_masked_and_annotations_that_show_too_little_are_counted(tmp_path: Path) -> None:
     def spoil(pixels: np.ndarray) -> None:
-        pixels[10:15, 1, 0, 7] = np.nan
+        pixels[:, 1, 0, 7] = np.nan
 
-    # One annotation of the fixture lacks a joint already.
-    note = note_of(*sampled(tmp_path, spoil))
-    assert note == "6 of 40 annotations lack a joint, a person or a view and were left out"
+    # One annotation of the fixture lacks another joint already.
+    assert note_of(*sampled(tmp_path / "masked", spoil)) == ""
+
+    def spoil_more(pixels: np.ndarray) -> None:
+        pixels[10:15, 1, 0, PAIR17.indices(("neck", "left_hip", "right_hip"))] = np.nan
+
+    note = note_of(*sampled(tmp_path / "less", spoil_more))
+    assert note == "5 of 40 annotations show too little or have no view, and were left out"
+
+
+def test_a_density_that_masks_nothing_says_that_no_annotation_shows_all_joints(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[:, 1, 0, 7] = np.nan
+
+    with pytest.raises(InputError, match="'cartesian' compares whole images, and none of 40 annotated pairs shows all"):
+        sampled(tmp_path, spoil, densities=("cartesian",))
 
 
 def test_an_absent_person_leaves_the_annotation_out(tmp_path: Path) -> None:
     def spoil(pixels: np.ndarray) -> None:
         pixels[20:30, 1, 1] = np.nan
 
-    assert note_of(*sampled(tmp_path, spoil)).startswith("11 of 40 annotations lack a joint, a person or a view")
+    assert note_of(*sampled(tmp_path, spoil)).startswith("10 of 40 annotations show too little or have no view")
 
 
 def test_without_any_annotation_of_two_people_the_reason_is_given(tmp_path: Path) -> None:
     def spoil(pixels: np.ndarray) -> None:
         pixels[:, :, 1] = np.nan
 
-    with pytest.raises(InputError, match="none of the 40 annotated pairs has all joints of both people and a view"):
+    with pytest.raises(InputError, match="none of the 40 annotated pairs shows half of the joints"):
         sampled(tmp_path, spoil)
 
 

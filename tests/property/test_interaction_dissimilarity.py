@@ -13,6 +13,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction import (
     align_plane,
     cartesian_dissimilarity,
+    delaunay_edges,
     interaction_dissimilarity,
     plane_residual,
 )
@@ -65,6 +66,66 @@ def test_closed_form_alignment_is_the_best_rotation(seed: int) -> None:
     for angle in np.linspace(-np.pi, np.pi, 60):
         tried = centred @ turn(angle).T - (second - second.mean(axis=0))
         assert (tried**2).sum() >= residual - 1e-12
+
+
+def hidden(rng: np.random.Generator, points: np.ndarray, share: float) -> np.ndarray:
+    """Return points (..., n, d) with a share of them not seen, but for two that always are."""
+    is_hidden = rng.random(points.shape[:-1]) < share
+    is_hidden[..., :2] = False
+    return np.where(is_hidden[..., None], np.nan, points)
+
+
+def plain_masked(first: np.ndarray, second: np.ndarray) -> float:
+    """Return d_I over the points both show, edge by edge: the graph of each is that over its own points."""
+    both = [k for k in range(len(first)) if np.isfinite(first[k]).all() and np.isfinite(second[k]).all()]
+    align = align_plane if first.shape[1] == 2 else lambda one, other: align_rigid(one, other).apply(one)
+    difference = dict(zip(both, align(first[both], second[both]) - second[both], strict=True))
+    total = 0.0
+    for points in (first, second):
+        own = np.flatnonzero(np.isfinite(points).all(axis=1))
+        edges = [(own[i], own[j]) for i, j in delaunay_edges(points[own])]
+        shared = [edge for edge in edges if edge[0] in difference and edge[1] in difference]
+        weights = [1.0 / max(0.05, float(np.linalg.norm(points[j] - points[i]))) for i, j in shared]
+        lengths = [float(np.linalg.norm(difference[j] - difference[i])) for i, j in shared]
+        total += sum(w * length for w, length in zip(weights, lengths, strict=True)) / max(sum(weights), 1e-300)
+    return total
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds, st.sampled_from([2, 3]), st.floats(0.0, 0.6))
+def test_masked_dissimilarity_is_symmetric_rigid_and_the_plain_form(seed: int, dimension: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    complete = 0.4 * rng.normal(size=(2, 34, dimension)) * [[[1.0]], [[1.05]]]
+    first, second = hidden(rng, complete, share)
+    expected = plain_masked(first, second)
+    assert interaction_dissimilarity(first, second) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert interaction_dissimilarity(second, first) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    rotmat = turn(rng.uniform(-np.pi, np.pi)) if dimension == 2 else rotmat_from_unitquat(normalise(rng.normal(size=4)))
+    moved = first @ rotmat.T + rng.normal(size=dimension)
+    assert interaction_dissimilarity(moved, second) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    # The same shape, other points of it hidden.
+    other = hidden(rng, complete[0], share) @ rotmat.T
+    assert interaction_dissimilarity(first, other) == pytest.approx(0.0, abs=1e-6)
+    # Points that are given again count again.
+    assert interaction_dissimilarity(*np.where(np.isnan([first, second]), complete, [first, second])) == (
+        interaction_dissimilarity(*complete)
+    )
+
+
+def test_a_few_hidden_points_hardly_change_the_dissimilarity_of_pairs() -> None:
+    rng = np.random.default_rng(3)
+    pairs = random_pairs(rng, 80)[..., :2].reshape(80, 34, 2)
+    whole = np.array([interaction_dissimilarity(pairs[k], pairs[k + 1]) for k in range(79)])
+    part = np.array([interaction_dissimilarity(pairs[k], hidden(rng, pairs[k + 1], 0.1)) for k in range(79)])
+    assert np.corrcoef(whole, part)[0, 1] > 0.97
+    assert np.median(part / whole) == pytest.approx(1.0, abs=0.03)
+
+
+def test_pairs_that_share_hardly_a_point_are_refused() -> None:
+    first, second = np.full((2, 34, 2), np.nan)
+    first[:17], second[16:] = 1.0, 1.0
+    with pytest.raises(InputError, match="1 points are seen in both pairs"):
+        interaction_dissimilarity(first, second)
 
 
 def test_equation_8_on_a_case_worked_by_hand() -> None:

@@ -13,6 +13,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, lift_seeds
+from pasdedeux.sampling.annotations import shows_enough
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
@@ -34,6 +35,20 @@ def test_the_matrix_is_the_dissimilarity_by_definition() -> None:
     for a in range(6):
         for b in range(6):
             assert matrix[a, b] == pytest.approx(interaction_dissimilarity(points[a], points[b]), abs=1e-9)
+
+
+def test_the_matrix_masks_what_is_hidden() -> None:
+    _, entries = annotated(6)
+    points = entries.points_m.reshape(6, 34, 2).copy()
+    points[np.random.default_rng(3).random((6, 34)) < 0.3] = np.nan
+    matrix = dissimilarity_matrix(points)
+    for a in range(6):
+        for b in range(a):
+            assert (
+                matrix[a, b] == matrix[b, a] == pytest.approx(interaction_dissimilarity(points[a], points[b]), abs=1e-9)
+            )
+    points[4, :17], points[5, 17:] = np.nan, np.nan
+    assert dissimilarity_matrix(points)[4, 5] == np.sort(dissimilarity_matrix(points).ravel())[-3]
 
 
 def test_medoids_of_separate_groups_are_one_of_each_and_local_optima() -> None:
@@ -70,6 +85,23 @@ def test_lifted_seeds_are_close_to_the_pairs_that_were_seen() -> None:
     np.testing.assert_allclose(bone_lengths(PAIR17, seeds.pairs_m), expected, atol=1e-9)
     again = lift_seeds(entries, LIMITS, BASIS, num_seeds=8)
     np.testing.assert_array_equal(again.pairs_m, seeds.pairs_m)
+
+
+def test_hidden_joints_leave_seeds_nearly_as_close() -> None:
+    pairs, entries = annotated(150)
+    points = entries.points_m.copy()
+    points[np.random.default_rng(4).random(points.shape[:3]) < 0.1] = np.nan
+    enough = shows_enough(points)
+    part = AnnotatedPairs(points[enough], entries.directions[enough], entries.annotation_index[enough])
+    lengths = apparent_bone_lengths(part.points_m)
+    np.testing.assert_allclose(lengths[:, 1:], apparent_bone_lengths(entries.points_m)[:, 1:], rtol=0.05)
+    seeds = lift_seeds(part, LIMITS, BASIS, num_seeds=8)
+    truth = pairs[part.annotation_index[seeds.entry]]
+    assert np.median(cartesian_dissimilarity(seeds.pairs_m.reshape(-1, 34, 3), truth.reshape(-1, 34, 3))) < 0.15
+    blind = points[enough].copy()
+    blind[:, 1, PAIR17.indices(("left_wrist", "right_wrist"))] = np.nan
+    with pytest.raises(InputError, match="no annotation shows the bone to 'left_wrist' of person B"):
+        apparent_bone_lengths(blind)
 
 
 def test_lifting_says_what_it_cannot_do() -> None:

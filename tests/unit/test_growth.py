@@ -12,10 +12,11 @@ from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
 from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
-from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
+from pasdedeux.sampling.annotations import shows_enough
 from pasdedeux.sampling.growth import ViewedImages
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
 from pasdedeux.skeletons import PAIR17
@@ -32,6 +33,14 @@ def annotated(count: int, *, spread_rad: float = 0.15) -> tuple[np.ndarray, Anno
     return pairs, AnnotatedPairs(project_pair(pairs, directions), directions, np.arange(count))
 
 
+def hidden(entries: AnnotatedPairs, share: float) -> AnnotatedPairs:
+    """Return the annotations that still show enough with a share of all joints hidden."""
+    is_hidden = np.random.default_rng(9).random((*entries.points_m.shape[:3], 1)) < share
+    points = np.where(is_hidden, np.nan, entries.points_m)
+    enough = shows_enough(points)
+    return AnnotatedPairs(points[enough], entries.directions[enough], entries.annotation_index[enough])
+
+
 def errors(grown: Any, pairs: np.ndarray) -> np.ndarray:
     return cartesian_dissimilarity(grown.pairs_m.reshape(-1, 34, 3), pairs[grown.entry].reshape(-1, 34, 3))
 
@@ -46,12 +55,20 @@ def test_view_residuals_are_those_of_projected_images() -> None:
         seen = project_pair(pair, entries.directions).reshape(40, 34, 2)
         expected = np.sqrt(plane_residual(seen, images) / 34)
         across = np.ascontiguousarray(np.swapaxes(images, 1, 2))
-        np.testing.assert_allclose(ViewedImages(across, entries.directions).residuals(pair), expected, atol=1e-7)
+        views = ViewedImages(across, np.ones((40, 34), dtype=bool), entries.directions)
+        np.testing.assert_allclose(views.residuals(pair), expected, atol=1e-7)
+        # Over the joints that are seen: each image by itself.
+        part = hidden(entries, 0.2)
+        views = ViewedImages(np.swapaxes(part.centred_m, 1, 2), part.is_seen.reshape(-1, 34), part.directions)
+        shown = part.points_m.reshape(-1, 34, 2)
+        count = part.is_seen.sum(axis=(1, 2))
+        expected = np.sqrt(plane_residual(seen[part.annotation_index], shown) / count)
+        np.testing.assert_allclose(views.residuals(pair), expected, atol=1e-7)
 
 
 def placed(image: np.ndarray, depth: np.ndarray, lengths: np.ndarray, tightness: float) -> np.ndarray:
     out = np.empty((2, 17, 3))
-    place_bones(image, depth, lengths, ORDER, PARENTS, tightness, out)
+    place_bones(image, depth, lengths, ORDER, PARENTS, np.full((2, 17), tightness), out)
     return out
 
 
@@ -115,6 +132,33 @@ def test_one_seed_grows_over_all_annotations_with_exact_lineage() -> None:
     )
     alone = cartesian_dissimilarity(np.repeat(pairs[:1], 150, axis=0).reshape(-1, 34, 3), pairs.reshape(-1, 34, 3))
     assert np.median(errors(grown, pairs)) < 0.5 * np.median(alone)
+
+
+def test_hidden_joints_cost_little_and_bones_stay_exact() -> None:
+    pairs, entries = annotated(250)
+    part = hidden(entries, 0.1)
+    assert len(part.points_m) > 225
+    assert part.is_seen.all(axis=(1, 2)).sum() < 25
+    grown, whole = grow(pairs[:1], part, WIDE, num_grown=1000), grow(pairs[:1], entries, WIDE, num_grown=1000)
+    assert len(grown.entry) == len(part.points_m)
+    lengths = np.broadcast_to(bone_lengths(PAIR17, pairs[0]), (len(grown.entry), 2, 17))
+    np.testing.assert_allclose(bone_lengths(PAIR17, grown.pairs_m), lengths, atol=1e-6)
+    own = cartesian_dissimilarity(
+        grown.pairs_m.reshape(-1, 34, 3), pairs[part.annotation_index[grown.entry]].reshape(-1, 34, 3)
+    )
+    assert np.median(own) < 1.15 * np.median(errors(whole, pairs))
+
+
+def test_a_joint_that_is_never_seen_is_kept_by_the_pose() -> None:
+    pairs, entries = annotated(40)
+    points = entries.points_m.copy()
+    wrist, elbow = PAIR17.indices(("left_wrist", "left_elbow"))
+    points[:, 1, wrist] = np.nan
+    blind = AnnotatedPairs(points, entries.directions, entries.annotation_index)
+    grown = grow(pairs[:1], blind, WIDE, num_grown=1, options=GrowthOptions(num_sweeps=0))
+    moved = align_rigid(pairs[0].reshape(34, 3), grown.pairs_m[0].reshape(34, 3)).apply(pairs[0])
+    bones = [pair[1, wrist] - pair[1, elbow] for pair in (moved, grown.pairs_m[0])]
+    assert bones[0] @ bones[1] > 0.9 * np.linalg.norm(bones[0]) * np.linalg.norm(bones[1])
 
 
 def test_agreeing_neighbours_bring_pairs_nearer_to_the_truth() -> None:

@@ -9,6 +9,7 @@ from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, sta
 from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.errors import InputError
+from pasdedeux.interaction import interaction_dissimilarity
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
@@ -29,6 +30,7 @@ from pasdedeux.sampling import (
     plain_log_likelihood,
     seed_quality,
 )
+from pasdedeux.sampling.annotations import shows_enough
 from pasdedeux.sampling.image_kernels import pair_axes
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
@@ -233,6 +235,52 @@ def test_estimates_leave_the_same_best_as_comparing_all() -> None:
     assert np.array([careless.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-12)
 
 
+def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -> AnnotatedPairs:
+    """Return the annotations that still show enough with a share of all joints hidden."""
+    points = np.where(rng.random((*pairs.points_m.shape[:3], 1)) < share, np.nan, pairs.points_m)
+    enough = shows_enough(points)
+    return AnnotatedPairs(points[enough], pairs.directions[enough], pairs.annotation_index[enough])
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.35])
+def test_a_likelihood_with_hidden_joints_is_the_definition_and_looks_at_all_that_matter(share: float) -> None:
+    rng = np.random.default_rng(17)
+    pairs = with_hidden(rng, random_annotations(rng, random_pairs(rng, 400, spread_rad=0.2), 1200), share)
+    views = ViewDensity(pairs.directions, np.ones(len(pairs.directions)), 0.5).sample(rng, 6)
+    bank = build_bank(views, pairs, num_candidates=300, view_bandwidth_rad=1.2)
+    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
+    assert not pairs.is_seen.all()
+    for pair in random_pairs(rng, 40, spread_rad=0.2):
+        assert fast.log_likelihood(pair) == exact.log_likelihood(pair)
+    for pair in random_pairs(rng, 6, spread_rad=0.2):
+        plain = plain_log_likelihood(pair, pairs, bank)
+        np.testing.assert_array_equal(fast.nearest(pair), plain.entry)
+        assert exact.log_likelihood(pair) == pytest.approx(plain.log_likelihood, rel=1e-9)
+        # The definition itself: the least d_I of one pair and one annotation at a time.
+        image = project_pair(pair, bank.directions[0]).reshape(34, 2)
+        own = bank.candidates[0, : bank.counts[0]]
+        least = min(interaction_dissimilarity(image, points) for points in pairs.points_m[own].reshape(len(own), 34, 2))
+        assert plain.dissimilarity_m[0] == pytest.approx(least, rel=1e-9)
+
+
+def test_an_annotation_with_hidden_joints_still_fits_its_own_pair() -> None:
+    rng = np.random.default_rng(18)
+    pair = random_pairs(rng, 1)[0]
+    view = normalise(np.array([[0.3, 0.1, 1.0]]))
+    whole = AnnotatedPairs(project_pair(pair, view), view, np.zeros(1, dtype=np.int64))
+    part = with_hidden(np.random.default_rng(4), whole, 0.2)
+    assert InteractionLikelihood(part, build_bank(view, part)).log_likelihood(pair) == pytest.approx(0.0, abs=1e-6)
+    # What is hidden may be anywhere: only what is seen counts.
+    waving = pair.copy()
+    waving[~part.is_seen[0]] += 0.3
+    waving[:, [0, 3]] = pair[:, [0, 3]]
+    moved = ~part.is_seen[0].copy()
+    moved[:, [0, 3]] = False
+    assert moved.any()
+    assert InteractionLikelihood(part, build_bank(view, part)).log_likelihood(waving) > -300.0
+    assert InteractionLikelihood(whole, build_bank(view, whole)).log_likelihood(waving) < -300.0
+
+
 def test_views_left_out_add_less_than_rounding_to_the_likelihood() -> None:
     rng = np.random.default_rng(14)
     pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 150)
@@ -348,16 +396,19 @@ def test_proposals_keep_ties_and_move_few_blocks() -> None:
         assert 1 <= len(changed) <= 3
 
 
-def test_annotations_with_missing_joints_are_left_out_and_counted() -> None:
+def test_annotations_that_show_too_little_are_left_out_and_counted() -> None:
     rng = np.random.default_rng(14)
-    pixels = rng.normal(size=(4, 2, 17, 2))
-    pixels[1, 0, 3] = np.nan
-    gathered = gather_pairs(pixels, np.ones((4, 2)), np.ones((4, 3)), np.ones(4), np.arange(4))
-    assert gathered.num_skipped == 1
+    pixels = rng.normal(size=(5, 2, 17, 2))
+    pixels[0, :, [6, 7, 9, 10, 12, 13]] = np.nan
+    pixels[1, 0, PAIR17.indices(("neck", "left_hip", "left_shoulder"))] = np.nan
+    pixels[4, :, 4:13] = np.nan
+    gathered = gather_pairs(pixels, np.ones((5, 2)), np.ones((5, 3)), np.ones(5), np.arange(5))
+    assert gathered.num_skipped == 2
     assert list(gathered.pairs.annotation_index) == [0, 2, 3]
-    pixels[:, 1, 5] = np.nan
-    with pytest.raises(InputError, match="none of the 4 annotated pairs"):
-        gather_pairs(pixels, np.ones((4, 2)), np.ones((4, 3)), np.ones(4), np.arange(4))
+    np.testing.assert_array_equal(gathered.pairs.is_seen[0], np.isfinite(pixels[0, ..., 0]))
+    pixels[:, 1] = np.nan
+    with pytest.raises(InputError, match="none of the 5 annotated pairs"):
+        gather_pairs(pixels, np.ones((5, 2)), np.ones((5, 3)), np.ones(5), np.arange(5))
 
 
 def test_an_annotation_enters_a_view_once_by_its_nearest_hypothesis() -> None:

@@ -90,6 +90,16 @@ def test_missing_neighbours_do_not_change_a_steady_speed() -> None:
     assert missing.turn[0, NUM_JOINTS + WRIST] == 0.0
 
 
+def test_a_joint_that_is_never_seen_leaves_the_speed_of_the_others() -> None:
+    apart = np.zeros(STILL.shape)
+    apart[1] = [0.03, 0.04]
+    part = tracks_of(apart)
+    part[:, :, :, WRIST] = np.nan
+    speeds = annotation_speeds(part)
+    np.testing.assert_allclose(speeds.shift[0], 0.5 * 0.025**2, rtol=1e-9)
+    np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
+
+
 def test_people_swapped_between_frames_are_put_back() -> None:
     change = np.zeros(STILL.shape)
     change[0] = [0.01, 0.02]

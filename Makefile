@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test lint setup blender clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -30,6 +30,12 @@ lint: $(VENV)/.tested
 
 test: $(VENV)/.tested lint
 	$(BIN)/python -m pytest
+
+# Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
+blender:
+	test -x $(VENV)-blender/bin/python || $(PYTHON) -m venv $(VENV)-blender
+	$(VENV)-blender/bin/python -m pip install --quiet bpy numpy
+	$(VENV)-blender/bin/python tests/blender_check.py $(FILES)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info

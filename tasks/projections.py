@@ -15,12 +15,14 @@ from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
-from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera, cameras_of
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
+from pasdedeux.reconstruction.body import REFERENCE_REST_M, body_through, pose_body, rotations_from_t_pose
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
@@ -29,7 +31,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
 
-VERSION = 3
+VERSION = 4
 
 
 class ViewsOfPoses(Parameters):
@@ -205,13 +207,16 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _run_poses(shard: Shard, options: PoseShard, store: Store) -> ArtifactRef:
     ref = shard.ref("poses")
     rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin](options, store, ref)
-    positions = rows.pop("positions")
+    positions, unitquat = rows.pop("positions"), rows.pop("body22_unitquat")
     centred = centre_and_face(retarget_proportions(positions))
+    heading = unitquat_from_rotmat(yaw_rotmat(-centred.heading_rad))
+    unitquat[:, BODY22.root] = multiply(heading, unitquat[:, BODY22.root])
     columns: dict[str, Any] = {
         "origin": [options.origin] * len(positions),
         **rows,
         "op14_m": centred.poses_m,
         "op14_unitquat": bone_rotations(centred.poses_m),
+        "body22_unitquat": unitquat,
         "heading_rad": centred.heading_rad,
         "root_translation_m": centred.root_translation_m,
         "joint_radius_m": np.hypot(centred.poses_m[..., 0], centred.poses_m[..., 2]),
@@ -307,7 +312,12 @@ def read_pairs(store: Store, refs: Sequence[ArtifactRef], *, max_pairs: int | No
 
 def _take_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
     """Return the poses of every person of a take at the database's rate."""
-    poses = store.read(ref, "poses", columns=["take_id", "person", "frame", "time_s", "op14_m"])
+    columns = ["take_id", "person", "frame", "time_s", "op14_m", "body22_m", "body22_world_unitquat"]
+    poses, takes = (
+        store.read(ref, "poses", columns=columns),
+        store.read(ref, "takes", columns=["person", "body22_rest_m"]),
+    )
+    rest_m = dict(zip(np.asarray(takes["person"]).tolist(), np.asarray(takes["body22_rest_m"], float), strict=True))
     person, take_ids = np.asarray(poses["person"]), list(poses["take_id"])
     from_hz = options.source_rate_hz or _rate_of(np.asarray(poses["time_s"])[person == person[0]])
     parts = []
@@ -317,7 +327,11 @@ def _take_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, 
         moved = resample_positions(
             np.asarray(poses["op14_m"], dtype=np.float64)[chosen], from_hz=from_hz, to_hz=options.rate_hz
         )
-        parts.append(_one_motion(moved, take_ids[chosen[0]], int(one)))
+        whole = np.asarray(poses["body22_m"], dtype=np.float64)[chosen]
+        turned = np.asarray(poses["body22_world_unitquat"], dtype=np.float64)[chosen]
+        unitquat = rotations_from_t_pose(whole, normalise(turned), rest_m[int(one)])
+        unitquat = _resample_rotations(unitquat, from_hz=from_hz, to_hz=options.rate_hz)
+        parts.append(_one_motion(moved, unitquat, take_ids[chosen[0]], int(one)))
     _set_partners(parts)
     return _joined(parts)
 
@@ -337,6 +351,7 @@ def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, 
                 "frame": rows,
                 "is_sequence_start": np.ones(len(rows), dtype=bool),
                 "positions": pairs[:, person],
+                "body22_unitquat": _bodies_of_op14(pairs[:, person]),
             }
         )
     _set_partners(parts)
@@ -356,13 +371,35 @@ def _variant_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[st
         chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
         from_hz = options.source_rate_hz or _rate_of(np.asarray(table["time_s"])[chosen])
         pair = resample_positions(op14_from_working(poses[chosen], BODY22), from_hz=from_hz, to_hz=options.rate_hz)
-        both = [_one_motion(pair[:, person], take_ids[chosen[0]], person) for person in range(2)]
+        both = [
+            _one_motion(
+                pair[:, person],
+                _resample_rotations(
+                    rotations_from_t_pose(poses[chosen, person]), from_hz=from_hz, to_hz=options.rate_hz
+                ),
+                take_ids[chosen[0]],
+                person,
+            )
+            for person in range(2)
+        ]
         _set_partners(both, first_row=sum(len(part["positions"]) for part in parts))
         parts += both
     return _joined(parts)
 
 
-def _one_motion(positions: np.ndarray, take_id: str, person: int) -> dict[str, Any]:
+def _resample_rotations(unitquat: np.ndarray, *, from_hz: float, to_hz: float) -> np.ndarray:
+    """Return local rotations (frame, 22, 4) at another rate, at the times of `resample_positions`."""
+    motion = Motion(BODY22, REFERENCE_REST_M, np.zeros((len(unitquat), 3)), unitquat, from_hz)
+    return motion.resample(to_hz).local_unitquat
+
+
+def _bodies_of_op14(positions: np.ndarray) -> np.ndarray:
+    """Return local rotations (row, 22, 4) for poses that say no more than op14: straight backs, feet square."""
+    poses = retarget_proportions(positions)
+    return pose_body(body_through(poses), poses)[1]
+
+
+def _one_motion(positions: np.ndarray, unitquat: np.ndarray, take_id: str, person: int) -> dict[str, Any]:
     frame = np.arange(len(positions))
     return {
         "take_id": [take_id] * len(positions),
@@ -370,6 +407,7 @@ def _one_motion(positions: np.ndarray, take_id: str, person: int) -> dict[str, A
         "frame": frame,
         "is_sequence_start": frame == 0,
         "positions": positions,
+        "body22_unitquat": unitquat,
     }
 
 
@@ -390,7 +428,7 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
         name: list(chain.from_iterable(part[name] for part in parts))
         if name in ("take_id", "partner_row")
         else np.concatenate([part[name] for part in parts])
-        for name in ("take_id", "partner_row", "person", "frame", "is_sequence_start", "positions")
+        for name in ("take_id", "partner_row", "person", "frame", "is_sequence_start", "positions", "body22_unitquat")
     }
 
 

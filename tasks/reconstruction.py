@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.humanoid import write_npz
 from pasdedeux.people.video import why_no_video
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import EXACT_UP_TO, measure_recall
+from pasdedeux.reconstruction.body import EmbodiedMotion
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.pitch import choose_camera
 from pasdedeux.reconstruction.reconstruct import (
@@ -215,19 +217,15 @@ def _reconstruct(
     facts: dict[str, Any],
     seed: int,
 ) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
-    """Return the rows of `motions` of every method and person, and a BVH file a person."""
+    """Return the rows of `motions` of every method and person, and a BVH and an npz file a person."""
     sequence_id = parameters.sequence_id
     options = ReconstructionOptions(**parameters.model_dump(include=set(TrackSettings.model_fields)))
-    poses, starts, take_ids, frames = read_database(store, database_refs)
-    if len(poses) == 0:
+    if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
         return [], {}
-    parts = [store.manifest(ref) for ref in database_refs]
-    views = read_views(parts)
-    databases = [
-        Database(poses, starts, num_yaws=views.num_yaws, rate_hz=float(parts[0].facts["rate_hz"]), camera=camera)
-        for camera in views.cameras
-    ]
+    views = read_views([store.manifest(ref) for ref in database_refs])
+    level, take_ids, frames = read_database(store, database_refs)
+    databases = [replace(level, camera=camera) for camera in views.cameras]
     suited = databases[choose_camera(databases, [person.track for person in people], options)]
     chosen = Searcher.of(suited, exact_up_to=parameters.exact_up_to)
     is_paired = parameters.has_pairs and len(people) > 1
@@ -253,25 +251,40 @@ def _reconstruct(
     rng = stream(seed, "reconstruction", "recall", sequence_id)
     facts["search_recall"] = measure_recall(chosen.database, chosen.index, rng) if chosen.index.slack else 1.0
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
+    upright = np.asarray(suited.camera.camera_from_upright_rotmat)
     rows = [
-        _rows_of(sequence_id, person, made.name, one, made.origin_m, take_ids, frames)
+        _rows_of(sequence_id, person, made.name, one, made.origin_m, body.turned(upright), take_ids, frames)
         for made in found.methods
-        for person, one in made.people
+        for (person, one), body in zip(made.people, made.bodies, strict=True)
     ]
     attachments = {
-        f"{sequence_id}_{person_id}.bvh": write_bvh(motion).encode() for person_id, motion in found.motions.items()
+        f"{sequence_id}_{person_id}.{kind}": data
+        for person_id, motion in found.motions.items()
+        for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion)))
     }
     return rows, attachments
 
 
-def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return poses, sequence starts, take ids and frames of all parts, in the order of the plan."""
-    parts = [
-        store.read(ref, "projections", columns=["op14_m", "is_sequence_start", "take_id", "frame"]) for ref in refs
-    ]
-    return (
+def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, np.ndarray, np.ndarray]:
+    """Return the database of all parts as its level camera sees it, take ids and frames, in the order of the plan.
+
+    Raises:
+        InputError: There is no pose, or parts differ in how they are seen.
+    """
+    manifests = [store.manifest(ref) for ref in refs]
+    columns = ["op14_m", "body22_unitquat", "is_sequence_start", "take_id", "frame"]
+    parts = [store.read(ref, "projections", columns=columns) for ref in refs]
+    views = read_views(manifests)
+    database = Database(
         np.concatenate([np.asarray(part["op14_m"]) for part in parts]),
         np.concatenate([np.asarray(part["is_sequence_start"]) for part in parts]),
+        num_yaws=views.num_yaws,
+        rate_hz=float(manifests[0].facts["rate_hz"]),
+        camera=views.level_camera,
+        body22_unitquat=np.concatenate([np.asarray(part["body22_unitquat"]) for part in parts]),
+    )
+    return (
+        database,
         np.concatenate([np.array(list(part["take_id"]), dtype=object) for part in parts]),
         np.concatenate([np.asarray(part["frame"]) for part in parts]),
     )
@@ -283,6 +296,7 @@ def _rows_of(
     method: str,
     found: Reconstruction,
     origin: np.ndarray,
+    body: EmbodiedMotion,
     take_ids: np.ndarray,
     frames: np.ndarray,
 ) -> dict[str, Any]:
@@ -297,6 +311,8 @@ def _rows_of(
         "method": [method] * count,
         "op14_m": found.positions_m - origin,
         "op14_unitquat": found.bone_unitquat,
+        "body22_m": body.motion(person.track.rate_hz).world()[0],
+        "body22_unitquat": body.unitquat,
         "root_translation_m": found.root_m - origin,
         "metres_per_pixel": found.metres_per_pixel,
         "yaw_rad": found.yaw_rad,
@@ -319,6 +335,8 @@ def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         return empty | {
             "op14_m": np.zeros((0, 14, 3)),
             "op14_unitquat": np.zeros((0, 14, 4)),
+            "body22_m": np.zeros((0, 22, 3)),
+            "body22_unitquat": np.zeros((0, 22, 4)),
             "root_translation_m": np.zeros((0, 3)),
             "is_bridged": np.zeros(0, dtype=bool),
         }

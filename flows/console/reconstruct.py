@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,7 +14,7 @@ __all__ = ["register"]
 _HELP = """Reconstruct 3D motions of the people in a folder of OpenPose files, from the projections of a study.
 
 \b
-  pasdedeux reconstruct walk/ --database store --out out/     one BVH file a person
+  pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file a person
   pasdedeux reconstruct walk/ --database projections:duets --follow
                                        a JSON line per person and frame while the files are being written
 
@@ -55,6 +55,7 @@ def reconstruct(
         ),
     ] = None,
     lag: Annotated[int, typer.Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
+    units: Annotated[Literal["cm", "m"], typer.Option(help="Unit of lengths in BVH files.")] = "cm",
     clean_up: Annotated[bool, typer.Option(help="Still planted feet and keep the floor.")] = True,
 ) -> None:
     """Run the command."""
@@ -67,5 +68,5 @@ def reconstruct(
         live = Live(out, rate_hz=rate, size=size, pitch_deg=pitch, idle_s=idle, lag=lag, has_clean_up=clean_up)
         follow_video(folder, database, store, live)
     else:
-        whole = Whole(out, rate_hz=rate, size=size, pitch_deg=pitch, camera_height_m=height, has_clean_up=clean_up)
+        whole = Whole(out, rate, size, pitch, camera_height_m=height, has_clean_up=clean_up, units=units)
         reconstruct_video(folder, database, store, whole)

@@ -21,10 +21,9 @@ from pasdedeux.formats import (
     in_pixels,
     join_openpose_frames,
     read_openpose_frame,
-    write_bvh,
 )
+from pasdedeux.formats.humanoid import say_units, write_npz
 from pasdedeux.people.settle import settle_people
-from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
@@ -53,7 +52,7 @@ class Live:
 
 @dataclass(frozen=True)
 class Whole:
-    """How a whole video is reconstructed: a folder for the BVH files (None for this one), and the command's options."""
+    """How a whole video is reconstructed: a folder for the files (None for this one), and the command's options."""
 
     out: Path | None
     rate_hz: float = 30.0
@@ -61,6 +60,7 @@ class Whole:
     pitch_deg: float | None = None
     camera_height_m: float | None = None
     has_clean_up: bool = True
+    units: str = "cm"
 
 
 def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
@@ -84,7 +84,7 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
 
 
 def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) -> None:
-    """Write a BVH file per person of a folder of OpenPose files.
+    """Write a BVH and an npz file per person of a folder of OpenPose files.
 
     Raises:
         InputError: No folder, no projections, an image size of another form, files that are not OpenPose's, keypoints
@@ -123,12 +123,14 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     target.mkdir(parents=True, exist_ok=True)
     for tracked, made in found.methods[-1].people:
         path, motion = target / f"{folder.resolve().name}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
-        path.write_text(write_bvh(motion), encoding="utf-8")
+        path.write_text(motion.bvh(whole.units), encoding="utf-8")
+        path.with_suffix(".npz").write_bytes(write_npz(motion))
         typer.echo(
-            f"{path}: frames {tracked.first_frame} to {tracked.first_frame + motion.num_frames - 1}, "
+            f"{path}: seen from frame {tracked.first_frame} to {int(tracked.frames[-1])}, "
             f"{100 * float(np.nanmean(made.score_m)):.1f} cm from the nearest projections, "
             f"{int(made.is_bridged.sum())} bridged"
         )
+    (target / "README.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
     camera = searchers[found.searcher_index].database.camera
@@ -179,17 +181,12 @@ def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef
 
 def _searchers(store: Store, refs: list[ArtifactRef], pitch_deg: float | None) -> list[Searcher]:
     """Return the database as each of its cameras sees it, or as one of this pitch does."""
-    parts = [store.manifest(ref) for ref in refs]
-    views = read_views(parts)
+    views = read_views([store.manifest(ref) for ref in refs])
     cameras = views.cameras
     if pitch_deg is not None:
         cameras = (replace(views.level_camera, pitch_rad=math.radians(pitch_deg)),)
-    poses, starts, _, _ = read_database(store, refs)
-    rate_hz = float(parts[0].facts["rate_hz"])
-    return [
-        Searcher.of(Database(poses, starts, num_yaws=views.num_yaws, rate_hz=rate_hz, camera=camera))
-        for camera in cameras
-    ]
+    level, _, _ = read_database(store, refs)
+    return [Searcher.of(replace(level, camera=camera)) for camera in cameras]
 
 
 def _read_all(folder: Path) -> list[tuple[int, OpenPoseFrame]]:

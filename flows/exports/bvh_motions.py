@@ -12,11 +12,13 @@ import numpy as np
 from flows.exports.export_format import Export, ExportFormat, names_pairs, write_text
 from flows.exports.json_pairs import named_pairs
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.pair_file import write_pair_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
-from pasdedeux.skeletons import BODY22, OP14, Skeleton
+from pasdedeux.reconstruction.body import body_from_joints
+from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Reference, Store, TableData
 
 _TABLES = ("poses", "variants", "motions")
@@ -57,13 +59,17 @@ def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
             for name, part in _groups(rows, "take_id", "variant_id"):
                 for person, letter in enumerate("AB"):
                     positions = rows["body22_m"][part][:, person]
-                    yield f"{name}_{letter}", _from_positions(BODY22, positions, rows["time_s"][part])
+                    yield (
+                        f"{name}_{letter}",
+                        exact_motion(BODY22, np.asarray(positions, dtype=float), _rate(rows["time_s"][part])),
+                    )
             continue
         # From the axes of a camera that looks down to a world in which people stand upright.
         camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
         for name, part in _groups(rows, "sequence_id", "person_id", "method"):
-            upright_m = rows["op14_m"][part] @ camera.camera_from_upright_rotmat
-            yield name, _from_positions(OP14, upright_m, rows["time_s"][part])
+            found = body_from_joints(rows["body22_m"][part], rows["body22_unitquat"][part])
+            upright = found.turned(camera.camera_from_upright_rotmat.T).standing()
+            yield name, humanoid_motion(upright.motion(_rate(rows["time_s"][part])))
 
 
 def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
@@ -88,9 +94,8 @@ def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]
         yield f"{take['take_id']}_{take['person']}", motion
 
 
-def _from_positions(skeleton: Skeleton, positions_m: Any, time_s: Any) -> Motion:
-    rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
-    return exact_motion(skeleton, np.asarray(positions_m, dtype=float), rate_hz)
+def _rate(time_s: Any) -> float:
+    return (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
 
 
 def _groups(rows: TableData, *columns: str) -> Iterator[tuple[str, np.ndarray]]:

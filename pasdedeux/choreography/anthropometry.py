@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.humanoid import t_pose
 
 __all__ = ["CAPSULE_RADII", "HEIGHT_LIMITS_M", "Body", "make_body"]
 
@@ -16,32 +17,6 @@ Array = npt.NDArray[np.float64]
 
 HEIGHT_LIMITS_M = (1.4, 2.1)
 """Body heights that the duets are made for, metres."""
-
-_ANKLE_HEIGHT, _KNEE_HEIGHT, _HIP_HEIGHT, _SHOULDER_HEIGHT = 0.039, 0.285, 0.530, 0.818
-_UPPER_ARM, _FOREARM = 0.186, 0.146
-"""Drillis and Contini 1966, as printed in Winter 2009, Biomechanics and Motor Control of Human Movement, figure 4.1."""
-_TOE_HEIGHT, _FOOT_FORWARD = 0.014, 0.092
-"""Ball of the foot: its height over the floor, and how far it lies before the ankle (foot length there: 0.152)."""
-_HIP_HALF_WIDTH, _SHOULDER_HALF_WIDTH = 0.054, 0.108
-"""Joint centres; the 0.0955 and 0.129 of the same figure are the outer breadths of pelvis and shoulders."""
-
-_FRACTIONS: dict[str, tuple[float, float, float]] = {
-    "pelvis": (0.0, _HIP_HEIGHT + 0.015, 0.0),
-    "spine1": (0.0, 0.612, 0.002),
-    "spine2": (0.0, 0.676, 0.001),
-    "spine3": (0.0, 0.742, -0.004),
-    "neck": (0.0, 0.835, -0.008),
-    "head": (0.0, 0.905, 0.008),
-    "left_hip": (_HIP_HALF_WIDTH, _HIP_HEIGHT, 0.0),
-    "left_knee": (_HIP_HALF_WIDTH, _KNEE_HEIGHT, 0.0),
-    "left_ankle": (_HIP_HALF_WIDTH, _ANKLE_HEIGHT, 0.0),
-    "left_toe": (_HIP_HALF_WIDTH, _TOE_HEIGHT, _FOOT_FORWARD),
-    "left_collar": (0.018, 0.808, 0.0),
-    "left_shoulder": (_SHOULDER_HALF_WIDTH, _SHOULDER_HEIGHT, -0.004),
-    "left_elbow": (_SHOULDER_HALF_WIDTH + _UPPER_ARM, _SHOULDER_HEIGHT, -0.004),
-    "left_wrist": (_SHOULDER_HALF_WIDTH + _UPPER_ARM + _FOREARM, _SHOULDER_HEIGHT, -0.004),
-}
-"""Rest position of the joints (left, up, forward), fractions of body height: upright, arms out, palms down."""
 
 CAPSULE_RADII: dict[str, float] = {
     "spine1": 0.062,
@@ -85,8 +60,7 @@ class Body:
 
     def standing_m(self, joint_name: str) -> float:
         """Return a joint's height over the floor when the body stands upright at rest."""
-        side, _, part = joint_name.partition("_")
-        return self.height_m * _FRACTIONS[f"left_{part}" if side == "right" else joint_name][1]
+        return self.height_m * t_pose(joint_name)[1]
 
     def trunk_at(self, height_m: float) -> tuple[str, float]:
         """Return the bone of the upper trunk, and the share of it, that is at a height when the body stands upright."""
@@ -105,17 +79,10 @@ def make_body(height_m: float) -> Body:
     low, high = HEIGHT_LIMITS_M
     if not low <= height_m <= high:
         raise InputError(f"a body height of {height_m:g} m is outside what the duets are made for: {low} to {high} m")
-    positions = np.array([_position(name) for name in BODY22.joint_names]) * height_m
+    positions = np.array([t_pose(name) for name in BODY22.joint_names]) * height_m
     offsets = np.zeros_like(positions)
     radii = np.zeros(BODY22.num_joints)
     for parent, child in BODY22.bones:
         offsets[child] = positions[child] - positions[parent]
         radii[child] = CAPSULE_RADII[BODY22.joint_names[child].removeprefix("left_").removeprefix("right_")] * height_m
     return Body(height_m=float(height_m), rest_offsets_m=offsets, radii_m=radii)
-
-
-def _position(joint_name: str) -> tuple[float, float, float]:
-    if joint_name in _FRACTIONS:
-        return _FRACTIONS[joint_name]
-    x, y, z = _FRACTIONS[joint_name.replace("right_", "left_")]
-    return (-x, y, z)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera
-from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons import BODY22, OP14
 
 __all__ = ["Database", "concatenate"]
 
@@ -32,6 +32,8 @@ class Database:
         num_yaws: Yaw steps over the full turn (30 steps of 12 degrees in the paper).
         rate_hz: Frames per second of the motions in the database.
         camera: The camera that sees them.
+        body22_unitquat: Local rotations (row, 22, 4) of the whole bodies from the standing T-pose, where they are
+            known; nothing is searched in them.
 
     Raises:
         InputError: Shapes do not fit, no row, no yaw, or a value is not finite.
@@ -42,6 +44,7 @@ class Database:
     num_yaws: int = 30
     rate_hz: float = 24.0
     camera: DatabaseCamera = field(default_factory=OrthographicCamera)
+    body22_unitquat: Floats32 | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values; the first row always starts a motion."""
@@ -61,6 +64,11 @@ class Database:
             raise InputError(f"num_yaws is {self.num_yaws}; at least 1 is needed")
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise InputError(f"the database's rate is {self.rate_hz} Hz; it must be positive")
+        if self.body22_unitquat is not None and self.body22_unitquat.shape != (len(poses), BODY22.num_joints, 4):
+            raise InputError(
+                f"rotations of the database's bodies have shape {self.body22_unitquat.shape}, "
+                f"expected {(len(poses), BODY22.num_joints, 4)}"
+            )
         starts[0] = True
         object.__setattr__(self, "poses_m", poses)
         object.__setattr__(self, "is_sequence_start", starts)
@@ -109,7 +117,8 @@ class Database:
         if step <= 1:
             return self
         starts = np.ones(len(self.poses_m[::step]), dtype=bool)
-        return replace(self, poses_m=self.poses_m[::step], is_sequence_start=starts)
+        bodies = None if self.body22_unitquat is None else self.body22_unitquat[::step]
+        return replace(self, poses_m=self.poses_m[::step], is_sequence_start=starts, body22_unitquat=bodies)
 
     def project(self, first_row: int = 0, last_row: int | None = None) -> Floats32:
         """Return the projections (row, yaw, 14, 2) of some rows, x right, y up, mid-hip at the origin, metres."""
@@ -149,12 +158,14 @@ def concatenate(databases: Sequence[Database]) -> Database:
                 f"{other.camera}, {other.num_yaws} yaws, {other.rate_hz} Hz"
             )
     starts = [np.concatenate([[True], part.is_sequence_start[1:]]) for part in databases]
+    bodies = [part.body22_unitquat for part in databases if part.body22_unitquat is not None]
     return Database(
         poses_m=np.concatenate([part.poses_m for part in databases]),
         is_sequence_start=np.concatenate(starts),
         num_yaws=first.num_yaws,
         rate_hz=first.rate_hz,
         camera=first.camera,
+        body22_unitquat=np.concatenate(bodies) if len(bodies) == len(databases) else None,
     )
 
 

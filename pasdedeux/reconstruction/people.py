@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.kinematics import Motion
+from pasdedeux.formats.humanoid import HumanoidMotion
+from pasdedeux.projections.database import Database
+from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstruction
 from pasdedeux.reconstruction.couples import PairSearcher, Placing, place_couple
-from pasdedeux.reconstruction.motion_out import upright_motion
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
@@ -21,6 +22,7 @@ from pasdedeux.reconstruction.reconstruct import (
     ReconstructionOptions,
     Searcher,
     match_track,
+    odd_window,
     reconstruct_track,
 )
 from pasdedeux.reconstruction.tracks import PersonTrack
@@ -39,11 +41,13 @@ class MethodMotions:
         name: The method; `<method>_clean` after the clean-up.
         people: Their tracks and reconstructions, camera axes.
         origin_m: What to subtract (3,) to have all of them in the sequence's own frame, see `floor_offset`.
+        bodies: The whole body of each, upright axes in that frame.
     """
 
     name: str
     people: tuple[tuple[PersonTrack, Reconstruction], ...]
     origin_m: Array
+    bodies: tuple[EmbodiedMotion, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,14 +56,14 @@ class ReconstructedTracks:
 
     Args:
         methods: In the order asked for; the clean-up of the last one comes last.  None when nobody could be searched.
-        motions: Upright motions of the last by person id, floor at 0.
+        motions: Motions of the last by person id, upright, floor at 0: all have the same frames.
         skipped: Why the others could not be reconstructed, by person id.
         searcher_index: Which of the databases' cameras suited best.
         placings: What was done to two people who were placed by pairs, by their person ids.
     """
 
     methods: tuple[MethodMotions, ...]
-    motions: dict[int, Motion]
+    motions: dict[int, HumanoidMotion]
     skipped: dict[int, str]
     searcher_index: int
     placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
@@ -103,7 +107,7 @@ def reconstruct_people(
     placings: dict[tuple[int, int], Placing] | None = None
     for method in methods if matched else ():
         found = tuple(
-            (person, reconstruct_track(searcher, person.track, method, options, matches=matches))
+            (person, hold_hips(reconstruct_track(searcher, person.track, method, options, matches=matches)))
             for person, matches in matched
         )
         if camera_height_m is not None:
@@ -120,11 +124,35 @@ def reconstruct_people(
             for person, one in last.people
         )
         made.append(MethodMotions(f"{last.name}_clean", cleaned, last.origin_m))
-    motions = {
-        person.person_id: upright_motion(one.positions_m - made[-1].origin_m, camera, rate_hz=person.track.rate_hz)
-        for person, one in (made[-1].people if made else ())
-    }
-    return ReconstructedTracks(tuple(made), motions, skipped, chosen, placings or {})
+    made = [_embodied(one, searcher.database, options) for one in made]
+    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, chosen, placings or {})
+
+
+def _embodied(made: MethodMotions, database: Database, options: ReconstructionOptions) -> MethodMotions:
+    """Give the people of a method their whole bodies."""
+    upright = np.asarray(database.camera.camera_from_upright_rotmat)
+    bodies = []
+    for person, one in made.people:
+        window = 1 if made.name == Method.NEAREST else odd_window(options.smoothing_s, person.track.rate_hz)
+        bodies.append(embody(database, one, (one.positions_m - made.origin_m) @ upright, window=window))
+    return replace(made, bodies=tuple(bodies))
+
+
+def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
+    """Return the motions by person id, soles at y = 0, all from the first frame with anybody to the last."""
+    first = min(person.first_frame for person, _ in made.people)
+    last = max(int(person.frames[-1]) for person, _ in made.people)
+    soles = np.mean([one.body.ankle_height_m for one in made.bodies])
+    motions = {}
+    for (person, found), body in zip(made.people, made.bodies, strict=True):
+        at = np.clip(np.arange(first, last + 1), person.first_frame, person.frames[-1])
+        is_there = np.arange(first, last + 1) == at
+        at -= person.first_frame
+        whole = replace(body, pelvis_m=body.pelvis_m[at] + [0.0, soles, 0.0], unitquat=body.unitquat[at])
+        motions[person.person_id] = HumanoidMotion(
+            whole.motion(person.track.rate_hz), first, is_there & ~found.is_bridged[at]
+        )
+    return motions
 
 
 def _place(

@@ -36,6 +36,7 @@ __all__ = [
     "TrackSettings",
     "bone_deviation_m",
     "match_track",
+    "odd_window",
     "reconstruct_track",
     "share_of_followed",
 ]
@@ -265,7 +266,7 @@ def reconstruct_track(
     yaw_steps = found.yaws[frames, rank]
     unitquat = bridge_gaps(bone_rotations(_before_camera(database, np.maximum(row, 0), yaw_steps)), is_known)
     if method is not Method.NEAREST:
-        unitquat = smooth_savitzky_golay(unitquat, num_frames=_odd_window(options.smoothing_s, track.rate_hz))
+        unitquat = smooth_savitzky_golay(unitquat, num_frames=odd_window(options.smoothing_s, track.rate_hz))
     lengths = REFERENCE_LENGTHS_M * found.proportions
     relative = place_bone_rotations(unitquat, lengths, np.zeros((len(ranks), 3)))
     placement = found.placement
@@ -273,7 +274,7 @@ def reconstruct_track(
         relative = _fit(searcher, found, relative, is_known, track, options)
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
     if method is not Method.NEAREST:
-        root = _smooth_path(root, _odd_window(options.smoothing_s, track.rate_hz))
+        root = _smooth_path(root, odd_window(options.smoothing_s, track.rate_hz))
     positions = rotate(camera_turns(towards)[:, None], relative) + root[:, None]
     return Reconstruction(
         positions_m=positions,
@@ -310,7 +311,7 @@ def _fit(
     noise = image_noise(found.query_m, is_seen)
     match = np.where(is_known, neighbours.distance_m[:, 0], np.hypot(_BRIDGED_MISFIT_M, MEAN_OF_RAYLEIGH * noise))
     trust = bone_deviation_m(match, noise, options.trust_per_misfit)[:, None] * np.ones(OP14.num_joints)
-    window = _odd_window(0.5 * options.smoothing_s, track.rate_hz)
+    window = odd_window(0.5 * options.smoothing_s, track.rate_hz)
     positions = retrieved
     candidates = _before_camera(searcher.database, np.maximum(neighbours.row, 0), found.yaws)
     candidates[~is_known] = reference[~is_known, None]
@@ -395,7 +396,7 @@ def _smooth_seen(points: Array, is_seen: npt.NDArray[np.bool_], window: int) -> 
     return smooth
 
 
-def _odd_window(seconds: float, rate_hz: float) -> int:
+def odd_window(seconds: float, rate_hz: float) -> int:
     """Return an odd number of frames of about this length, at least 3."""
     return max(3, round(seconds * rate_hz)) | 1
 

@@ -27,6 +27,13 @@ PROJECTIONS = Table(
             "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
             "facing +Z; the neck carries the frame of the body, heading removed",
         ),
+        unitquats(
+            "body22_unitquat",
+            "body22",
+            "Local rotations (x, y, z, w) from the standing T-pose, heading removed; draws, which are positions of "
+            "pair17, have a straight back and feet square to the shanks, variants and sources of positions bones that "
+            "only swing",
+        ),
         float64("heading_rad", "Heading removed: yaw of the body in its take", unit="rad"),
         array("root_translation_m", "World position of the mid-hip in its take", axes={"xyz": 3}, unit="m"),
         array(
@@ -76,6 +83,13 @@ MOTIONS = Table(
             "op14",
             "Rotation (x, y, z, w) of the bone that ends in the joint against the bone before it, at rest in a T-pose "
             "facing the camera; the neck carries the frame of the body",
+        ),
+        positions("body22", "The whole body through the joints of op14, bones constant, in the same axes"),
+        unitquats(
+            "body22_unitquat",
+            "body22",
+            "Local rotations (x, y, z, w) from the standing T-pose facing the camera; spine, head and feet come from "
+            "the matched pose and are bent to the joints of op14",
         ),
         array("root_translation_m", "Position of the mid-hip", axes={"xyz": 3}, unit="m"),
         float64("metres_per_pixel", "Scale of the person in the image that was estimated", unit="m/px"),

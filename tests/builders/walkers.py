@@ -6,11 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics.rotations import multiply, unitquat_from_rotvec
-from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
-from pasdedeux.reconstruction.bones import place_bone_rotations
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
+from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
+from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.skeletons import OP14
 
-__all__ = ["random_poses", "walk"]
+__all__ = ["random_poses", "reconstruction", "walk"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,3 +48,20 @@ def random_poses(rng: np.random.Generator, count: int, *, spread: float = 0.5) -
     """Positions (count, 14, 3) of unrelated poses about the T-pose, mid-hip at the origin."""
     unitquat = unitquat_from_rotvec(rng.normal(0, spread, (count, 14, 3)))
     return place_bone_rotations(unitquat, REFERENCE_LENGTHS_M, np.zeros((count, 3)))
+
+
+def reconstruction(positions: np.ndarray, *, num_bridged: int = 0) -> Reconstruction:
+    """A reconstruction of these poses (frame, 14, 3), matched to the rows of the same number."""
+    frames = len(positions)
+    is_bridged = np.arange(frames) < num_bridged
+    return Reconstruction(
+        positions_m=positions,
+        bone_unitquat=bone_rotations(positions),
+        root_m=mid_hip(positions),
+        yaw_rad=np.zeros(frames),
+        score_m=np.zeros(frames),
+        row=np.where(is_bridged, -1, np.arange(frames)),
+        num_joints_seen=np.full(frames, 14),
+        is_bridged=is_bridged,
+        metres_per_pixel=np.ones(frames),
+    )

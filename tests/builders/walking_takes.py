@@ -6,7 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from pasdedeux.kinematics import forward_kinematics
+from pasdedeux.reconstruction.body import REFERENCE_REST_M, body_through, pose_body
+from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, SourceCredit, Store, artifact_key
+from tests.builders.storage_rows import random_columns
 from tests.builders.walkers import walk
 
 
@@ -29,6 +33,14 @@ def put_artifact(store: Store, stage: str, name: str, tables: dict[str, Any], fa
     return store.manifest(ref)
 
 
+def _bodies(positions: np.ndarray) -> dict[str, np.ndarray]:
+    """The whole bodies of op14 positions, backs straight."""
+    body = body_through(positions)
+    pelvis, local = pose_body(body, positions)
+    body22, world = forward_kinematics(BODY22, body.offsets_m, pelvis, local)
+    return {"body22_m": body22, "body22_world_unitquat": world}
+
+
 def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: bool = False) -> Manifest:
     frames = 90
     worlds = [walk(frames, seed=sum(map(ord, take_id)) + person, rate_hz=rate_hz) for person in range(2)]
@@ -43,9 +55,9 @@ def put_take(store: Store, take_id: str, *, rate_hz: float = 30.0, is_held_out: 
         "local_unitquat": [np.zeros(4)] * count,
         "pair17_m": np.zeros((count, 17, 3)),
         "op14_m": np.concatenate(worlds),
-        "body22_m": np.zeros((count, 22, 3)),
-        "body22_world_unitquat": np.zeros((count, 22, 4)),
+        **_bodies(np.concatenate(worlds)),
     }
+    rest = {"take_id": [take_id] * 2, "person": np.arange(2), "body22_rest_m": np.stack([REFERENCE_REST_M] * 2)}
     facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
     facts |= {"num_persons": 2, "num_frames": frames}
-    return put_artifact(store, "ingest", take_id, {"poses": columns}, facts)
+    return put_artifact(store, "ingest", take_id, {"poses": columns, "takes": random_columns("takes", 2) | rest}, facts)

@@ -12,6 +12,7 @@ import typer.main
 from flows.console.app import command_line
 from flows.study_files import shipped_studies
 from flows.study_keys import study_keys
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import ShardRecord, Store, record_latest
 from tasks.graph import load_graph
 from tests.builders.storage_rows import commit_rows
@@ -81,3 +82,10 @@ def test_the_snippets_about_reading_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert len(snippets) == 4
     for snippet in snippets:
         exec(compile(snippet, "reading-the-store.md", "exec"), {})
+
+
+def test_the_table_of_humanoid_names_is_that_of_the_code() -> None:
+    page = (ROOT / "docs" / "formats-and-units.md").read_text(encoding="utf-8")
+    for joint, name in HUMANOID_NAMES.items():
+        is_written = f"| {joint} | {name.mixamo} | {name.unity} | {name.rigify} |" in page
+        assert is_written is not joint.startswith("right_")

@@ -11,11 +11,13 @@ import pytest
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.kinematics import bone_lengths
 from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, pitch_of_height
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
+from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks import projections, reconstruction
@@ -216,7 +218,15 @@ def test_motions_are_near_the_truth_finite_and_written_as_bvh(store: Store) -> N
     positions = np.asarray(table["op14_m"])
     assert np.isfinite(positions).all()
     manifest = store.manifest(ref)
-    assert sorted(manifest.attachments) == ["film_0.bvh", "film_1.bvh"]
+    assert sorted(manifest.attachments) == ["film_0.bvh", "film_0.npz", "film_1.bvh", "film_1.npz"]
+    bodies = np.asarray(table["body22_m"], dtype=float)
+    shared = np.linalg.norm(bodies[:, BODY22.indices(SHARED)] - positions[:, OP14.indices(SHARED)], axis=-1)
+    assert shared.max() < 1e-5
+    for name in ("nearest", "viterbi", "fit", "fit_clean"):
+        for one in (0, 1):
+            chosen = (method == name) & (person == one)
+            assert np.ptp(bone_lengths(BODY22, bodies[chosen]), axis=0).max() < 2e-6  # stored as float32
+            assert np.ptp(bone_lengths(OP14, positions[chosen].astype(float)), axis=0).max() < 2e-6
     assert manifest.facts["skipped"] == []
     assert [couple["person_ids"] for couple in manifest.facts["couples"]] == [[0, 1]]
     # The two people stand in one frame, person 1 on the truth's side of person 0.

@@ -19,8 +19,9 @@ from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list
 from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.formats import read_bvh
-from pasdedeux.projections.database import Database
+from pasdedeux.formats.npz import read_npz
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.reconstruction.body import body_through, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.reconstruct import Searcher
@@ -99,6 +100,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
                 "is_sequence_start": np.arange(count) % 72 == 0,
                 "op14_m": poses,
                 "op14_unitquat": bone_rotations(poses),
+                "body22_unitquat": pose_body(body_through(poses), poses)[1],
                 "heading_rad": np.zeros(count),
                 "root_translation_m": np.zeros((count, 3)),
                 "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
@@ -119,20 +121,43 @@ def reference(store: Store) -> list[str]:
     return ["--store", str(store.root), "--database", f"projections@{manifest.ref.key[:16]}"]
 
 
-def test_files_that_lie_there_become_a_bvh_file_a_person(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("units", ["cm", "m"])
+def test_files_that_lie_there_become_a_humanoid_a_person(
+    video: Path, store: Store, tmp_path: Path, units: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     command = ["reconstruct", str(video), *reference(store), "--out", str(out), "--size", "1920x1080"]
-    assert run_command_line(command) == 0
-    files = sorted(out.iterdir())
-    assert len(files) == 2
-    for file in files:
-        source = read_bvh(file.read_bytes())
+    assert run_command_line([*command, *(["--units", "m"] if units == "m" else [])]) == 0
+    assert {"cm": "centimetres", "m": "are in metres"}[units] in (out / "README.txt").read_text()
+    for person in (0, 1):
+        source = read_bvh((out / f"{video.name}_{person}.bvh").read_bytes())
         assert (source.num_frames, source.rate_hz) == (FRAMES, pytest.approx(30.0))
+        made = read_npz((out / f"{video.name}_{person}.npz").read_bytes(), "motion")
+        motion = source.to_motion(metres_per_unit={"cm": 0.01, "m": 1.0}[units], rate_hz=30.0)
+        assert motion.skeleton.joint_names[motion.skeleton.root] == "Hips"
+        at = [motion.skeleton.index(name) for name in made["joint_names"]]
+        np.testing.assert_allclose(motion.world()[0][:, at], made["positions_m"], atol=1e-5)
+        assert made["is_seen"].all()
+        assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
     said = capsys.readouterr()
-    assert "frames 0 to 39" in said.out
+    assert "seen from frame 0 to 39" in said.out
     assert "camera pitch" in said.err
+
+
+def test_files_of_people_who_come_later_start_with_the_others(video: Path, store: Store, tmp_path: Path) -> None:
+    frames = {}
+    for number, path in list_frames(video):
+        frame = json.loads(path.read_text())
+        if number < 8:
+            frame["people"] = frame["people"][:1] if number % 2 == 0 else frame["people"][1:]
+        frames[number] = json.dumps(frame)
+    folder, out = written(tmp_path / "late", frames), tmp_path / "out"
+    assert run_command_line(["reconstruct", str(folder), *reference(store), "--out", str(out)]) == 0
+    first, late = (read_npz((out / f"late_{person}.npz").read_bytes(), "motion") for person in (0, 1))
+    assert len(first["positions_m"]) == len(late["positions_m"]) == FRAMES
+    assert first["is_seen"].all()
+    assert late["is_seen"].tolist() == [frame >= 8 for frame in range(FRAMES)]
+    np.testing.assert_array_equal(late["positions_m"][:8], np.repeat(late["positions_m"][8:9], 8, axis=0))
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
@@ -142,7 +167,7 @@ def test_the_height_of_the_camera_gives_people_their_size(
     for height in ("1.2", "1.8"):
         command = ["reconstruct", str(video), *reference(store), "--out", str(tmp_path / height), "--height", height]
         assert run_command_line([*command, "--size", "1920x1080", "--pitch", "6"]) == 0
-        first = read_bvh(min((tmp_path / height).iterdir()).read_bytes())
+        first = read_bvh(min((tmp_path / height).glob("*.bvh")).read_bytes())
         sizes.append(np.linalg.norm(first.rest_offsets, axis=-1).sum())
     assert sizes[1] / sizes[0] == pytest.approx(1.5, rel=0.05)
     assert run_command_line(["reconstruct", str(video), *reference(store), "--follow", "--height", "1.5"]) == 2
@@ -226,15 +251,15 @@ def test_times_are_told_of_files_that_came_while_following(
     video: Path, store: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
     manifest = next(iter(store.artifacts("projections")))
-    rows = read_database(store, [manifest.ref])
-    people = LivePeople(Searcher.of(Database(rows[0], rows[1])), rate_hz=30.0, options=LiveOptions(lag=2))
+    database, _, _ = read_database(store, [manifest.ref])
+    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
     files = list(follow_folder(video, idle_s=-1.0))
     newest = max(file.path.stat().st_mtime for file in files)
     follow_lines(people, iter(files), None, rate_hz=30.0, began=newest + 1.0)
     said = capsys.readouterr()
     assert len(said.out.splitlines()) == 2 * FRAMES
     assert "came while following" not in said.err
-    people = LivePeople(Searcher.of(Database(rows[0], rows[1])), rate_hz=30.0, options=LiveOptions(lag=2))
+    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
     follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
     assert f"({FRAMES - 2} files that came while following)" in capsys.readouterr().err
 

@@ -22,7 +22,6 @@ from pasdedeux.projections.retarget import (
 )
 from pasdedeux.projections.sources import op14_from_working, resample_positions
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
-from pasdedeux.reconstruction.motion_out import MOTION_SKELETON, motion_from_positions
 from pasdedeux.skeletons import OP14, PAIR17
 from tests.builders.walkers import random_poses, walk
 
@@ -162,15 +161,6 @@ def test_bone_rotations_give_the_pose_back() -> None:
     poses = random_poses(np.random.default_rng(3), 50, spread=0.8)
     again = place_bone_rotations(bone_rotations(poses), REFERENCE_LENGTHS_M, mid_hip(poses))
     np.testing.assert_allclose(again, poses, atol=1e-9)
-
-
-def test_the_motion_to_write_has_every_joint_where_it_was() -> None:
-    poses = walk(20)
-    poses[:, OP14.index("left_hip")] += 0.03  # hips that turn against the shoulders are kept
-    poses = retarget_proportions(poses)
-    motion = motion_from_positions(poses, REFERENCE_LENGTHS_M, rate_hz=24.0)
-    world, _ = motion.world()
-    np.testing.assert_allclose(world[:, MOTION_SKELETON.indices(OP14.joint_names)], poses, atol=1e-9)
 
 
 def test_resampling_keeps_the_ends_and_the_speed() -> None:

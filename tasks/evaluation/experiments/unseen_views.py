@@ -29,12 +29,10 @@ from pasdedeux.experiments.unseen_views import (
     unseen_view_scores,
 )
 from pasdedeux.projections.camera import OrthographicCamera
-from pasdedeux.projections.database import Database
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult, read_people, refuse_overlap
-from tasks.projections import read_views
 from tasks.reconstruction import read_database
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -195,13 +193,11 @@ def _database(shard: Shard, store: Store, setting: Setting) -> tuple[Searcher, C
         parts = tuple(by_key[key] for key in store.manifest(books[0]).facts["part_keys"])
         table = store.read(books[0], "codebook")
         codebook = Codebook(np.asarray(table["representative_m"]), tuple(np.asarray(one) for one in table["members"]))
-    views = read_views([store.manifest(part) for part in parts])
-    rate_hz = float(used[0]["rate_hz"])
-    poses, starts, _, _ = read_database(store, parts)
-    # Parallel views compare with the paper, so parallel rays see the database too, whatever the study's camera.
-    camera = OrthographicCamera() if setting is Setting.PARALLEL else views.level_camera
-    database = Database(poses, starts, num_yaws=views.num_yaws, rate_hz=rate_hz, camera=camera)
-    return Searcher.of(database), codebook, rate_hz
+    database, _, _ = read_database(store, parts)
+    if setting is Setting.PARALLEL:
+        # Parallel views compare with the paper, so parallel rays see the database too, whatever the study's camera.
+        database = replace(database, camera=OrthographicCamera())
+    return Searcher.of(database), codebook, database.rate_hz
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:

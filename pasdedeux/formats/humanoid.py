@@ -1,0 +1,96 @@
+"""Motions for characters: BVH and npz of a hips-rooted body that stands in a T-pose when nothing is turned."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.kinematics import Motion
+from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
+
+__all__ = ["AXES", "UNITS_PER_METRE", "HumanoidMotion", "humanoid_motion", "say_units", "write_npz"]
+
+UNITS_PER_METRE = {"cm": 100.0, "m": 1.0}
+_SPELT = {"cm": "centimetres", "m": "metres"}
+"""Units that BVH files may have; centimetres unless asked otherwise, as most programs take them."""
+
+AXES = "right-handed, Y up, facing +Z at rest, the left side on +X"
+
+
+@dataclass(frozen=True)
+class HumanoidMotion:
+    """A person's motion over the frames of a video.
+
+    Args:
+        motion: On `body22`, from the standing T-pose, floor at y = 0, metres.
+        first_frame: Frame of the video that it begins with.
+        is_seen: Frames (frame,) in which enough of the person was seen; else the pose is interpolated or, before and
+            after the person was there, held.
+    """
+
+    motion: Motion
+    first_frame: int
+    is_seen: npt.NDArray[np.bool_]
+
+    def bvh(self, units: str = "cm") -> str:
+        """Return it as BVH text, lengths in `cm` or `m`."""
+        return write_bvh(humanoid_motion(self.motion), units_per_metre=UNITS_PER_METRE[units], decimals=8)
+
+
+def humanoid_motion(motion: Motion) -> Motion:
+    """Return a motion of body22, whose rest pose is the T-pose, on `HUMANOID`: other names, and end sites."""
+    ends = [
+        np.array(site.offset) * np.linalg.norm(motion.rest_offsets_m[motion.skeleton.index(site.joint)])
+        for site in END_SITES
+    ]
+    still = identity_unitquat(motion.num_frames, len(ends))
+    return Motion(
+        skeleton=HUMANOID,
+        rest_offsets_m=np.concatenate([motion.rest_offsets_m, ends]),
+        root_translation_m=motion.root_translation_m,
+        local_unitquat=np.concatenate([motion.local_unitquat, still], axis=1),
+        rate_hz=motion.rate_hz,
+    )
+
+
+def write_npz(one: HumanoidMotion) -> bytes:
+    """Return a motion as an npz archive that says itself what is in it.
+
+    `joint_names`, `parents` (-1 for the root), `rest_offset_m` (joint, 3), `root_translation_m` (frame, 3),
+    `local_unitquat` (frame, joint, 4) as x, y, z, w from the rest pose, `positions_m` (frame, joint, 3), `is_seen`
+    (frame,), `rate_hz`, `first_frame`, `unit` and `axes`.
+    """
+    motion = humanoid_motion(one.motion)
+    file = io.BytesIO()
+    np.savez_compressed(
+        file,
+        joint_names=np.array(motion.skeleton.joint_names),
+        parents=np.array(motion.skeleton.parents),
+        rest_offset_m=motion.rest_offsets_m,
+        root_translation_m=motion.root_translation_m,
+        local_unitquat=motion.local_unitquat,
+        positions_m=motion.world()[0],
+        is_seen=one.is_seen,
+        rate_hz=motion.rate_hz,
+        first_frame=one.first_frame,
+        unit=np.array("m"),
+        axes=np.array(AXES),
+    )
+    return file.getvalue()
+
+
+def say_units(one: HumanoidMotion, units: str) -> str:
+    """Return what someone who finds the files of a video has to know, as text to lie beside them."""
+    return (
+        f"BVH files are in {_SPELT[units]} and degrees, npz files in metres and unit quaternions (x, y, z, w).\n"
+        f"Axes: {AXES}; the floor is at y = 0, z points to the camera of the video.\n"
+        "The rest pose is a standing T-pose, joints have Mixamo's names without their prefix.\n"
+        f"All files have the same {one.motion.num_frames} frames at {one.motion.rate_hz:.6g} Hz, from frame "
+        f"{one.first_frame} of the video on; `is_seen` of the npz tells in which a person was seen, in the others the "
+        "pose is interpolated or, before and after, held.\n"
+    )

@@ -1,0 +1,130 @@
+"""The body as characters have it: `body22` standing in a T-pose, and the names of its joints in other people's rigs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pasdedeux.skeletons.skeleton import Skeleton
+from pasdedeux.skeletons.working import BODY22
+
+__all__ = ["END_SITES", "HUMANOID", "HUMANOID_NAMES", "T_POSE", "EndSite", "HumanoidName", "t_pose"]
+
+Point = tuple[float, float, float]
+
+_ANKLE_HEIGHT, _KNEE_HEIGHT, _HIP_HEIGHT, _SHOULDER_HEIGHT = 0.039, 0.285, 0.530, 0.818
+_UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
+"""Drillis and Contini 1966, as printed in Winter 2009, Biomechanics and Motor Control of Human Movement, figure 4.1."""
+_TOE_HEIGHT, _FOOT_FORWARD, _TOES = 0.014, 0.092, 0.030
+"""Ball of the foot: its height over the floor, how far it lies before the ankle, and the toes before it (foot length
+there: 0.152)."""
+_HIP_HALF_WIDTH, _SHOULDER_HALF_WIDTH = 0.054, 0.108
+"""Joint centres; the 0.0955 and 0.129 of the same figure are the outer breadths of pelvis and shoulders."""
+
+T_POSE: Mapping[str, Point] = {
+    "pelvis": (0.0, _HIP_HEIGHT + 0.015, 0.0),
+    "spine1": (0.0, 0.612, 0.002),
+    "spine2": (0.0, 0.676, 0.001),
+    "spine3": (0.0, 0.742, -0.004),
+    "neck": (0.0, 0.835, -0.008),
+    "head": (0.0, 0.905, 0.008),
+    "left_hip": (_HIP_HALF_WIDTH, _HIP_HEIGHT, 0.0),
+    "left_knee": (_HIP_HALF_WIDTH, _KNEE_HEIGHT, 0.0),
+    "left_ankle": (_HIP_HALF_WIDTH, _ANKLE_HEIGHT, 0.0),
+    "left_toe": (_HIP_HALF_WIDTH, _TOE_HEIGHT, _FOOT_FORWARD),
+    "left_collar": (0.018, 0.808, 0.0),
+    "left_shoulder": (_SHOULDER_HALF_WIDTH, _SHOULDER_HEIGHT, -0.004),
+    "left_elbow": (_SHOULDER_HALF_WIDTH + _UPPER_ARM, _SHOULDER_HEIGHT, -0.004),
+    "left_wrist": (_SHOULDER_HALF_WIDTH + _UPPER_ARM + _FOREARM, _SHOULDER_HEIGHT, -0.004),
+}
+"""Rest position of the joints (left, up, forward), fractions of body height: upright, facing +Z, arms out along X,
+palms down; the right side is the mirror of the left."""
+
+
+def t_pose(joint_name: str) -> Point:
+    """Return the rest position of a joint of `body22` (left, up, forward), fractions of body height."""
+    if joint_name in T_POSE:
+        return T_POSE[joint_name]
+    x, y, z = T_POSE[joint_name.replace("right_", "left_")]
+    return (-x, y, z)
+
+
+@dataclass(frozen=True)
+class EndSite:
+    """Where the last bone of a chain ends.
+
+    Args:
+        joint: Joint of `body22` that the bone starts in.
+        offset: Its end (left, up, forward), lengths of the bone that ends in `joint`; at rest in the T-pose.
+    """
+
+    joint: str
+    offset: Point
+
+
+_FOOT = (_FOOT_FORWARD**2 + (_ANKLE_HEIGHT - _TOE_HEIGHT) ** 2) ** 0.5
+_NECK = (0.070**2 + 0.016**2) ** 0.5
+END_SITES: tuple[EndSite, ...] = (
+    EndSite("head", (0.0, 0.095 / _NECK, 0.0)),
+    EndSite("left_wrist", (_HAND / _FOREARM, 0.0, 0.0)),
+    EndSite("right_wrist", (-_HAND / _FOREARM, 0.0, 0.0)),
+    EndSite("left_toe", (0.0, 0.0, _TOES / _FOOT)),
+    EndSite("right_toe", (0.0, 0.0, _TOES / _FOOT)),
+)
+"""Top of the head, tips of the hands and of the toes."""
+
+
+@dataclass(frozen=True)
+class HumanoidName:
+    """What a joint of `body22` is called elsewhere.
+
+    Args:
+        mixamo: In files written here, and in Mixamo's characters after `mixamorig:`.
+        unity: Bone of Unity's humanoid avatar (`HumanBodyBones`).
+        rigify: Bone of Blender's human meta-rig of Rigify.
+    """
+
+    mixamo: str
+    unity: str
+    rigify: str
+
+
+_TRUNK = {
+    "pelvis": HumanoidName("Hips", "Hips", "spine"),
+    "spine1": HumanoidName("Spine", "Spine", "spine.001"),
+    "spine2": HumanoidName("Spine1", "Chest", "spine.002"),
+    "spine3": HumanoidName("Spine2", "UpperChest", "spine.003"),
+    "neck": HumanoidName("Neck", "Neck", "spine.004"),
+    "head": HumanoidName("Head", "Head", "spine.006"),
+}
+_LEFT = {
+    "left_collar": HumanoidName("LeftShoulder", "LeftShoulder", "shoulder.L"),
+    "left_shoulder": HumanoidName("LeftArm", "LeftUpperArm", "upper_arm.L"),
+    "left_elbow": HumanoidName("LeftForeArm", "LeftLowerArm", "forearm.L"),
+    "left_wrist": HumanoidName("LeftHand", "LeftHand", "hand.L"),
+    "left_hip": HumanoidName("LeftUpLeg", "LeftUpperLeg", "thigh.L"),
+    "left_knee": HumanoidName("LeftLeg", "LeftLowerLeg", "shin.L"),
+    "left_ankle": HumanoidName("LeftFoot", "LeftFoot", "foot.L"),
+    "left_toe": HumanoidName("LeftToeBase", "LeftToes", "toe.L"),
+}
+HUMANOID_NAMES: Mapping[str, HumanoidName] = {
+    **_TRUNK,
+    **_LEFT,
+    **{
+        joint.replace("left_", "right_"): HumanoidName(
+            name.mixamo.replace("Left", "Right"), name.unity.replace("Left", "Right"), name.rigify.replace(".L", ".R")
+        )
+        for joint, name in _LEFT.items()
+    },
+}
+"""Names of the joints of `body22` in other rigs."""
+
+
+def _humanoid() -> Skeleton:
+    names = [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names]
+    ends = [BODY22.index(site.joint) for site in END_SITES]
+    return Skeleton("humanoid", (*names, *(f"{names[joint]}_end" for joint in ends)), (*BODY22.parents, *ends))
+
+
+HUMANOID: Skeleton = _humanoid()
+"""`body22` in its own order under the names that files have, then the end sites (`<joint>_end`)."""

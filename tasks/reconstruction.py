@@ -184,7 +184,7 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
     """Return the tracks of the sequence, by person; the facts say why there are none."""
     sequence_id = parameters.sequence_id
     columns = ["sequence_id", "frame", "person_id", "partner_id", "time_s", "op14_px", "op14_confidence"]
-    table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px"])
+    table = store.read(ref, "annotations", columns=[*columns, "image_width_px", "image_height_px", "focal_px"])
     rows = np.flatnonzero(np.array(list(table["sequence_id"]), dtype=object) == sequence_id)
     if len(rows) == 0:
         return []
@@ -206,6 +206,7 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
         partner_id=np.where(is_alone, -1, partner).astype(np.int64),
         width_px=width,
         height_px=height,
+        focal_px=None if table.is_null("focal_px")[rows[0]] else float(table["focal_px"][rows[0]]),
     )
 
 

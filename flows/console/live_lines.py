@@ -21,9 +21,11 @@ from pasdedeux.formats import OpenPoseFrame, check_anatomy, in_pixels, join_open
 from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
+from tasks.ingest.parameters import AnnotationOptions
 
 __all__ = ["follow_lines", "lines_into", "told_to_stop"]
 
+_MIN_CONFIDENCE = float(AnnotationOptions.model_fields["min_confidence"].default)
 _CHECKED_ROWS = 30
 """Detections after which a live video's keypoints are checked for looking like people."""
 
@@ -93,7 +95,8 @@ def follow_lines(
                 seen.append((file.number, frame))
                 if len(seen) == _CHECKED_ROWS:
                     check_anatomy(in_pixels(join_openpose_frames(seen, sequence_id="video")))
-            op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, frame.confidence)
+            sure = np.where(frame.confidence < _MIN_CONFIDENCE, 0.0, frame.confidence)
+            op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, sure)
             poses = people.push(file.number, op14.positions, op14.confidence)
         times.worked()
         _write(poses, times, out, rate_hz=rate_hz)

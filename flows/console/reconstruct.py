@@ -1,4 +1,4 @@
-"""`reconstruct`: 3D motions of the people in OpenPose files, at once or while the files are being written."""
+"""`reconstruct`: 3D motions of the people in a detector's files, at once or while the files are being written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from pasdedeux.errors import InputError
 
 __all__ = ["register"]
 
-_HELP = """Reconstruct 3D motions of the people in a folder of OpenPose files, from the projections of a study.
+_HELP = """Reconstruct 3D motions of the people in a detector's files, from the projections of a study.
+
+Read are OpenPose folders, COCO annotations and result lists, MediaPipe's landmarks, our CSV and npz; a folder of
+several cameras is as many sequences.  With --follow: a folder of OpenPose files.
 
 \b
   pasdedeux reconstruct walk/ --database store --out out/     a BVH and an npz file a person
@@ -29,7 +32,7 @@ def register(app: typer.Typer) -> None:
 
 
 def reconstruct(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of OpenPose JSON files, one a frame.")],
+    path: Annotated[Path, typer.Argument(metavar="FILE_OR_DIR", help="2D poses: a file, or a folder of them.")],
     database: Annotated[
         str, typer.Option(metavar="REF_OR_STORE", help="Reference to projections, or folder of a store with one study.")
     ] = "store",
@@ -39,8 +42,23 @@ def reconstruct(
     ] = None,
     follow: Annotated[bool, typer.Option("--follow", help="Read files while they are being written.")] = False,
     idle: Annotated[float, typer.Option(min=0.0, metavar="S", help="Seconds without a new file that end it.")] = 5.0,
-    rate: Annotated[float, typer.Option(min=1.0, max=1000.0, metavar="HZ", help="Frames per second.")] = 30.0,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size in pixels, if known.")] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=1000.0, metavar="HZ", help="Frames per second; the file's, the video's, or 30."),
+    ] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Image size; the file's or the video's.")] = None,
+    focal: Annotated[float | None, typer.Option(min=1.0, metavar="PX", help="Focal length, if known.")] = None,
+    fov: Annotated[
+        float | None, typer.Option(min=1.0, max=179.0, metavar="DEG", help="Horizontal field of view, if known.")
+    ] = None,
+    stature: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[PERSON=]M", help="How tall everybody is, or one person; gives people their size."),
+    ] = None,
+    person: Annotated[list[int] | None, typer.Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
+    min_confidence: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Keypoints of less are missing; 0.2 by default.")
+    ] = None,
     pitch: Annotated[
         float | None,
         typer.Option(min=-80.0, max=80.0, metavar="DEG", help="How far the camera looks down; live 10, else found."),
@@ -62,11 +80,26 @@ def reconstruct(
     # Here, because numba and the search take a second that the other commands need not wait for.
     from flows.console.reconstructing import Live, Whole, follow_video, reconstruct_video
 
-    if follow and height is not None:
-        raise InputError("--height is for whole videos: live, nobody knows yet where the floor is")
+    whole_only = {"--height": height, "--stature": stature, "--person": person, "--focal": focal, "--fov": fov}
+    given = [name for name, value in whole_only.items() if value]
+    if follow and given:
+        raise InputError(f"{given[0]} is for whole videos: live, nobody knows yet where the floor is or who is who")
     if follow:
-        live = Live(out, rate_hz=rate, size=size, pitch_deg=pitch, idle_s=idle, lag=lag, has_clean_up=clean_up)
-        follow_video(folder, database, store, live)
+        live = Live(out, rate or 30.0, size, pitch_deg=pitch, idle_s=idle, lag=lag, has_clean_up=clean_up)
+        follow_video(path, database, store, live)
     else:
-        whole = Whole(out, rate, size, pitch, camera_height_m=height, has_clean_up=clean_up, units=units)
-        reconstruct_video(folder, database, store, whole)
+        whole = Whole(
+            out,
+            rate_hz=rate,
+            size=size,
+            focal_px=focal,
+            fov_deg=fov,
+            min_confidence=min_confidence,
+            person_ids=tuple(person or ()),
+            statures=tuple(stature or ()),
+            pitch_deg=pitch,
+            camera_height_m=height,
+            has_clean_up=clean_up,
+            units=units,
+        )
+        reconstruct_video(path, database, store, whole)

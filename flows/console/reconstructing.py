@@ -1,4 +1,4 @@
-"""The work of the command `reconstruct`: reads OpenPose files, reconstructs, writes BVH files or live lines."""
+"""The work of the command `reconstruct`: reads 2D poses, reconstructs, writes BVH files or live lines."""
 
 from __future__ import annotations
 
@@ -8,27 +8,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import typer
 from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store
-from flows.console.following import STOP_NAME, follow_folder, list_frames
+from flows.console.following import STOP_NAME, follow_folder
 from flows.console.live_lines import follow_lines, lines_into, told_to_stop
-from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats import (
-    OpenPoseFrame,
-    check_anatomy,
-    in_pixels,
-    join_openpose_frames,
-    read_openpose_frame,
-)
+from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
-from pasdedeux.people.settle import settle_people
+from pasdedeux.people.settle import SequencePeople, SettledPeople, settle_people
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
-from pasdedeux.reconstruction.tracks import tracks_from_rows
+from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
+from tasks.ingest.annotations import find_annotations
+from tasks.ingest.parameters import AnnotationOptions
 from tasks.projections import read_pairs, read_views
 from tasks.reconstruction import MAX_PAIRS, read_database
 
@@ -52,15 +48,33 @@ class Live:
 
 @dataclass(frozen=True)
 class Whole:
-    """How a whole video is reconstructed: a folder for the files (None for this one), and the command's options."""
+    """How whole videos are reconstructed: a folder for the files (None for this one), and the command's options."""
 
     out: Path | None
-    rate_hz: float = 30.0
+    rate_hz: float | None = None
     size: str | None = None
+    focal_px: float | None = None
+    fov_deg: float | None = None
+    min_confidence: float | None = None
+    person_ids: tuple[int, ...] = ()
+    statures: tuple[str, ...] = ()
     pitch_deg: float | None = None
     camera_height_m: float | None = None
     has_clean_up: bool = True
     units: str = "cm"
+
+    def source(self, path: Path) -> AnnotationOptions:
+        """Return the source of 2D poses that a path and the options are, as a study would name it."""
+        told = {
+            "rate_hz": self.rate_hz,
+            "image_size_px": _image_size(self.size),
+            "focal_px": self.focal_px,
+            "fov_deg": self.fov_deg,
+            "min_confidence": self.min_confidence,
+        }
+        name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
+        known = {key: value for key, value in told.items() if value is not None}
+        return AnnotationOptions.model_validate({"id": name or "video", "path": path, **known})
 
 
 def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
@@ -83,46 +97,59 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
         follow_lines(people, files, out, rate_hz=live.rate_hz)
 
 
-def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) -> None:
-    """Write a BVH and an npz file per person of a folder of OpenPose files.
+def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> None:
+    """Write a BVH and an npz file per person of every sequence of 2D poses, read as a study reads them.
 
     Raises:
-        InputError: No folder, no projections, an image size of another form, files that are not OpenPose's, keypoints
-            that are not people, or nobody who can be reconstructed.
+        InputError: Nothing that can be read, no projections, an option of another form, keypoints that are not people,
+            or nobody who can be reconstructed.
     """
-    _check_folder(folder)
-    image_size = _image_size(whole.size)
+    sources = find_annotations(whole.source(path))
     source, refs = _projections(database, store)
-    frames = _read_all(folder)
-    joined = in_pixels(join_openpose_frames(frames, sequence_id="video"), image_size)
-    check_anatomy(joined)
     searchers = _searchers(source, refs, whole.pitch_deg)
-    settled = settle_people(replace(joined, rate_hz=whole.rate_hz))
-    width, height = image_size or (None, None)
-    tracks = tracks_from_rows(
-        settled.frames.frame,
-        settled.frames.person_id,
-        settled.frames.frame / whole.rate_hz,
-        settled.op14.positions,
-        settled.op14.confidence,
-        partner_id=settled.partner_id,
-        width_px=width,
-        height_px=height,
-    )
+    pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
+    found = []
+    for one in sources:
+        typer.echo(one.in_words(), err=True)
+        settled = settle_people(one.read())
+        found += [(settled, sequence) for sequence in settled.sequences]
+    num_failed = 0
+    for settled, sequence in found:
+        try:
+            _reconstruct_sequence(settled, sequence, searchers, pairs_m, whole)
+        except InputError as error:
+            num_failed += 1
+            if num_failed == len(found):
+                raise type(error)(f"{sequence.sequence_id}: {error}") from None
+            typer.echo(f"{sequence.sequence_id} was left out: {error}", err=True)
+
+
+def _reconstruct_sequence(
+    settled: SettledPeople,
+    sequence: SequencePeople,
+    searchers: list[Searcher],
+    pairs_m: npt.NDArray[np.floating],
+    whole: Whole,
+) -> None:
+    """Write a BVH file per person of one sequence."""
+    if sequence.why_not_followed:
+        raise InputError(sequence.why_not_followed)
+    tracks = _tracks(settled, sequence.sequence_id, whole.person_ids)
     found = reconstruct_people(
         searchers,
         tracks,
         [Method.FIT],
         has_clean_up=whole.has_clean_up,
-        pairs_m=read_pairs(source, refs, max_pairs=MAX_PAIRS),
+        pairs_m=pairs_m,
         camera_height_m=whole.camera_height_m,
+        statures_m=_statures(whole.statures, [one.person_id for one in tracks]),
     )
     if not found.methods:
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
     for tracked, made in found.methods[-1].people:
-        path, motion = target / f"{folder.resolve().name}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
+        path, motion = target / f"{sequence.sequence_id}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
         path.write_text(motion.bvh(whole.units), encoding="utf-8")
         path.with_suffix(".npz").write_bytes(write_npz(motion))
         typer.echo(
@@ -134,11 +161,42 @@ def reconstruct_video(folder: Path, database: str, store: Path, whole: Whole) ->
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
     camera = searchers[found.searcher_index].database.camera
-    typer.echo(
-        f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; "
-        f"{'; '.join(one.in_words() for one in settled.sequences)}",
-        err=True,
+    typer.echo(f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; {sequence.in_words()}", err=True)
+
+
+def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[PersonTrack]:
+    """Return the tracks of the people of a sequence that are wanted, of everybody where nobody is named."""
+    frames = settled.frames
+    is_own = np.array([name == sequence_id for name in frames.sequence_id])
+    known = sorted(set(frames.person_id[is_own].tolist()))
+    unknown = sorted(set(person_ids) - set(known))
+    if unknown:
+        raise InputError(f"person {unknown[0]} is not in it; people: {', '.join(map(str, known)) or 'none'}")
+    rows = is_own & np.isin(frames.person_id, person_ids or known)
+    width, height = frames.image_size_px.get(sequence_id, (None, None))
+    return tracks_from_rows(
+        frames.frame[rows],
+        frames.person_id[rows],
+        frames.frame[rows] / (frames.rate_hz or 1.0),
+        settled.op14.positions[rows],
+        settled.op14.confidence[rows],
+        partner_id=settled.partner_id[rows],
+        width_px=width,
+        height_px=height,
+        focal_px=frames.focal_px.get(sequence_id),
     )
+
+
+def _statures(texts: tuple[str, ...], person_ids: list[int]) -> dict[int, float]:
+    """Return the statures by person that options say: METRES for everybody, or PERSON=METRES."""
+    statures: dict[int, float] = {}
+    for text in texts:
+        match = re.fullmatch(r"(?:(\d{1,9})=)?(\d(?:\.\d+)?)", text)
+        metres = float(match[2]) if match else 0.0
+        if match is None or not 0.5 <= metres <= 2.5:
+            raise InputError(f"stature '{text}' is none of METRES or PERSON=METRES; allowed: 0.5 to 2.5 m, as 1.72")
+        statures |= dict.fromkeys([int(match[1])] if match[1] else person_ids, metres)
+    return statures
 
 
 def _check_folder(folder: Path) -> None:
@@ -187,15 +245,3 @@ def _searchers(store: Store, refs: list[ArtifactRef], pitch_deg: float | None) -
         cameras = (replace(views.level_camera, pitch_rad=math.radians(pitch_deg)),)
     level, _, _ = read_database(store, refs)
     return [Searcher.of(replace(level, camera=camera)) for camera in cameras]
-
-
-def _read_all(folder: Path) -> list[tuple[int, OpenPoseFrame]]:
-    frames = []
-    for number, path in list_frames(folder):
-        try:
-            frames.append((number, read_openpose_frame(path.read_bytes())))
-        except FormatError as error:
-            raise FormatError(f"{path.name}: {error}") from None
-    if not frames:
-        raise InputError(f"folder {folder} holds no OpenPose files, whose names end in a frame number and .json")
-    return frames

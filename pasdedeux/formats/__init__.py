@@ -7,6 +7,7 @@ from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh, read_bvh_header
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.coco import read_coco
+from pasdedeux.formats.detections import Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileFormat, FileStart, MotionFormat, MotionHead
 from pasdedeux.formats.guess import (
     AxisGuess,
@@ -46,6 +47,7 @@ __all__ = [
     "AxisGuess",
     "FileFormat",
     "FileStart",
+    "Footage",
     "MotionFormat",
     "MotionGuess",
     "MotionHead",

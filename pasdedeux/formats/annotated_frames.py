@@ -54,6 +54,8 @@ _SEGMENTS = {
     ("pelvis", "left_hip"): 0.35,
     ("pelvis", "right_hip"): 0.35,
 }
+USUAL_SCALE = (0.5, 1.5)
+"""95th percentile of the confidences of a source whose scale is taken as it is."""
 MAX_SHARE = 2.0
 MAX_NEGATIVE = 0.2
 """Shares of the image: greatest coordinate, and greatest part of the coordinates below 0 (3D ones come to a half)."""
@@ -89,7 +91,7 @@ class AnnotatedFrames:
         confidence: (row, K), 0 where missing.
         image_size_px: Width and height of the images by sequence, of those where it is known.
         rate_hz: Frames per second, None when unknown.
-        focal_px: Focal length of the camera, pixels, None when unknown.
+        focal_px: Focal length of the camera by sequence, pixels, of those where it is known.
         skipped: Names of files that could not be read and were left out.
         has_identities: Whether a person has the same number in every frame; a detector that does not follow people
             numbers them anew in each.
@@ -106,7 +108,7 @@ class AnnotatedFrames:
     confidence: Array
     image_size_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     rate_hz: float | None = None
-    focal_px: float | None = None
+    focal_px: Mapping[str, float] = field(default_factory=dict)
     skipped: tuple[str, ...] = ()
     has_identities: bool = True
 
@@ -141,6 +143,17 @@ class AnnotatedFrames:
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
+    def rows(self, chosen: npt.NDArray[np.bool_]) -> AnnotatedFrames:
+        """Return some of the rows, chosen by a mask (row,)."""
+        return replace(
+            self,
+            sequence_id=tuple(name for name, kept in zip(self.sequence_id, chosen, strict=True) if kept),
+            frame=self.frame[chosen],
+            person_id=self.person_id[chosen],
+            keypoints_px=self.keypoints_px[chosen],
+            confidence=self.confidence[chosen],
+        )
+
     @property
     def num_rows(self) -> int:
         """Number of rows."""
@@ -154,14 +167,33 @@ def get_keypoint_layout(name: str) -> KeypointLayout:
     return KEYPOINT_LAYOUTS[name]
 
 
-def in_pixels(frames: AnnotatedFrames, image_size_px: tuple[int, int] | None = None) -> AnnotatedFrames:
-    """Return annotations in pixels: coordinates that are shares of the image, 0 to 1, are multiplied by its size.
+def without_doubtful(frames: AnnotatedFrames, min_confidence: float) -> AnnotatedFrames:
+    """Return annotations without the keypoints that their detector doubts, and without people of whom none is left.
 
-    Shares lie about 0 to 1, a little outside where people leave the image; a person in pixels is larger than that.
+    Detectors differ in what they call 1: softmax shares of Detectron2 come to 0.3 where a joint is plain to see, old
+    AlphaPose to 5.  Where the 95th percentile of a source is far from 1, confidences are divided by it first.
 
     Args:
         frames: Annotations.
-        image_size_px: Width and height of the images, where the file's are not to be taken.
+        min_confidence: Keypoints of less are missing.
+
+    Raises:
+        InputError: Nothing is left.
+    """
+    known = frames.confidence[frames.confidence > 0]
+    scale = float(np.percentile(known, 95)) if len(known) else 1.0
+    confidence = frames.confidence / (1.0 if USUAL_SCALE[0] <= scale <= USUAL_SCALE[1] else scale)
+    confidence = np.where(confidence < min_confidence, 0.0, confidence)
+    is_somebody = np.asarray((confidence > 0).any(axis=1))
+    if not is_somebody.any():
+        raise InputError(f"nobody is seen: no keypoint has a confidence of {min_confidence:g} (min_confidence) or more")
+    return replace(frames, confidence=confidence).rows(is_somebody)
+
+
+def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
+    """Return annotations in pixels: coordinates that are shares of the image, 0 to 1, are multiplied by its size.
+
+    Shares lie about 0 to 1, a little outside where people leave the image; a person in pixels is larger than that.
 
     Raises:
         InputError: The coordinates are shares and the size is not known, or they lie about 0 as 3D coordinates do.
@@ -174,7 +206,7 @@ def in_pixels(frames: AnnotatedFrames, image_size_px: tuple[int, int] | None = N
             "the coordinates lie about 0 within 2: they are neither pixels nor shares of the image, but perhaps "
             "MediaPipe's world landmarks or another scale; pixels, or 0 to 1 across the image, are needed"
         )
-    sizes = [image_size_px or frames.image_size_px.get(name) for name in frames.sequence_id]
+    sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     known = [size for size in sizes if size is not None]
     if len(known) < len(sizes):
         raise InputError(

@@ -130,7 +130,7 @@ def read_annotation_csv(data: bytes | str, *, sequence_id: str = "sequence", lay
             keypoints[index, column] = x, y
             confidence[index, column] = trust
     sequences = tuple(key[0] for key in people)
-    size = _image_size(notes)
+    size, focal = _image_size(notes), _number(notes, "focal_px", "the focal length", MAX_FOCAL_PX)
     return AnnotatedFrames(
         layout=layout,
         sequence_id=sequences,
@@ -140,7 +140,7 @@ def read_annotation_csv(data: bytes | str, *, sequence_id: str = "sequence", lay
         confidence=confidence,
         image_size_px=dict.fromkeys(sequences, size) if size else {},
         rate_hz=_number(notes, "rate_hz", "the frame rate", MAX_RATE_HZ),
-        focal_px=_number(notes, "focal_px", "the focal length", MAX_FOCAL_PX),
+        focal_px=dict.fromkeys(sequences, focal) if focal else {},
     )
 
 

@@ -104,5 +104,5 @@ def read_annotation_npz(data: bytes, *, sequence_id: str = "sequence", layout: s
         confidence=confidence,
         image_size_px={} if size is None else dict.fromkeys(sequence, (int(size[0]), int(size[1]))),
         rate_hz=numbers["rate_hz"],
-        focal_px=numbers["focal_px"],
+        focal_px=dict.fromkeys(sequence, numbers["focal_px"]) if numbers["focal_px"] else {},
     )

@@ -20,6 +20,7 @@ from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
 
 __all__ = [
     "MAX_FRAME",
+    "UNKNOWN",
     "Detection",
     "Footage",
     "image_size",
@@ -60,10 +61,15 @@ class Detection:
 
 @dataclass(frozen=True)
 class Footage:
-    """What a file says of its images; None where it does not."""
+    """What is known of the images of a video; None where it is not."""
 
     image_size_px: tuple[int, int] | None = None
     rate_hz: float | None = None
+    focal_px: float | None = None
+    fov_deg: float | None = None
+
+
+UNKNOWN = Footage()
 
 
 def join_detections(

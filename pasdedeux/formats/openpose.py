@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name
+from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name, places_of_names
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import parse_json, parse_triples
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
@@ -56,9 +56,9 @@ class OpenPose(AnnotationFormat):
         return start.is_json and '"people"' in start.text
 
     def frame_numbers(self, names: Sequence[str]) -> list[int]:
-        """Return the frame that each file is of, by its name; one without a number is where it stands."""
-        numbers = [openpose_frame_number(name) for name in names]
-        return [index if number is None else number for index, number in enumerate(numbers)]
+        """Return the frame that each file of a camera is of, by its name."""
+        places = places_of_names(names)
+        return [places[name][1] for name in names]
 
     def read(
         self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy, in_pixels, without_doubtful
 from pasdedeux.formats.annotation_csv import AnnotationCsv
 from pasdedeux.formats.annotation_npz import AnnotationNpz
 from pasdedeux.formats.asf_amc import AsfAmc
 from pasdedeux.formats.bvh import Bvh
 from pasdedeux.formats.coco import Coco
+from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
 from pasdedeux.formats.openpose import OpenPose
 from pasdedeux.formats.positions_npz import PositionsNpz
@@ -100,7 +102,9 @@ def read_annotations(
     *,
     source_id: str,
     layout: str = "auto",
-    image_size_px: tuple[int, int] | None = None,
+    told: Footage = UNKNOWN,
+    beside: Footage = UNKNOWN,
+    min_confidence: float = 0.0,
     skip_unreadable: bool = False,
 ) -> AnnotatedFrames:
     """Read a source of 2D poses in pixels and check that they look like people; sequences are named after it.
@@ -110,11 +114,14 @@ def read_annotations(
         files: Content of each file by its name.
         source_id: Name of the source; stands in front of the names that the files give to their sequences.
         layout: Keypoint layout asked for, or "auto".
-        image_size_px: Width and height of the images, where the files do not say or are wrong.
+        told: What is known of the video; wins over what the files say.
+        beside: What the video that lies beside the files says; taken where nobody else says it.
+        min_confidence: Keypoints of less are missing.
         skip_unreadable: Leave out frames whose file is damaged.
 
     Raises:
-        InputError: A file is mangled (named), the keypoints are not in the layout asked for, or are not people.
+        InputError: A file is mangled (named), the keypoints are not in the layout asked for, are not people, or lie
+            in an image of unknown size.
     """
     try:
         frames = kind.read(files, sequence_id=source_id, layout=layout, skip_unreadable=skip_unreadable)
@@ -124,7 +131,7 @@ def read_annotations(
         raise type(error)(f"{next(iter(files))}: {error}") from None
     if layout not in {"auto", frames.layout}:
         raise InputError(f"the study says layout '{layout}', but the keypoints are '{frames.layout}'")
-    frames = in_pixels(frames, image_size_px)
+    frames = without_doubtful(in_pixels(_with_footage(frames, told, beside)), min_confidence)
     check_anatomy(frames)
     own = f"{source_id}."
     names = {
@@ -133,5 +140,23 @@ def read_annotations(
     return replace(
         frames,
         sequence_id=tuple(names[name] for name in frames.sequence_id),
-        image_size_px={names[name]: size for name, size in frames.image_size_px.items()},
+        image_size_px={names[name]: size for name, size in frames.image_size_px.items() if name in names},
+        focal_px={names[name]: focal for name, focal in frames.focal_px.items() if name in names},
     )
+
+
+def _with_footage(frames: AnnotatedFrames, told: Footage, beside: Footage) -> AnnotatedFrames:
+    """Return annotations with all that is known of rate, image size and focal length."""
+    sizes, focals = dict(frames.image_size_px), dict(frames.focal_px)
+    for name in set(frames.sequence_id):
+        size = told.image_size_px or sizes.get(name) or beside.image_size_px
+        if size:
+            sizes[name] = size
+        if told.focal_px:
+            focals[name] = told.focal_px
+        elif told.fov_deg:
+            if size is None:
+                raise InputError("a field of view needs the size of the image (image_size_px, --size)")
+            focals[name] = 0.5 * size[0] / math.tan(math.radians(0.5 * told.fov_deg))
+    rate_hz = told.rate_hz or frames.rate_hz or beside.rate_hz
+    return replace(frames, image_size_px=sizes, focal_px=focals, rate_hz=rate_hz)

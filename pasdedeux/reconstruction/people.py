@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstruction
@@ -26,6 +28,7 @@ from pasdedeux.reconstruction.reconstruct import (
     reconstruct_track,
 )
 from pasdedeux.reconstruction.tracks import PersonTrack
+from pasdedeux.skeletons import OP14
 
 __all__ = ["MethodMotions", "ReconstructedTracks", "reconstruct_people"]
 
@@ -78,6 +81,7 @@ def reconstruct_people(
     has_clean_up: bool = True,
     pairs_m: npt.NDArray[np.floating] | None = None,
     camera_height_m: float | None = None,
+    statures_m: Mapping[int, float] | None = None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
@@ -92,7 +96,9 @@ def reconstruct_people(
         has_clean_up: Planted feet are stilled and the floor is kept.
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
         camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
+        statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
     """
+    statures_m = statures_m or {}
     options = options or ReconstructionOptions()
     chosen = choose_pitch(searchers, [one.track for one in people], options) if len(searchers) > 1 else 0
     searcher, camera = searchers[chosen], searchers[chosen].database.camera
@@ -112,10 +118,11 @@ def reconstruct_people(
         )
         if camera_height_m is not None:
             found = tuple((person, sized_by_height(one, camera, camera_height_m)) for person, one in found)
+        found = sized_by_stature(found, statures_m)
         if method is not Method.NEAREST:
             if placings is None:
                 placings = _place(searcher, [matches for _, matches in matched], found, pairs_m)
-            found = _moved(found, placings)
+            found = sized_by_stature(_moved(found, placings), statures_m, has_one_size=True)
         made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
     if made and has_clean_up:
         last = made[-1]
@@ -153,6 +160,33 @@ def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
             whole.motion(person.track.rate_hz), first, is_there & ~found.is_bridged[at]
         )
     return motions
+
+
+def sized_by_stature(
+    people: Sequence[tuple[PersonTrack, Reconstruction]],
+    statures_m: Mapping[int, float],
+    *,
+    has_one_size: bool = False,
+) -> tuple[tuple[PersonTrack, Reconstruction], ...]:
+    """Return reconstructions at the size that gives people their stature, as their legs tell it.
+
+    Body and path grow together about the camera, which sees no difference.
+
+    Args:
+        people: Tracks and reconstructions, camera axes, camera at the origin.
+        statures_m: Stature by person id; the others grow as these do in the mean.
+        has_one_size: Everybody grows alike, so that all keep their places to each other.
+    """
+    own = {
+        person.person_id: float(np.median(body_height_m(OP14, bone_lengths(OP14, one.positions_m))))
+        for person, one in people
+    }
+    growth = {name: stature / own[name] for name, stature in statures_m.items() if own.get(name, 0.0) > 0}
+    if not growth:
+        return tuple(people)
+    mean = float(np.exp(np.mean(np.log(list(growth.values())))))
+    sizes = {name: mean if has_one_size else growth.get(name, mean) for name in own}
+    return tuple((person, one.scaled(sizes[person.person_id])) for person, one in people)
 
 
 def _place(

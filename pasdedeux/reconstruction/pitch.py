@@ -126,12 +126,7 @@ def sized_by_height(found: Reconstruction, camera: DatabaseCamera, camera_height
     size = camera_height_m / below if below > 0 else float("nan")
     if not _SIZE_RANGE[0] <= size <= _SIZE_RANGE[1]:
         return found
-    return replace(
-        found,
-        positions_m=size * found.positions_m,
-        root_m=size * found.root_m,
-        metres_per_pixel=size * found.metres_per_pixel,
-    )
+    return found.scaled(size)
 
 
 def _misfit(searcher: Searcher, track: Track, options: ReconstructionOptions, floor_weight: float) -> float:

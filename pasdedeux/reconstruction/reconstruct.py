@@ -176,6 +176,15 @@ class Reconstruction:
     is_bridged: npt.NDArray[np.bool_]
     metres_per_pixel: Array
 
+    def scaled(self, size: float) -> Reconstruction:
+        """Return body and path grown about the camera, which sees no difference."""
+        return replace(
+            self,
+            positions_m=size * self.positions_m,
+            root_m=size * self.root_m,
+            metres_per_pixel=size * self.metres_per_pixel,
+        )
+
 
 def match_track(searcher: Searcher, track: Track, options: ReconstructionOptions | None = None) -> Matches:
     """Place a track and find each frame's candidates.

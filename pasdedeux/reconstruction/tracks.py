@@ -29,16 +29,21 @@ class Lens:
     principal_point_px: tuple[float, float]
 
     @classmethod
-    def assumed(cls, width_px: int | None, height_px: int | None, keypoints_px: Array) -> Lens:
-        """Return the lens of a common camera for this image size; unknown size is told from where keypoints lie."""
+    def assumed(
+        cls, width_px: int | None, height_px: int | None, keypoints_px: Array, focal_px: float | None = None
+    ) -> Lens:
+        """Return the lens with this focal length, else of a common camera, for this image size.
+
+        An unknown size is told from where keypoints lie.
+        """
         if width_px is None or height_px is None:
             is_seen = np.isfinite(keypoints_px).all(axis=-1)
             seen = keypoints_px[is_seen] if is_seen.any() else np.zeros((1, 2))
             # People are filmed about the middle, and an image is about 16:9.
             middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
             width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
-            return cls(_FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
-        return cls(_FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
+            return cls(focal_px or _FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
+        return cls(focal_px or _FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,7 @@ def tracks_from_rows(
     partner_id: Integers | None = None,
     width_px: int | None,
     height_px: int | None,
+    focal_px: float | None = None,
 ) -> list[PersonTrack]:
     """Return the tracks of one sequence, by person id.
 
@@ -128,6 +134,7 @@ def tracks_from_rows(
         partner_id: Partner of each row's person (row,), -1 for nobody; nobody has one where it is not given.
         width_px: Width of the image, None when unknown.
         height_px: Height of the image, None when unknown.
+        focal_px: Focal length of the camera, None when unknown.
 
     Raises:
         InputError: A person twice in a frame, or times that do not grow.
@@ -135,7 +142,7 @@ def tracks_from_rows(
     if len(frame) == 0:
         return []
     rate_hz = rate_from_times(frame, time_s)
-    lens = Lens.assumed(width_px, height_px, keypoints_px)
+    lens = Lens.assumed(width_px, height_px, keypoints_px, focal_px)
     tracks = []
     for person in np.unique(person_id):
         rows = np.flatnonzero(person_id == person)

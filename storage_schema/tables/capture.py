@@ -110,6 +110,12 @@ ANNOTATIONS = Table(
         array("op14_px", "Keypoints; NaN where missing", axes={"joint": 14, "xy": 2}, unit="px", joints="op14"),
         array("op14_confidence", "Confidence; 0 where missing", axes={"joint": 14}, joints="op14"),
         *(column.with_meaning(f"{column.meaning}, null when unknown", is_nullable=True) for column in IMAGE_SIZE),
+        float64(
+            "focal_px",
+            "Focal length of the camera as the source states it, null when unknown, and for virtual video",
+            unit="px",
+            is_nullable=True,
+        ),
     ),
 )
 

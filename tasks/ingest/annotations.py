@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,18 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, find_format, read_annotations
+from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, Footage, read_annotations
+from pasdedeux.formats.detections import UNKNOWN
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
+from tasks.ingest.cameras import find_cameras, read_header, video_beside
 from tasks.ingest.parameters import AnnotationOptions, AnnotationParameters
 from tasks.ingest.sources import load_file, read_again
 from tasks.stage import Shard, SourceFile, commit
 
-__all__ = ["find_annotations", "run_annotations"]
+__all__ = ["FoundAnnotations", "find_annotations", "run_annotations"]
 
 DEFAULT_RATE_HZ = 30.0
 MAX_NAMED_FILES = 20
@@ -29,44 +32,83 @@ GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
 """Share of the joints of pair17 that are seen: below the first a source is doubted, below the second useless."""
 
 
-def find_annotations(options: AnnotationOptions, *, is_held_out: bool) -> tuple[AnnotationParameters, list[SourceFile]]:
-    """Find a source's files and read them once, so that bad input is refused before any work.
+@dataclass(frozen=True)
+class FoundAnnotations:
+    """A source of 2D poses that was found and read once, or one camera of it.
+
+    Args:
+        parameters: What its shard is told: every choice is made.
+        files: Its files.
+        video: The video beside them whose header was read, None without.
+    """
+
+    parameters: AnnotationParameters
+    files: tuple[SourceFile, ...]
+    video: Path | None
+
+    def read(self) -> AnnotatedFrames:
+        """Return the annotations in pixels, with the rate, and with image size and focal length where they are known.
+
+        Raises:
+            InputError: A file is mangled or has changed.
+        """
+        frames = _read(self.parameters, self.files)
+        return replace(frames, rate_hz=frames.rate_hz or DEFAULT_RATE_HZ)
+
+    def in_words(self) -> str:
+        """Say what the files are, and where what is known of the video comes from."""
+        told, frames = self.parameters, _read(self.parameters, self.files)
+        number = len(self.files)
+        words = [f"{number} files of the format '{told.format}'" if number > 1 else f"format '{told.format}'"]
+        words += [f"layout '{frames.layout}'", f"{frames.rate_hz or DEFAULT_RATE_HZ:g} frames a second"]
+        beside = "" if self.video is None else f" ({self.video.name})"
+        if told.rate_hz is None and frames.rate_hz is None:
+            words[-1] += " assumed (--rate, rate_hz)"
+        elif told.rate_hz is None:
+            words[-1] += beside if frames.rate_hz == told.video_rate_hz else " (the file)"
+        sizes = sorted(set(frames.image_size_px.values()))
+        words.append(" and ".join(f"{width} x {height}" for width, height in sizes) or "image size unknown (--size)")
+        if sizes and told.image_size_px is None:
+            words[-1] += beside if sizes == [told.video_size_px] else " (the file)"
+        focals = sorted(set(frames.focal_px.values()))
+        lens = " and ".join(f"{focal:.0f} px" for focal in focals)
+        words.append(f"focal length {lens}" if lens else "lens of a phone assumed (--focal, --fov)")
+        if frames.skipped:
+            words.append(f"{len(frames.skipped)} damaged files left out ({', '.join(frames.skipped[:3])})")
+        return f"{told.id}: {', '.join(words)}"
+
+
+def find_annotations(options: AnnotationOptions, *, is_held_out: bool = False) -> list[FoundAnnotations]:
+    """Find a source's files, a camera at a time, and read them once, so that bad input is refused before any work.
 
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
     """
+    found = []
     try:
-        if options.path.is_dir():
-            paths = sorted(path for path in options.path.iterdir() if path.suffix.lower() == ".json")
-            if not paths:
-                raise InputError(f"folder {options.path} holds no .json files")
-            per_frame = [name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame]
-            if options.format not in {"auto", *per_frame}:
-                raise InputError(
-                    f"'{options.format}' is one file, not a folder; formats of folders: {', '.join(per_frame)}"
-                )
-            name = per_frame[0] if options.format == "auto" else options.format
-        else:
-            paths = [options.path]
-            data = load_file(options.path).data
-            try:
-                name = find_format(ANNOTATION_FORMATS, options.format, data).name
-            except InputError as error:
-                raise type(error)(f"{options.path.name}: {error}") from None
-        files = tuple(load_file(path).file for path in paths)
-        parameters = AnnotationParameters(
-            **options.model_dump(exclude={"path", "format"}),
-            format=name,
-            is_held_out=is_held_out,
-            frames=tuple(ANNOTATION_FORMATS[name].frame_numbers([path.name for path in paths])),
-        )
-        _read(parameters, files)
+        cameras = find_cameras(options.path, options.format)
+        for camera in cameras:
+            video = video_beside(options.path, camera)
+            header = UNKNOWN if video is None else read_header(video)
+            name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
+            parameters = AnnotationParameters(
+                **options.model_dump(exclude={"id", "path", "format"}),
+                id=f"{options.id}.{name}" if name else options.id,
+                format=camera.format,
+                is_held_out=is_held_out,
+                frames=tuple(ANNOTATION_FORMATS[camera.format].frame_numbers([path.name for path in camera.paths])),
+                video_rate_hz=header.rate_hz,
+                video_size_px=header.image_size_px,
+            )
+            files = tuple(load_file(path).file for path in camera.paths)
+            found.append(FoundAnnotations(parameters, files, None if header == UNKNOWN else video))
+            found[-1].read()
     except InputError as error:
         raise type(error)(f"annotations {options.id}: {error}") from None
-    return parameters, list(files)
+    return found
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
     """Read a source; the last few are remembered, because a study is planned several times in a run."""
     return read_annotations(
@@ -74,7 +116,9 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
         layout=parameters.layout,
-        image_size_px=parameters.image_size_px,
+        told=Footage(parameters.image_size_px, parameters.rate_hz, parameters.focal_px, parameters.fov_deg),
+        beside=Footage(parameters.video_size_px, parameters.video_rate_hz),
+        min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
     )
 
@@ -84,14 +128,14 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
     for file in shard.files:
         read_again(file)
     given = _read(parameters, shard.files)
-    rate = parameters.rate_hz or given.rate_hz or DEFAULT_RATE_HZ
+    rate_hz = given.rate_hz or DEFAULT_RATE_HZ
     try:
-        settled = settle_people(replace(given, rate_hz=rate), parameters.part(PeopleSettings))
+        settled = settle_people(replace(given, rate_hz=rate_hz), parameters.part(PeopleSettings))
     except InputError as error:
         raise type(error)(f"annotations {parameters.id}: {error}") from None
     frames, op14 = settled.frames, settled.op14
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
-    sizes = [parameters.image_size_px or frames.image_size_px.get(name) for name in frames.sequence_id]
+    sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     count = frames.num_rows
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
@@ -104,7 +148,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "person_id": frames.person_id,
                 "partner_id": [None if one < 0 else int(one) for one in settled.partner_id],
                 "source_person_id": settled.source_person_id,
-                "time_s": frames.frame / rate,
+                "time_s": frames.frame / rate_hz,
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
                 "is_held_out": np.full(count, parameters.is_held_out),
@@ -117,6 +161,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "pair17_confidence": pair17.confidence,
                 "op14_px": op14.positions,
                 "op14_confidence": op14.confidence,
+                "focal_px": [frames.focal_px.get(name) for name in frames.sequence_id],
                 "image_width_px": [size[0] if size else None for size in sizes],
                 "image_height_px": [size[1] if size else None for size in sizes],
             }
@@ -129,7 +174,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             "is_virtual": False,
             "num_frames": len(people),
             "num_persons": max(people.values()),
-            "rate_hz": rate,
+            "rate_hz": rate_hz,
             "purpose": "given",
             "format": parameters.format,
             "layout": frames.layout,

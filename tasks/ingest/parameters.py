@@ -211,9 +211,26 @@ class _AnnotationCommon(PeopleSettings, Parameters):
         default="auto",
         description=f"Keypoint layout: {', '.join(KEYPOINT_LAYOUTS)}; told from the file, and refused if it is another",
     )
-    image_size_px: tuple[int, int] | None = Field(default=None, description="Width and height of the images")
+    image_size_px: tuple[int, int] | None = Field(
+        default=None, description="Width and height of the images; by default the file's, else the video's beside it"
+    )
     rate_hz: float | None = Field(
-        default=None, gt=0, le=10_000, description="Frame rate; by default the file's, else 30 Hz"
+        default=None,
+        gt=0,
+        le=10_000,
+        description="Frame rate; by default the file's, else the video's that lies beside it, else 30 Hz",
+    )
+    focal_px: float | None = Field(
+        default=None, gt=0, le=1_000_000, description="Focal length of the camera; by default the file's"
+    )
+    fov_deg: float | None = Field(
+        default=None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
+    )
+    min_confidence: float = Field(
+        default=0.2,
+        ge=0,
+        le=1,
+        description="Keypoints of less are missing; 1 is what the detector gives to joints that are plain to see",
     )
     on_unreadable: Literal["refuse", "skip"] = Field(
         default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
@@ -224,9 +241,9 @@ class _AnnotationCommon(PeopleSettings, Parameters):
 
 
 class AnnotationOptions(_AnnotationCommon):
-    """2D poses of the user's own: a folder of OpenPose JSON, a COCO JSON, or our CSV or npz."""
+    """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
 
-    path: Path = Field(description="File, or folder of OpenPose files")
+    path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
 
 
 class IngestParameters(Parameters):
@@ -362,7 +379,11 @@ class AnnotationParameters(_AnnotationCommon):
 
     Attributes:
         frames: The frame of each file, where its name tells it: no digest of the content knows.
+        video_rate_hz: What the header of the video beside the files says; None without.
+        video_size_px: Its width and height.
     """
 
     is_held_out: bool
     frames: tuple[int, ...]
+    video_rate_hz: float | None
+    video_size_px: tuple[int, int] | None

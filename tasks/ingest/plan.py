@@ -28,7 +28,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 3
+VERSION = 4
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -48,8 +48,8 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         shards.append(take)
         shards.extend(_virtual_video_shards(parameters, take))
     for options in parameters.annotations:
-        found, files = find_annotations(options, is_held_out=options.take_id in parameters.held_out)
-        shards.append(_shard(inputs.seed, options.id, "annotations", found, files))
+        for found in find_annotations(options, is_held_out=options.take_id in parameters.held_out):
+            shards.append(_shard(inputs.seed, found.parameters.id, "annotations", found.parameters, found.files))
     return shards
 
 

@@ -186,6 +186,8 @@ def _add_seen(
         op14_confidence=confidence[:, _OP14_OF_SEEN],
         image_width_px=[width] * count,
         image_height_px=[height] * count,
+        # As with a user's video, nobody knows the lens; `cameras` does.
+        focal_px=[None] * count,
     )
     return float(is_inside.mean())
 

@@ -115,6 +115,7 @@ def put_annotations(
         "op14_confidence": np.ones((count, 14)),
         "image_width_px": [1000] * count,
         "image_height_px": [1000] * count,
+        "focal_px": [None] * count,
     }
     facts = {"kind": "sequences", "takes": [take_id], "is_held_out": is_held_out, "num_persons": 2}
     annotations = put(

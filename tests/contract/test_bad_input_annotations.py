@@ -131,7 +131,10 @@ def test_an_empty_folder_and_a_missing_one_are_named(folder: Path, capsys: pytes
     shutil.rmtree(folder / "walk")
     assert refusal(folder, capsys) == f"annotations walk: file {folder / 'walk'} does not exist"
     (folder / "walk").mkdir()
-    assert refusal(folder, capsys) == f"annotations walk: folder {folder / 'walk'} holds no .json files"
+    assert (
+        refusal(folder, capsys)
+        == f"annotations walk: folder {folder / 'walk'} holds no files of 2D poses (.csv, .json, .npz)"
+    )
 
 
 def test_a_line_of_a_table_that_is_wrong_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,15 @@ from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.formats import read_bvh
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
 from pasdedeux.reconstruction.body import body_through, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
-from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.reconstruction.people import sized_by_stature
+from pasdedeux.reconstruction.reconstruct import Reconstruction, Searcher
+from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, artifact_key
@@ -286,9 +290,9 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_command_line(["reconstruct", str(tmp_path), *reference(store)]) == 2
-    assert "no OpenPose files" in capsys.readouterr().err
+    assert "holds no files of 2D poses" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
-    assert "is not a folder" in capsys.readouterr().err
+    assert "does not exist" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--database", str(store.root)]) == 2
     assert "run a study first" in capsys.readouterr().err
 
@@ -323,7 +327,7 @@ def test_people_without_any_joint_are_nobody(store: Store, tmp_path: Path, capsy
     empty = openpose(np.zeros((1, 14, 2))).replace("0.9", "0.0")
     folder = written(tmp_path / "empty", dict.fromkeys(range(12), empty))
     assert run_command_line(["reconstruct", str(folder), *reference(store), "--out", str(tmp_path / "x")]) == 2
-    assert "no frame shows enough joints of a person" in capsys.readouterr().err
+    assert "nobody is seen" in capsys.readouterr().err
     command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(tmp_path / "y")]
     assert run_command_line(command) == 0
     assert "12 frames, nobody to be seen" in capsys.readouterr().err
@@ -363,3 +367,65 @@ def test_a_database_written_with_other_columns_is_refused(
         read_database(Store(other), [manifest.ref for manifest in store.artifacts("projections")])
     assert run_command_line(["reconstruct", str(video), "--store", str(other), *reference(store)[2:]]) == 2
     assert "projections" in capsys.readouterr().err
+
+
+def results(video: Path) -> str:
+    """Return the video as AlphaPose would list it: names of images, tracks, 17 keypoints."""
+    names = KEYPOINT_LAYOUTS["coco17"].keypoint_names
+    own = [LAYOUT.keypoint_names.index(name) for name in names]
+    items = []
+    for number, path in list_frames(video):
+        people = json.loads(path.read_text())["people"]
+        for place, person in enumerate(people[::-1] if number % 2 else people):
+            table = np.array(person["pose_keypoints_2d"]).reshape(-1, 3)[own]
+            items.append({"image_id": f"{number}.jpg", "keypoints": table.reshape(-1).tolist(), "idx": place + 3})
+    return json.dumps(items)
+
+
+def test_a_file_of_results_is_read_as_a_study_reads_it_and_what_was_assumed_is_said(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "clip.json"
+    path.write_text(results(video))
+    command = ["reconstruct", str(path), *reference(store), "--out", str(tmp_path / "out"), "--pitch", "6"]
+    assert run_command_line([*command, "--person", "4", "--stature", "1.60", "--fov", "70", "--size", "1920x1080"]) == 0
+    (file,) = (tmp_path / "out").glob("*.bvh")
+    assert file.name == "clip_4.bvh"
+    said = capsys.readouterr().err
+    assert "clip: format 'coco', layout 'coco17', 30 frames a second assumed (--rate, rate_hz), 1920 x 1080" in said
+    assert "focal length 1371 px" in said
+    assert run_command_line([*command, "--person", "7"]) == 2
+    assert "clip: person 7 is not in it; people: 3, 4" in capsys.readouterr().err
+    assert run_command_line([*command, "--stature", "172"]) == 2
+    assert "'172' is none of METRES or PERSON=METRES" in capsys.readouterr().err
+
+
+def test_two_cameras_of_a_folder_are_two_sequences(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for camera in ("left", "right"):
+        for number, path in list_frames(video)[: 20 if camera == "left" else FRAMES]:
+            (tmp_path / f"{camera}_{number:06d}_keypoints.json").write_text(path.read_text())
+    command = ["reconstruct", str(tmp_path), *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
+    assert run_command_line(command) == 0
+    names = {file.name.removeprefix(tmp_path.name) for file in (tmp_path / "out").glob("*.bvh")}
+    assert names == {f".{camera}_{person}.bvh" for camera in ("left", "right") for person in (0, 1)}
+
+
+def test_people_of_known_stature_come_out_that_tall() -> None:
+    positions = walk(30, seed=1)
+    tracks = [
+        PersonTrack(name, 0, 0.0, Track(np.zeros((30, 14, 2)), np.ones((30, 14)), 30.0, Lens(1.0, (0.0, 0.0))))
+        for name in (0, 1)
+    ]
+    made = Reconstruction(positions, positions, positions[:, 8], *(np.ones(30) for _ in range(6)))
+    people = [(track, made) for track in tracks]
+
+    def heights(found: Sequence[tuple[PersonTrack, Reconstruction]]) -> list[float]:
+        lengths = [bone_lengths(OP14, one.positions_m) for _, one in found]
+        return [float(np.median(body_height_m(OP14, one))) for one in lengths]
+
+    assert heights(sized_by_stature(people, {0: 1.9, 1: 1.5})) == pytest.approx([1.9, 1.5])
+    assert heights(sized_by_stature(people, {1: 1.5})) == pytest.approx([1.5, 1.5])
+    assert heights(sized_by_stature(people, {0: 1.8, 1: 1.8}, has_one_size=True)) == pytest.approx([1.8, 1.8])
+    assert sized_by_stature(people, {}) == tuple(people)

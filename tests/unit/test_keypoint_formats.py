@@ -12,6 +12,7 @@ from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats import (
     ANNOTATION_FORMATS,
     AnnotatedFrames,
+    Footage,
     check_anatomy,
     join_openpose_frames,
     openpose_frame_number,
@@ -116,10 +117,10 @@ def test_shares_of_the_image_become_pixels_where_its_size_is_known_and_are_refus
     kind = ANNOTATION_FORMATS["openpose"]
     with pytest.raises(InputError, match=r"shares of the image.*--size"):
         read_annotations(kind, shares(), source_id="s")
-    found = read_annotations(kind, shares(), source_id="s", image_size_px=(400, 320))
+    found = read_annotations(kind, shares(), source_id="s", told=Footage((400, 320)))
     np.testing.assert_allclose(found.keypoints_px[3], person_px("coco18", seed=3), atol=0.01)
     with pytest.raises(InputError, match="world landmarks"):
-        read_annotations(kind, shares(shift=0.4), source_id="s", image_size_px=(400, 320))
+        read_annotations(kind, shares(shift=0.4), source_id="s", told=Footage((400, 320)))
 
 
 def test_frame_numbers_come_from_file_names() -> None:

@@ -1,0 +1,160 @@
+"""The files of a source of 2D poses, a camera at a time, and the video that lies beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats import ANNOTATION_FORMATS, Footage, find_format
+from pasdedeux.formats.detections import number_in_name, places_of_names
+from tasks.ingest.sources import load_file
+
+__all__ = ["CameraFiles", "find_cameras", "read_header", "video_beside"]
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
+_SUFFIXES = frozenset(end for kind in ANNOTATION_FORMATS.values() for end in kind.suffixes)
+_SEPARATORS = "_-. "
+
+
+@dataclass(frozen=True)
+class CameraFiles:
+    """What one camera saw.
+
+    Args:
+        name: Name of the camera; empty where a source has one only.
+        format: Format of the files.
+        paths: A file, or those of all frames.
+    """
+
+    name: str
+    format: str
+    paths: tuple[Path, ...]
+
+
+def find_cameras(path: Path, format_name: str = "auto") -> list[CameraFiles]:
+    """Return the files of each camera of a source: a file, a folder of frames, or a folder of either.
+
+    A folder of files of frames is a camera for each beginning of their names (`cam1_0012.json`), any other file of a
+    folder is one of its own, and so is each folder in it.
+
+    Raises:
+        InputError: There is nothing there, nothing that is known, or a video or images, whose people nobody detected.
+    """
+    if not path.is_dir():
+        _refuse_film([path], path)
+        return [CameraFiles("", _format_of(path, format_name), (path,))]
+    cameras = _cameras_in(path, format_name)
+    if not cameras:
+        folders = sorted(item for item in path.iterdir() if item.is_dir())
+        for folder in folders:
+            for camera in _cameras_in(folder, format_name):
+                name = folder.name.removesuffix("_json")
+                cameras.append(CameraFiles(f"{name}_{camera.name}".rstrip("_"), camera.format, camera.paths))
+    if not cameras:
+        _refuse_film(sorted(path.iterdir()), path)
+        raise InputError(f"folder {path} holds no files of 2D poses ({', '.join(sorted(_SUFFIXES))})")
+    return [CameraFiles("", cameras[0].format, cameras[0].paths)] if len(cameras) == 1 else cameras
+
+
+def _cameras_in(folder: Path, format_name: str) -> list[CameraFiles]:
+    """Return the cameras of the files that lie in a folder itself."""
+    paths = sorted(item for item in folder.iterdir() if item.suffix.lower() in _SUFFIXES and item.is_file())
+    numbered = [item for item in paths if item.suffix.lower() == ".json" and number_in_name(item.name)[1] is not None]
+    if not paths:
+        return []
+    first = (numbered or paths)[0]
+    name = _frames_format(first, format_name)
+    if name is None:
+        return [CameraFiles(one.stem, _format_of(one, format_name), (one,)) for one in paths]
+    frames = numbered or [item for item in paths if item.suffix.lower() == ".json"]
+    cameras: dict[str, list[Path]] = {}
+    for item, (camera, _) in zip(frames, places_of_names(item.name for item in frames).values(), strict=True):
+        cameras.setdefault(camera, []).append(item)
+    return [CameraFiles(camera, name, tuple(files)) for camera, files in sorted(cameras.items())]
+
+
+def _frames_format(first: Path, format_name: str) -> str | None:
+    """Return the format of a folder's files where each is a frame, else None; a damaged file is taken for a frame."""
+    if format_name != "auto":
+        return format_name if ANNOTATION_FORMATS[format_name].is_file_per_frame else None
+    if first.suffix.lower() != ".json":
+        return None
+    try:
+        name = find_format(ANNOTATION_FORMATS, "auto", load_file(first).data).name
+    except InputError:
+        name = next(name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame)
+    return name if ANNOTATION_FORMATS[name].is_file_per_frame else None
+
+
+def _format_of(path: Path, format_name: str) -> str:
+    try:
+        return find_format(ANNOTATION_FORMATS, format_name, load_file(path).data).name
+    except InputError as error:
+        if not path.is_file():
+            raise
+        raise type(error)(f"{path.name}: {error}") from None
+
+
+def _refuse_film(paths: Sequence[Path], path: Path) -> None:
+    """Refuse a video, or images, with what must be done to them first."""
+    suffixes = {item.suffix.lower() for item in paths}
+    what = "video" if suffixes & VIDEO_SUFFIXES else "images" if suffixes & IMAGE_SUFFIXES else ""
+    if what:
+        raise InputError(
+            f"{path} is {'a video' if what == 'video' else 'a folder of images' if path.is_dir() else 'an image'}: the "
+            "people in it must be detected first, for example with RTMPose (Pose2Sim, rtmlib, mmpose) or OpenPose "
+            "(--write_json); then give the file or folder of keypoints that the detector writes"
+        )
+
+
+def video_beside(path: Path, camera: CameraFiles) -> Path | None:
+    """Return the video that a camera's files were detected on, where one of such a name lies beside them.
+
+    The same name, or one that begins or ends the files' name (`clip.mp4` with `clip_keypoints.json`), in the same
+    folder, the one above, or `videos` beside either; or the only video inside a folder of one camera's frames.
+
+    Args:
+        path: The source: file or folder.
+        camera: One of its cameras.
+    """
+    inside = path if path.is_dir() else path.parent
+    folders = [inside, inside.parent, inside / "videos", inside.parent / "videos", inside.parent.parent / "videos"]
+    names = [camera.name or path.resolve().stem.removesuffix("_json")]
+    if camera.name or not path.is_dir():
+        names.append(camera.paths[0].stem if len(camera.paths) == 1 else camera.paths[0].parent.name)
+    for folder in folders if path.is_dir() else folders[:1] + folders[3:4]:
+        videos = _videos(folder)
+        fitting = [video for video in videos if any(_is_named_after(name, video.stem) for name in names)]
+        if fitting:
+            return max(fitting, key=lambda video: len(video.stem))
+        if folder == path and len(videos) == 1 and not camera.name:
+            return videos[0]
+    return None
+
+
+def _videos(folder: Path) -> list[Path]:
+    return sorted(one for one in folder.iterdir() if one.suffix.lower() in VIDEO_SUFFIXES) if folder.is_dir() else []
+
+
+def _is_named_after(name: str, stem: str) -> bool:
+    name, stem = name.lower(), stem.lower()
+    return name == stem or any(name.startswith(stem + one) or name.endswith(one + stem) for one in _SEPARATORS)
+
+
+def read_header(video: Path) -> Footage:
+    """Return image size and rate that a video's header states; nothing of one that cannot be opened."""
+    capture = cv2.VideoCapture(str(video))
+    try:
+        width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        rate_hz = float(capture.get(cv2.CAP_PROP_FPS))
+    finally:
+        capture.release()
+    return Footage(
+        image_size_px=(width, height) if width > 0 and height > 0 else None,
+        rate_hz=rate_hz if 0 < rate_hz <= 1000 else None,
+    )

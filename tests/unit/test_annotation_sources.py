@@ -1,0 +1,148 @@
+"""Sources of 2D poses as users have them: several cameras, a video beside the files, a video instead of files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from pasdedeux.errors import InputError
+from tasks.ingest.annotations import FoundAnnotations, find_annotations
+from tasks.ingest.parameters import AnnotationOptions
+from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px, result_texts
+
+
+def found_in(path: Path, **options: Any) -> list[FoundAnnotations]:
+    return find_annotations(AnnotationOptions(id="clip", path=path, **options))
+
+
+def write_frames(folder: Path, front: str = "", count: int = 6, *, layout: str = "coco18") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in range(count):
+        (folder / f"{front}{frame:012d}_keypoints.json").write_text(openpose_text(layout, people=2, seed=frame))
+    return folder
+
+
+def write_video(path: Path, *, rate_hz: float = 12.0, size: tuple[int, int] = (320, 240)) -> None:
+    path.parent.mkdir(exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate_hz, size)
+    for _ in range(3):
+        writer.write(np.zeros((size[1], size[0], 3), dtype=np.uint8))
+    writer.release()
+
+
+def test_cameras_by_the_beginning_of_names_are_sequences_and_none_vanishes(tmp_path: Path) -> None:
+    write_frames(tmp_path, "cam1_", 6)
+    write_frames(tmp_path, "cam2_", 4)
+    found = found_in(tmp_path)
+    assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
+    assert [sorted(set(one.read().frame.tolist())) for one in found] == [list(range(6)), list(range(4))]
+    assert [set(one.read().sequence_id) for one in found] == [{"clip.cam1"}, {"clip.cam2"}]
+
+
+def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path) -> None:
+    for camera, count in (("cam1", 5), ("cam2", 3)):
+        write_frames(tmp_path / "pose" / f"{camera}_json", f"{camera}_", count, layout="halpe26")
+        write_video(tmp_path / "videos" / f"{camera}.avi", rate_hz=10.0 + count)
+    found = found_in(tmp_path / "pose")
+    assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
+    assert [one.read().layout for one in found] == ["halpe26"] * 2
+    assert [one.read().rate_hz for one in found] == pytest.approx([15.0, 13.0])
+
+
+def test_files_of_whole_videos_in_a_folder_are_a_sequence_each(tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text(csv_text())
+    (tmp_path / "two.json").write_text(coco_text())
+    assert [(one.parameters.id, one.parameters.format) for one in found_in(tmp_path)] == [
+        ("clip.one", "annotation_csv"),
+        ("clip.two", "coco"),
+    ]
+
+
+def test_rate_and_size_come_from_the_option_else_the_file_else_the_video_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "walk_keypoints.json"
+    path.write_text(result_texts()["detectron2"])
+    (found,) = found_in(path)
+    assert (found.read().rate_hz, found.read().image_size_px, found.video) == (30.0, {}, None)
+    assert "30 frames a second assumed" in found.in_words()
+    assert "image size unknown" in found.in_words()
+    write_video(tmp_path / "walk.avi")
+    write_video(tmp_path / "other.avi", rate_hz=50.0)
+    (found,) = found_in(path)
+    assert (found.read().rate_hz, found.read().image_size_px) == (pytest.approx(12.0), {"clip": (320, 240)})
+    assert "12 frames a second (walk.avi), 320 x 240 (walk.avi)" in found.in_words()
+    (found,) = found_in(path, rate_hz=25.0, image_size_px=(640, 480), fov_deg=90.0)
+    assert (found.read().rate_hz, found.read().image_size_px) == (25.0, {"clip": (640, 480)})
+    assert found.read().focal_px["clip"] == pytest.approx(320.0)
+    (tmp_path / "walk.csv").write_text(csv_text())
+    (found,) = found_in(tmp_path / "walk.csv")
+    assert (found.read().rate_hz, found.read().image_size_px) == (25.0, {"clip": (640, 480)})
+    with pytest.raises(InputError, match="a field of view needs the size of the image"):
+        found_in(write_frames(tmp_path / "frames"), fov_deg=60.0)
+
+
+def test_another_rate_of_the_video_beside_is_another_shard(tmp_path: Path) -> None:
+    folder = write_frames(tmp_path / "walk")
+    write_video(tmp_path / "walk.avi")
+    (before,) = found_in(folder)
+    write_video(tmp_path / "walk.avi", rate_hz=24.0)
+    (after,) = found_in(folder)
+    assert before.parameters != after.parameters
+    assert after.read().rate_hz == pytest.approx(24.0)
+
+
+@pytest.mark.parametrize("name", ["walk.mp4", "walk.MOV", "photos/a.jpg"])
+def test_a_video_and_images_are_answered_with_what_to_run_first(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"\0")
+    with pytest.raises(InputError, match=r"detected first, for example with RTMPose .* or OpenPose"):
+        found_in(path if path.suffix != ".jpg" else path.parent)
+
+
+def test_an_empty_file_and_one_without_anybody_are_named(tmp_path: Path) -> None:
+    for name, text, says in (("none.json", "[]", "nobody"), ("empty.json", "", "none of the known formats")):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=f"annotations clip: {name}: .*{says}"):
+            found_in(tmp_path / name)
+    frame = json.dumps({"version": 1.3, "people": []})
+    folder = tmp_path / "nobody"
+    folder.mkdir()
+    for number in range(3):
+        (folder / f"{number}.json").write_text(frame)
+    with pytest.raises(InputError, match="nobody was detected in any frame"):
+        found_in(folder)
+
+
+def test_a_cut_off_last_file_costs_its_frame_and_is_said(tmp_path: Path) -> None:
+    folder = write_frames(tmp_path / "walk")
+    last = max(folder.iterdir())
+    last.write_text(last.read_text()[:50])
+    (found,) = found_in(folder)
+    assert sorted(set(found.read().frame.tolist())) == list(range(5))
+    assert f"1 damaged files left out ({last.name})" in found.in_words()
+
+
+def test_junk_of_low_confidence_is_nothing_whatever_the_scale_of_the_detector(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for scale in (0.3, 1.0, 5.0):
+        items = []
+        for frame in range(12):
+            table = np.column_stack([person_px("body25", frame), np.full(25, scale * 0.9)])
+            junk = rng.choice(25, 3, replace=False)
+            table[junk] = np.column_stack([rng.uniform(0, 2000, (3, 2)), np.full(3, scale * 0.1)])
+            ghost = np.zeros((25, 3))
+            ghost[:3] = np.column_stack([rng.uniform(0, 2000, (3, 2)), np.full(3, scale * 0.1)])
+            items += [{"image_id": frame, "keypoints": one.reshape(-1).tolist()} for one in (table, ghost)]
+        path = tmp_path / f"junk{scale:g}.json"
+        path.write_text(json.dumps(items))
+        frames = found_in(path)[0].read()
+        assert frames.num_rows == 12
+        assert (frames.confidence > 0).sum() == 12 * 22
+        assert np.nanmax(frames.keypoints_px) < 400
+        if scale == 1.0:
+            assert found_in(path, min_confidence=0.0)[0].read().num_rows == 24

@@ -32,7 +32,7 @@ from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.projections.search import recall
-from pasdedeux.reconstruction.cleanup import clean_reconstruction
+from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
 from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
 from pasdedeux.reconstruction.pitch import floor_offset, sized_by_height
@@ -274,7 +274,7 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, tried: Tried) -> tu
     for name, one in made.items():
         motions[name] = one.positions_m
         if tried.has_clean_up:
-            cleaned = clean_reconstruction(one, floor_offset([one], camera), camera, rate_hz=track.rate_hz)
+            (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
             motions[name + CLEAN] = cleaned.positions_m
     if tried.has_live and seen.camera_height_m is None:
         motions[LIVE] = _live_motion(searcher, seen, has_clean_up=False)

@@ -7,7 +7,9 @@ is left is taken up by the legs: hips and feet are given, and the knee keeps the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numba
 import numpy as np
@@ -15,24 +17,25 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import surface_gaps
+from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.plausibility import capsule_model
 from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = [
     "CleanUpOptions",
     "CleanedMotion",
-    "ContactOptions",
+    "FootOptions",
     "bend_leg",
     "bend_one_leg",
-    "clean_reconstruction",
+    "clean_reconstructions",
     "clean_up",
-    "find_contacts",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -40,35 +43,21 @@ Booleans = npt.NDArray[np.bool_]
 
 _LEGS = OP14.legs
 _ANKLES = np.array([leg[2] for leg in _LEGS])
-_UP, _AWAY = 1, 2
-_FLOOR_QUANTILE = 0.1
-_NEAR_QUANTILE = 0.2
+_UP = 1
 _STRAIGHT = 1.0 - 1e-6
 """A leg is never stretched beyond this part of its length, where the knee's plane would be lost."""
 
 _MIN_BEND_M = 1e-4
 
 
-class ContactOptions(Settings):
+class FootOptions(StandingSettings):
     """What counts as a planted foot, and how far the legs may move it."""
 
-    contact_speed_m_s: float = Field(0.3, gt=0, description="Feet slower than this may be planted")
-    away_share: float = Field(
-        0.5, ge=0, description="Part of the speed along z, away from the camera, that counts: one camera sees it badly"
-    )
-    contact_height_m: float = Field(
-        0.05,
-        gt=0,
-        description="Feet lower than this over the lower foot and, twice this, over the floor may be planted",
-    )
-    floor_s: float = Field(
-        1.5, gt=0, description="The floor that contacts are judged by is that of this time: a wrong pitch tilts it"
-    )
     blend_s: float = Field(0.12, gt=0, description="A foot comes into its lock and out of it over this time")
     max_bend_m: float = Field(0.04, ge=0, description="The legs move a foot by at most this")
 
 
-class CleanUpOptions(ContactOptions):
+class CleanUpOptions(FootOptions):
     """The same of a whole motion."""
 
     min_contact_s: float = Field(0.1, ge=0, description="Shorter contacts are none")
@@ -79,17 +68,19 @@ class CleanUpOptions(ContactOptions):
     )
     shift_hold: float = Field(1e-4, gt=0, description="Cost of the correction itself")
     floor_pull: float = Field(0.1, gt=0, description="Cost of the height of a planted foot over the floor")
+    touch_m: float = Field(0.05, gt=0, description="People whose bodies are nearer than this touch each other")
+    touch_hold: float = Field(1.0, ge=0, description="Cost of moving one of two people who touch but not the other")
 
 
 @dataclass(frozen=True)
 class CleanedMotion:
-    """A motion after clean-up.
+    """Motions after clean-up.
 
     Args:
-        positions_m: (frame, 14, 3), upright axes, metres.
-        is_planted: Left and right foot on the floor (frame, 2).
-        shift_m: What the body's path was corrected by (frame, 3).
-        floor_m: Height of ankles that stand.
+        positions_m: (frame, *person, 14, 3), upright axes, metres.
+        is_planted: Left and right foot on the floor (frame, *person, 2).
+        shift_m: What the body's path was corrected by (frame, *person, 3).
+        floor_m: Height of ankles that stand, one for all.
     """
 
     positions_m: Array
@@ -98,58 +89,75 @@ class CleanedMotion:
     floor_m: float
 
 
-def clean_up(positions_m: Array, *, rate_hz: float, options: CleanUpOptions | None = None) -> CleanedMotion:
-    """Clean a motion up.
+def clean_up(
+    positions_m: Array,
+    *,
+    rate_hz: float,
+    options: CleanUpOptions | None = None,
+    is_present: Booleans | None = None,
+) -> CleanedMotion:
+    """Clean the motion of a person, or of all people of a video, up.
+
+    All stand on one floor; who stands on nothing, see `interaction.floor`, is not put on it.  People who touch each
+    other keep their place to each other: the path of one is corrected with that of the other, so who is carried goes
+    where the feet of the other say.
 
     Args:
-        positions_m: op14 positions (frame, 14, 3), upright axes (y up, z towards the camera), metres.
+        positions_m: op14 positions (frame, *person, 14, 3), upright axes (y up, z towards the camera), metres; of
+            people who are not there anything finite.
         rate_hz: Frames per second.
         options: How.
+        is_present: Who is there (frame, *person); everybody where not given.
 
     Raises:
         InputError: Positions that are not finite or of another shape, or a rate that is not positive.
     """
     options = options or CleanUpOptions()
-    if positions_m.ndim != 3 or positions_m.shape[1:] != (14, 3) or len(positions_m) == 0:
-        raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, 14, 3)")
+    if positions_m.ndim not in (3, 4) or positions_m.shape[-2:] != (14, 3) or len(positions_m) == 0:
+        raise InputError(f"clean-up: positions have shape {positions_m.shape}, expected (frames, *people, 14, 3)")
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise InputError(f"clean-up: the frame rate is {rate_hz}, it must be positive")
-    lengths = np.median(bone_lengths(OP14, positions_m), axis=0)
-    positions = retarget_proportions(positions_m, lengths)
-    floor = float(np.quantile(positions[:, _ANKLES, _UP].min(axis=1), _FLOOR_QUANTILE))
-    is_planted = find_contacts(positions, rate_hz=rate_hz, options=options)
-    shift = _correct_path(positions[:, _ANKLES], is_planted, floor, options)
-    positions = positions + shift[:, None]
-    for side, (hip, knee, ankle) in enumerate(_LEGS):
-        target = _targets(positions[:, ankle], is_planted[:, side], floor, rate_hz, options)
-        positions[:, knee], positions[:, ankle] = bend_leg(
-            positions[:, hip], positions[:, knee], positions[:, ankle], target, fallback=_forward(positions)
-        )
-    return CleanedMotion(positions, is_planted, shift, floor)
+    people = positions_m.reshape(len(positions_m), -1, OP14.num_joints, 3)
+    present = np.ones(people.shape[:2], dtype=bool) if is_present is None else is_present.reshape(people.shape[:2])
+    positions = np.stack(
+        [retarget_proportions(one, np.median(bone_lengths(OP14, one), axis=0)) for one in people.swapaxes(0, 1)], axis=1
+    )
+    feet = positions[:, :, _ANKLES]
+    is_planted = find_standing(feet, rate_hz=rate_hz, settings=options, is_present=present)
+    _drop_short(is_planted, max(2, round(options.min_contact_s * rate_hz)))
+    floor = floor_under(feet, is_planted, present)
+    shift = _correct_paths(feet, is_planted, _touching(positions, present, options.touch_m), floor, options)
+    positions = positions + shift[:, :, None]
+    for person in range(positions.shape[1]):
+        one = positions[:, person]
+        for side, (hip, knee, ankle) in enumerate(_LEGS):
+            target = _targets(one[:, ankle], is_planted[:, person, side], floor, rate_hz, options)
+            one[:, knee], one[:, ankle] = bend_leg(
+                one[:, hip], one[:, knee], one[:, ankle], target, fallback=_forward(one)
+            )
+    batch = positions_m.shape[:-2]
+    return CleanedMotion(
+        positions.reshape(positions_m.shape), is_planted.reshape(*batch, 2), shift.reshape(*batch, 3), floor
+    )
 
 
-def find_contacts(positions_m: Array, *, rate_hz: float, options: CleanUpOptions) -> Booleans:
-    """Tell which feet are planted (frame, 2): slow, low over the floor, and not much higher than the other foot."""
-    from scipy.ndimage import percentile_filter  # here: 0.3 s that planning does not need
+def _drop_short(is_planted: Booleans, num_frames: int) -> None:
+    """Take contacts (frame, person, foot) of fewer frames away."""
+    for person, side in np.ndindex(is_planted.shape[1:]):
+        for first, last in _runs(is_planted[:, person, side]):
+            if last - first < num_frames:
+                is_planted[first:last, person, side] = False
 
-    ankles = positions_m[:, _ANKLES]
-    if len(ankles) < 3:
-        return np.zeros(ankles.shape[:2], dtype=bool)
-    velocity = np.gradient(ankles, axis=0) * rate_hz
-    velocity[..., _AWAY] *= options.away_share
-    speed = np.linalg.norm(velocity, axis=-1)
-    height = ankles[..., _UP]
-    is_low = height < height.min(axis=1, keepdims=True) + options.contact_height_m
-    window = max(1, round(options.floor_s * rate_hz)) | 1
-    floor = percentile_filter(height.min(axis=1), 100.0 * _NEAR_QUANTILE, window)
-    is_near = height < floor[:, None] + 2.0 * options.contact_height_m
-    planted = (speed < options.contact_speed_m_s) & is_low & is_near
-    least = max(2, round(options.min_contact_s * rate_hz))
-    for side in range(2):
-        for first, last in _runs(planted[:, side]):
-            if last - first < least:
-                planted[first:last, side] = False
-    return planted
+
+def _touching(positions: Array, present: Booleans, touch_m: float) -> list[tuple[int, int, Booleans]]:
+    """Return who touches whom in which frames (frame,)."""
+    radii = capsule_model(OP14).radii_of(positions)
+    touching = []
+    for first, second in combinations(range(positions.shape[1]), 2):
+        both = [first, second]
+        near = surface_gaps(positions[:, both], radii[both], OP14).closest_m < touch_m
+        touching.append((first, second, near & present[:, both].all(axis=1)))
+    return touching
 
 
 def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fallback: Array) -> tuple[Array, Array]:
@@ -192,43 +200,52 @@ def _forward(positions: Array) -> Array:
     return normalise(np.cross(left - right, up), fallback=np.array([0.0, 0.0, 1.0]))
 
 
-def _correct_path(ankles: Array, is_planted: Booleans, floor: float, options: CleanUpOptions) -> Array:
-    """Return the correction of the path (frame, 3): sum of squared steps of planted feet + stiffness + hold, least.
+def _correct_paths(
+    feet: Array,
+    is_planted: Booleans,
+    touching: Sequence[tuple[int, int, Booleans]],
+    floor: float,
+    options: CleanUpOptions,
+) -> Array:
+    """Return the corrections of the paths (frame, person, 3): squared steps of planted feet + stiffness + hold, least.
 
-    Upwards, planted feet are also drawn to the floor.
+    Two people who touch are also held to the same correction, and upwards planted feet are drawn to the floor.
     """
-    frames = len(ankles)
-    shift = np.zeros((frames, 3))
+    frames, people = feet.shape[:2]
+    shift = np.zeros((frames, people, 3))
     if frames < 3 or not is_planted.any():
         return shift
-    stays = (is_planted[1:] & is_planted[:-1]).astype(np.float64)  # (frame - 1, foot)
-    steps = np.diff(ankles, axis=0)
-    from scipy.linalg import solveh_banded  # here: 0.2 s that planning does not need
+    from scipy.sparse import block_diag, coo_array, diags_array, eye_array, hstack  # here: 0.2 s for planning
+    from scipy.sparse.linalg import splu
 
-    for axis in range(3):
-        # Upper bands of the symmetric pentadiagonal normal matrix, as solveh_banded takes them.
-        bands = np.zeros((3, frames))
-        bands[2] += options.shift_hold
-        rhs = np.zeros(frames)
-        weight = stays.sum(axis=1)
-        bands[2, :-1] += weight
-        bands[2, 1:] += weight
-        bands[1, 1:] -= weight
-        pull = (stays * steps[..., axis]).sum(axis=1)
-        rhs[:-1] += pull
-        rhs[1:] -= pull
-        stiff = options.shift_stiffness
-        bands[2, :-2] += stiff
-        bands[2, 1:-1] += 4.0 * stiff
-        bands[2, 2:] += stiff
-        bands[1, 1:-1] -= 2.0 * stiff
-        bands[1, 2:] -= 2.0 * stiff
-        bands[0, 2:] += stiff
-        if axis == _UP:
-            planted = is_planted.astype(np.float64)
-            bands[2] += options.floor_pull * planted.sum(axis=1)
-            rhs += options.floor_pull * (planted * (floor - ankles[..., _UP])).sum(axis=1)
-        shift[:, axis] = solveh_banded(bands, rhs)
+    step = diags_array([-1.0, 1.0], offsets=[0, 1], shape=(frames - 1, frames))
+    bend = diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(frames - 2, frames))
+    own, pull = [], np.zeros((frames, people, 3))
+    for person in range(people):
+        stays = (is_planted[1:, person] & is_planted[:-1, person]).astype(np.float64)  # (frame - 1, foot)
+        own.append(
+            options.shift_hold * eye_array(frames)
+            + options.shift_stiffness * bend.T @ bend
+            + step.T @ diags_array(stays.sum(axis=1)) @ step
+        )
+        pull[:, person] = -step.T @ (stays[..., None] * np.diff(feet[:, person], axis=0)).sum(axis=1)
+    normal = block_diag(own)
+    for first, second, touch in touching:
+        at = np.flatnonzero(touch)
+        rows, ones = np.arange(len(at)), np.ones(len(at))
+        apart = hstack(
+            [
+                sign * coo_array((ones, (rows, at)), shape=(len(at), frames)) if sign else coo_array((len(at), frames))
+                for sign in ((person == first) - (person == second) for person in range(people))
+            ]
+        )
+        normal = normal + options.touch_hold * apart.T @ apart
+    planted = is_planted.astype(np.float64)
+    drawn = diags_array(options.floor_pull * planted.sum(axis=2).T.ravel())
+    pull[..., _UP] += options.floor_pull * (planted * (floor - feet[..., _UP])).sum(axis=2)
+    for axes, matrix in (([0, 2], normal), ([_UP], normal + drawn)):
+        solved = splu(matrix.tocsc()).solve(pull[..., axes].swapaxes(0, 1).reshape(-1, len(axes)))
+        shift[..., axes] = solved.reshape(people, frames, len(axes)).swapaxes(0, 1)
     return shift
 
 
@@ -267,25 +284,33 @@ def _runs(values: Booleans) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def clean_reconstruction(
-    found: Reconstruction,
+def clean_reconstructions(
+    people: Sequence[tuple[int, Reconstruction]],
     origin_m: Array,
     camera: DatabaseCamera,
     *,
     rate_hz: float,
     options: CleanUpOptions | None = None,
-) -> Reconstruction:
-    """Return a reconstruction after clean-up, standing ankles at the height of the floor.
+) -> list[Reconstruction]:
+    """Return the reconstructions of a sequence's people after clean-up, standing ankles at the height of the floor.
 
     Args:
-        found: Reconstruction, camera axes.
+        people: First frame and reconstruction of each, camera axes; at least one.
         origin_m: Origin of the sequence's frame, see `floor_offset`; its height is the floor (3,), camera axes.
         camera: The database's camera, whose pitch says where up is.
         rate_hz: Frames per second.
         options: How.
     """
     upright = np.asarray(camera.camera_from_upright_rotmat)
-    cleaned = clean_up((found.positions_m - origin_m) @ upright, rate_hz=rate_hz, options=options)
-    standing = cleaned.positions_m - np.array([0.0, cleaned.floor_m, 0.0])
-    positions = standing @ upright.T + origin_m
-    return replace(found, positions_m=positions, bone_unitquat=bone_rotations(positions), root_m=mid_hip(positions))
+    start = min(first for first, _ in people)
+    frames = np.arange(start, max(first + len(one.positions_m) for first, one in people))
+    at = np.stack([np.clip(frames - first, 0, len(one.positions_m) - 1) for first, one in people], axis=1)
+    present = np.stack([at[:, number] == frames - first for number, (first, _) in enumerate(people)], axis=1)
+    seen = np.stack([(one.positions_m[at[:, n]] - origin_m) @ upright for n, (_, one) in enumerate(people)], axis=1)
+    cleaned = clean_up(seen, rate_hz=rate_hz, options=options, is_present=present)
+    positions = (cleaned.positions_m - np.array([0.0, cleaned.floor_m, 0.0])) @ upright.T + origin_m
+    made = []
+    for number, (_, one) in enumerate(people):
+        own = positions[present[:, number], number]
+        made.append(replace(one, positions_m=own, bone_unitquat=bone_rotations(own), root_m=mid_hip(own)))
+    return made

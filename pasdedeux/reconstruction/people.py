@@ -14,7 +14,7 @@ from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
-from pasdedeux.reconstruction.cleanup import clean_reconstruction
+from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import PairSearcher, Placing, place_couple
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
@@ -126,11 +126,10 @@ def reconstruct_people(
         made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
     if made and has_clean_up:
         last = made[-1]
-        cleaned = tuple(
-            (person, clean_reconstruction(one, last.origin_m, camera, rate_hz=person.track.rate_hz))
-            for person, one in last.people
-        )
-        made.append(MethodMotions(f"{last.name}_clean", cleaned, last.origin_m))
+        seen = [(person.first_frame, one) for person, one in last.people]
+        cleaned = clean_reconstructions(seen, last.origin_m, camera, rate_hz=last.people[0][0].track.rate_hz)
+        people_clean = tuple((person, one) for (person, _), one in zip(last.people, cleaned, strict=True))
+        made.append(MethodMotions(f"{last.name}_clean", people_clean, last.origin_m))
     made = [_embodied(one, searcher.database, options) for one in made]
     return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, chosen, placings or {})
 

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from pasdedeux.evaluation.reconstruction_metrics import foot_slide_m, jitter_m, root_centred_error_m
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.reconstruction.cleanup import bend_leg
-from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
+from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions, LiveFloor
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import duet_couple
 
@@ -75,6 +75,25 @@ def test_a_foot_let_go_of_returns_to_where_it_is_seen(dancer: np.ndarray) -> Non
         found = clean_up.step(frame, flying + np.array([0.05 * (frame - 20), 0.5, 0.0]))
     assert not clean_up.is_planted.any()
     np.testing.assert_allclose(found, flying + np.array([0.05 * 399, 0.5, 0.0]), atol=1e-2)
+
+
+def test_who_is_held_up_stands_on_nothing_though_the_feet_hang_still(dancer: np.ndarray) -> None:
+    holder = np.repeat(dancer[:1], 120, axis=0)
+    held = holder + np.array([0.4, 0.5, 0.0])
+    floor = LiveFloor(RATE_HZ, LiveCleanUpOptions())
+    both = [LiveCleanUp(RATE_HZ, floor=floor, person=person) for person in (0, 1)]
+    alone = LiveCleanUp(RATE_HZ)
+    for frame in range(120):
+        found = [one.step(frame, motion[frame]) for one, motion in zip(both, (holder, held), strict=True)]
+        alone.step(frame, held[frame])
+        np.testing.assert_allclose(found[1], held[frame], atol=1e-9)
+    assert both[0].is_planted.any()
+    assert not both[1].is_planted.any()
+    assert alone.is_planted.any()  # nobody else is there to say where the floor is
+    floor.forget(0)
+    for frame in range(120, 240):
+        both[1].step(frame, held[frame - 120])
+    assert both[1].is_planted.any()
 
 
 def test_a_leg_bends_as_offline(dancer: np.ndarray) -> None:

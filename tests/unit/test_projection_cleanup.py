@@ -70,6 +70,45 @@ def test_without_contact_the_way_is_not_touched(dancer: np.ndarray) -> None:
     np.testing.assert_array_equal(found.shift_m, 0.0)
 
 
+def lift() -> np.ndarray:
+    """Return the lift (frame, person, 14, 3): B is up from 3.2 to 6.8 s."""
+    return duet_couple("lift", duration_s=10.0)
+
+
+def test_who_is_held_up_stays_up_and_where_the_partner_holds_them() -> None:
+    true = lift()
+    seen = np.stack([gliding(true[:, person], seed=person) for person in (0, 1)], axis=1)
+    found = clean_up(seen, rate_hz=30.0)
+    up = slice(96, 204)
+    assert not found.is_planted[up, 1].any()
+    assert found.is_planted[up, 0].any(axis=-1).mean() > 0.7
+    above = (found.positions_m - true)[up, 1][:, ANKLES, 1] - found.floor_m + 0.07
+    assert np.abs(above).mean() < 0.06
+    place, before = (np.diff(mid_hip(one), axis=1)[:, 0] for one in (found.positions_m, seen))
+    # The path of one is corrected with that of the other.
+    assert np.abs(place - before)[up].max() < 0.03
+    assert np.abs(found.shift_m[up, 1]).max() > 0.05
+
+
+def test_people_apart_are_cleaned_up_as_if_each_were_alone(dancer: np.ndarray) -> None:
+    seen = [gliding(dancer, seed) + np.array([4.0 * seed, 0.0, 0.0]) for seed in (0, 1)]
+    together = clean_up(np.stack(seen, axis=1), rate_hz=30.0)
+    for person, one in enumerate(seen):
+        alone = clean_up(one, rate_hz=30.0)
+        np.testing.assert_array_equal(together.is_planted[:, person], alone.is_planted)
+        np.testing.assert_allclose(together.shift_m[:, person, [0, 2]], alone.shift_m[:, [0, 2]], atol=1e-9)
+
+
+def test_who_comes_later_counts_only_then(dancer: np.ndarray) -> None:
+    seen = np.stack([dancer, dancer + np.array([1.5, -0.4, 0.0])], axis=1)
+    there = np.ones((len(dancer), 2), dtype=bool)
+    there[:, 1] = False
+    found, alone = clean_up(seen, rate_hz=30.0, is_present=there), clean_up(dancer, rate_hz=30.0)
+    assert not found.is_planted[:, 1].any()
+    assert found.floor_m == alone.floor_m
+    np.testing.assert_allclose(found.positions_m[:, 0], alone.positions_m, atol=1e-9)
+
+
 def test_legs_reach_their_target_or_as_far_as_they_go() -> None:
     rng = np.random.default_rng(2)
     hip = rng.normal(0, 0.1, (50, 3))

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import Follower
+from pasdedeux.reconstruction.live.cleanup import LiveFloor
 from pasdedeux.reconstruction.live.person import LiveOptions, LivePerson, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.tracks import Lens
@@ -45,6 +46,7 @@ class LivePeople:
         self._people: dict[int, LivePerson] = {}
         self._last_seen: dict[int, int] = {}
         self._last_frame: int | None = None
+        self._floor = LiveFloor(rate_hz, self._options.clean_up)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take the detections of a frame (detection, 14, 2), any order; return the poses that are due, by person.
@@ -64,7 +66,12 @@ class LivePeople:
         for person in at:
             if person not in self._people and self._lens is not None:
                 self._people[person] = LivePerson(
-                    person, self._searcher, rate_hz=self._rate_hz, lens=self._lens, options=self._options
+                    person,
+                    self._searcher,
+                    rate_hz=self._rate_hz,
+                    lens=self._lens,
+                    options=self._options,
+                    floor=self._floor,
                 )
         for person in sorted(self._people):
             if person in at:
@@ -75,6 +82,7 @@ class LivePeople:
         forgotten = frame - self._options.identities.max_absent_s * self._rate_hz - self._options.lag
         for person in [one for one, last in self._last_seen.items() if last < forgotten]:
             del self._people[person], self._last_seen[person]
+            self._floor.forget(person)
         return poses
 
     def finish(self) -> list[LivePose]:

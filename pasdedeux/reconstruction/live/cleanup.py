@@ -2,7 +2,8 @@
 
 A foot that slows down near the floor is planted where it is shown at that moment and stays there.  The body
 follows what its planted feet say, within a moment and never by a jump; what is left is taken up by the legs.  A foot
-that leaves goes back to where it is seen within the time of a blend.
+that leaves goes back to where it is seen within the time of a blend.  Who is held up by
+somebody near stands on nothing.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.reconstruction.cleanup import ContactOptions, bend_one_leg
+from pasdedeux.reconstruction.cleanup import FootOptions, bend_one_leg
 from pasdedeux.skeletons import OP14
 
-__all__ = ["LiveCleanUp", "LiveCleanUpOptions"]
+__all__ = ["LiveCleanUp", "LiveCleanUpOptions", "LiveFloor"]
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +27,7 @@ _LEAVING = 1.5
 """A planted foot is let go of at this many times the speed and the height that it was planted at."""
 
 
-class LiveCleanUpOptions(ContactOptions):
+class LiveCleanUpOptions(FootOptions):
     """What counts as a planted foot, and how far a motion may be changed."""
 
     contact_speed_m_s: float = Field(0.45, gt=0, description="Feet slower than this may be planted")
@@ -38,6 +39,45 @@ class LiveCleanUpOptions(ContactOptions):
         2.0, gt=0, description="A correction of the path fades over this time while no foot is planted"
     )
     max_drift_m: float = Field(0.12, ge=0, description="A planted foot that is seen further away than this has left")
+    carrying_m: float = Field(
+        0.8, ge=0, description="People whose hips are nearer than this on the ground may carry each other: one floor"
+    )
+
+
+class LiveFloor:
+    """The floor under the people of a video as frames arrive.
+
+    A wrong pitch tilts the floor, so everybody's own feet of late tell it; of people who may carry each other the lower
+    ones do.
+
+    Args:
+        rate_hz: Frames per second.
+        options: How.
+    """
+
+    def __init__(self, rate_hz: float, options: LiveCleanUpOptions) -> None:
+        self._carrying_m = options.carrying_m
+        self._num_frames = max(2, round(options.floor_s * rate_hz))
+        self._heights: dict[int, Array] = {}
+        self._last: dict[int, tuple[int, Array]] = {}
+
+    def under(self, person: int, frame: int, positions_m: Array) -> float:
+        """Return the height of the floor under a person (14, 3) in this frame."""
+        heights = self._heights.setdefault(person, np.full(self._num_frames, np.nan))
+        heights[frame % self._num_frames] = positions_m[_LEGS[:, 2], _UP].min()
+        place = positions_m[_LEGS[:, 0]].mean(axis=0)
+        self._last[person] = frame, place
+        floor = _low_quantile(heights, _FLOOR_QUANTILE)
+        for other, (seen, there) in self._last.items():
+            is_near = np.hypot(*(there - place)[[0, 2]]) < self._carrying_m
+            if other != person and is_near and abs(frame - seen) < self._num_frames:
+                floor = min(floor, _low_quantile(self._heights[other], _FLOOR_QUANTILE))
+        return float(floor)
+
+    def forget(self, person: int) -> None:
+        """Leave out who is gone."""
+        self._heights.pop(person, None)
+        self._last.pop(person, None)
 
 
 class LiveCleanUp:
@@ -46,13 +86,23 @@ class LiveCleanUp:
     Args:
         rate_hz: Frames per second.
         options: How.
+        floor: The floor shared with other people; one's own where not given.
+        person: Number of the person there.
     """
 
-    def __init__(self, rate_hz: float, options: LiveCleanUpOptions | None = None) -> None:
+    def __init__(
+        self,
+        rate_hz: float,
+        options: LiveCleanUpOptions | None = None,
+        *,
+        floor: LiveFloor | None = None,
+        person: int = 0,
+    ) -> None:
         self._options = options or LiveCleanUpOptions()
         self._rate_hz = rate_hz
+        self._floor = floor or LiveFloor(rate_hz, self._options)
+        self._person = person
         self._frame: int | None = None
-        self._heights: Array = np.full(max(2, round(self._options.floor_s * rate_hz)), np.nan)
         self._is_planted = np.zeros(2, dtype=np.bool_)
         self._raw_m = np.zeros((2, 3))
         self._anchor_m = np.zeros((2, 3))
@@ -72,13 +122,12 @@ class LiveCleanUp:
             positions_m: The pose with its place, metres.
         """
         passed_s = 0.0 if self._frame is None else (frame - self._frame) / self._rate_hz
-        self._heights[frame % len(self._heights)] = positions_m[_LEGS[:, 2], _UP].min()
         self._frame = frame
         one = self._options
         return _clean_pose(
             positions_m,
             passed_s,
-            _low_quantile(self._heights, _FLOOR_QUANTILE),
+            self._floor.under(self._person, frame, positions_m),
             self._is_planted,
             self._raw_m,
             self._anchor_m,

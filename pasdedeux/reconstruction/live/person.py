@@ -21,7 +21,7 @@ from pasdedeux.people.identity import IdentityOptions
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
-from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions
+from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions, LiveFloor
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
 from pasdedeux.reconstruction.proportions import estimate_proportions, retarget_image
 from pasdedeux.reconstruction.rays import camera_turns, straighten_rays
@@ -140,10 +140,18 @@ class LivePerson:
         rate_hz: Frames per second.
         lens: The camera as far as it is known.
         options: How.
+        floor: The floor shared with the other people of the video.
     """
 
     def __init__(
-        self, person_id: int, searcher: Searcher, *, rate_hz: float, lens: Lens, options: LiveOptions | None = None
+        self,
+        person_id: int,
+        searcher: Searcher,
+        *,
+        rate_hz: float,
+        lens: Lens,
+        options: LiveOptions | None = None,
+        floor: LiveFloor | None = None,
     ) -> None:
         self.person_id = person_id
         self._options = options or LiveOptions()
@@ -164,7 +172,11 @@ class LivePerson:
         self._num_seen = 0
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
         self._rotations = OneEuroFilter(self._options.smoothing, rate_hz)
-        self._clean_up = LiveCleanUp(rate_hz, self._options.clean_up) if self._options.has_clean_up else None
+        self._clean_up = (
+            LiveCleanUp(rate_hz, self._options.clean_up, floor=floor, person=person_id)
+            if self._options.has_clean_up
+            else None
+        )
         self._root = OneEuroFilter(self._options.root_smoothing, rate_hz)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:

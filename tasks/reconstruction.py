@@ -24,8 +24,9 @@ from pasdedeux.reconstruction.reconstruct import (
     Searcher,
     TrackSettings,
 )
+from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
-from pasdedeux.verdict import Level, Verdict
+from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.projections import read_pairs, read_views
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
@@ -37,9 +38,6 @@ VERSION = 12
 
 MAX_PAIRS = 30_000
 """Pairs that are searched at most, evenly chosen: with 30 yaws about a million projections."""
-
-_MAX_BRIDGED = 0.2
-"""A motion of which more is interpolated deserves a warning."""
 
 
 class SequenceSettings(TrackSettings, Parameters):
@@ -138,10 +136,11 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     people = _read_tracks(store, annotations, parameters, facts)
     rows: list[dict[str, Any]] = []
     attachments: dict[str, bytes] = {}
+    judged: dict[str, Verdict] = {}
     if not database_refs:
         facts["skipped"].append(f"{sequence_id}: there is no projection database without the sequence's own take")
     elif people:
-        rows, attachments = _reconstruct(store, database_refs, people, parameters, facts, shard.seed)
+        rows, attachments, judged = _reconstruct(store, database_refs, people, parameters, facts, shard.seed)
     facts["num_persons"] = len({row["person_id"][0] for row in rows})
     return commit(
         shard,
@@ -149,34 +148,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         tables={"motions": _columns(rows)},
         facts=facts,
         attachments=attachments,
-        verdict=_verdict(rows, facts),
-    )
-
-
-def _verdict(rows: Sequence[dict[str, Any]], facts: dict[str, Any]) -> Verdict:
-    """Judge a sequence: misfit of the matches that the last method follows, beside the nearest ones'."""
-    skipped = facts["skipped"]
-    if not rows:
-        return Verdict(Level.FAIL, skipped[0] if skipped else "the sequence shows nobody")
-    misfit = {method: [row["score_m"] for row in rows if row["method"][0] == method] for method in facts["methods"]}
-    value, nearest = (
-        float(np.nanmedian(np.concatenate(misfit[method]))) if misfit.get(method) else float("nan")
-        for method in (facts["methods"][-1], Method.NEAREST.value)
-    )
-    bridged = float(np.mean(np.concatenate([row["is_bridged"] for row in rows])))
-    reasons = list(skipped[:1])
-    if bridged > _MAX_BRIDGED:
-        reasons.append(f"{bridged:.0%} of the frames show too little and are interpolated")
-    if facts["is_pitch_at_edge"]:
-        reasons.append(f"the camera's pitch may lie beyond the database's last one, {facts['pitch_deg']:.3g} degrees")
-    return Verdict(
-        Level.WARN if reasons else Level.PASS,
-        "; ".join(reasons),
-        figure="misfit of the match",
-        value=value,
-        unit="m",
-        baseline=nearest,
-        baseline_name="nearest",
+        verdict=(summarise_verdicts(judged.values()) if rows else None)
+        or Verdict(Level.FAIL, facts["skipped"][0] if facts["skipped"] else "the sequence shows nobody"),
+        parts=judged,
     )
 
 
@@ -217,13 +191,13 @@ def _reconstruct(
     parameters: SequenceShard,
     facts: dict[str, Any],
     seed: int,
-) -> tuple[list[dict[str, Any]], dict[str, bytes]]:
-    """Return the rows of `motions` of every method and person, and a BVH and an npz file a person."""
+) -> tuple[list[dict[str, Any]], dict[str, bytes], dict[str, Verdict]]:
+    """Return the rows of `motions` of every method and person, and of each person files and how good it is."""
     sequence_id = parameters.sequence_id
     options = ReconstructionOptions(**parameters.model_dump(include=set(TrackSettings.model_fields)))
     if all(store.manifest(ref).tables["projections"].rows == 0 for ref in database_refs):
         facts["skipped"].append(f"{sequence_id}: the projection database has no pose")
-        return [], {}
+        return [], {}, {}
     views = read_views([store.manifest(ref) for ref in database_refs])
     level, take_ids, frames = read_database(store, database_refs)
     databases = [replace(level, camera=camera) for camera in views.cameras]
@@ -245,7 +219,6 @@ def _reconstruct(
     ]
     facts["camera"] = views.camera
     pitches = [camera.pitch_rad for camera in views.cameras]
-    facts["is_pitch_at_edge"] = len(pitches) > 1 and suited.camera.pitch_rad == max(pitches)
     facts["pitch_deg"] = float(np.rad2deg(suited.camera.pitch_rad))
     facts["num_projections"] = chosen.database.num_projections
     facts["search_slack"] = chosen.index.slack
@@ -258,12 +231,20 @@ def _reconstruct(
         for made in found.methods
         for (person, one), body in zip(made.people, made.bodies, strict=True)
     ]
+    rng = stream(seed, "reconstruction", "left_out", sequence_id)
+    left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids, rng)
+    doubts = camera_doubt(pitches, suited.camera.pitch_rad)
+    judged = {
+        f"person {person.person_id}": judge_person(one, left_out_m, doubts=doubts).verdict
+        for person, one in (found.methods[-1].people if found.methods else ())
+    }
+    judged |= {f"person {person_id}": Verdict(Level.WARN, why) for person_id, why in found.skipped.items()}
     attachments = {
         f"{sequence_id}_{person_id}.{kind}": data
         for person_id, motion in found.motions.items()
         for kind, data in (("bvh", motion.bvh().encode()), ("npz", write_npz(motion)))
     }
-    return rows, attachments
+    return rows, attachments, judged
 
 
 def read_database(store: Store, refs: Sequence[ArtifactRef]) -> tuple[Database, np.ndarray, np.ndarray]:

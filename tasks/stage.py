@@ -27,10 +27,11 @@ __all__ = [
     "named_refs",
     "stream",
     "verdict_of",
+    "verdicts_of_parts",
 ]
 
-VERDICT_FACT = "verdict"
-"""Name under which a shard's verdict stands among its facts."""
+VERDICT_FACT, PARTS_FACT = "verdict", "verdicts_of_parts"
+"""Names under which a shard's verdict, and those of its parts, stand among its facts."""
 
 
 S = TypeVar("S", bound=Settings)
@@ -191,17 +192,23 @@ def commit(
     attachments: Mapping[str, bytes] | None = None,
     sources: Sequence[SourceCredit] = (),
     verdict: Verdict | None = None,
+    parts: Mapping[str, Verdict] | None = None,
 ) -> ArtifactRef:
     """Commit a shard's tables under its key; `facts` are the small JSON facts that later planning reads.
 
-    A verdict is kept with the facts, for the console and the report.  The manifest names the shard's inputs and the
+    A verdict is kept with the facts, for the console and the report; so are those of its parts by name, such as each
+    person of a sequence, for the report and the table of verdicts.  The manifest names the shard's inputs and the
     artifacts of the shards it follows.
     """
     return store.commit(
         **artifact_fields(shard, store),
         tables=tables,
         attachments=attachments or {},
-        facts=facts if verdict is None else {**facts, VERDICT_FACT: verdict.to_json()},
+        facts={
+            **facts,
+            **({} if verdict is None else {VERDICT_FACT: verdict.to_json()}),
+            **({PARTS_FACT: {name: part.to_json() for name, part in parts.items()}} if parts else {}),
+        },
         sources=sources,
     )
 
@@ -210,6 +217,11 @@ def verdict_of(manifest: Manifest) -> Verdict | None:
     """Return what a shard thinks of its result; None where it judged nothing."""
     values = manifest.facts.get(VERDICT_FACT)
     return None if values is None else Verdict.from_json(values)
+
+
+def verdicts_of_parts(manifest: Manifest) -> dict[str, Verdict]:
+    """Return what a shard thinks of the parts of its result, by name; empty where it judged none."""
+    return {name: Verdict.from_json(values) for name, values in manifest.facts.get(PARTS_FACT, {}).items()}
 
 
 def named_refs(**inputs: Sequence[Manifest]) -> dict[str, tuple[ArtifactRef, ...]]:

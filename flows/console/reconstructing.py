@@ -13,6 +13,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from flows.console.context import open_store
+from flows.console.display import print_table
 from flows.console.following import STOP_NAME, follow_folder
 from flows.console.live_lines import follow_lines, lines_into, told_to_stop
 from pasdedeux.errors import InputError
@@ -21,6 +22,7 @@ from pasdedeux.people.settle import SequencePeople, SettledPeople, settle_people
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
+from pasdedeux.reconstruction.reliability import camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import PersonTrack, tracks_from_rows
 from storage_schema import ArtifactRef, Store, latest_studies, read_latest, resolve
 from tasks.ingest.annotations import find_annotations
@@ -31,6 +33,12 @@ from tasks.reconstruction import MAX_PAIRS, read_database
 __all__ = ["Live", "Whole", "follow_video", "reconstruct_video"]
 
 _LIVE_PITCH_DEG = 10.0
+_HEADER = ("file", "frames", "expected error", "misfit", "left-out clips", "seen", "bridged", "verdict")
+_HOW_TO_GET_ONE = (
+    "`pasdedeux fetch cmu --out cmu` and `pasdedeux run everyday` make one of people together and everyday motion, "
+    "`pasdedeux run duets --until projections` a small one of built-in motion in two minutes, a study of takes like "
+    "yours the best; then --database projections:STUDY"
+)
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,7 @@ def follow_video(folder: Path, database: str, store: Path, live: Live) -> None:
     _check_folder(folder)
     image_size = _image_size(live.size)
     source, refs = _projections(database, store)
-    (searcher,) = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
+    (searcher,), _ = _searchers(source, refs, _LIVE_PITCH_DEG if live.pitch_deg is None else live.pitch_deg)
     options = LiveOptions(lag=live.lag, has_clean_up=live.has_clean_up)
     warm_up(searcher, options)
     people = LivePeople(searcher, rate_hz=live.rate_hz, image_size_px=image_size, options=options)
@@ -106,7 +114,7 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
     """
     sources = find_annotations(whole.source(path))
     source, refs = _projections(database, store)
-    searchers = _searchers(source, refs, whole.pitch_deg)
+    searchers, take_ids = _searchers(source, refs, whole.pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
     found = []
     for one in sources:
@@ -116,7 +124,7 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
     num_failed = 0
     for settled, sequence in found:
         try:
-            _reconstruct_sequence(settled, sequence, searchers, pairs_m, whole)
+            _reconstruct_sequence(settled, sequence, searchers, take_ids, pairs_m, whole)
         except InputError as error:
             num_failed += 1
             if num_failed == len(found):
@@ -128,10 +136,11 @@ def _reconstruct_sequence(
     settled: SettledPeople,
     sequence: SequencePeople,
     searchers: list[Searcher],
+    take_ids: npt.NDArray[np.object_],
     pairs_m: npt.NDArray[np.floating],
     whole: Whole,
 ) -> None:
-    """Write a BVH file per person of one sequence."""
+    """Write files of every person of one sequence, and say how good they are."""
     if sequence.why_not_followed:
         raise InputError(sequence.why_not_followed)
     tracks = _tracks(settled, sequence.sequence_id, whole.person_ids)
@@ -148,19 +157,32 @@ def _reconstruct_sequence(
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
+    searcher = searchers[found.searcher_index]
+    camera = searcher.database.camera
+    left_out_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
+    doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], camera.pitch_rad)
+    rows = []
     for tracked, made in found.methods[-1].people:
         path, motion = target / f"{sequence.sequence_id}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
         path.write_text(motion.bvh(whole.units), encoding="utf-8")
         path.with_suffix(".npz").write_bytes(write_npz(motion))
-        typer.echo(
-            f"{path}: seen from frame {tracked.first_frame} to {int(tracked.frames[-1])}, "
-            f"{100 * float(np.nanmean(made.score_m)):.1f} cm from the nearest projections, "
-            f"{int(made.is_bridged.sum())} bridged"
+        judged = judge_person(made, left_out_m, doubts=doubts)
+        rows.append(
+            (
+                str(path),
+                f"{tracked.first_frame}-{int(tracked.frames[-1])}",
+                f"{100 * judged.expected_error_m:.0f} cm",
+                f"{100 * judged.misfit_m:.1f} cm",
+                f"{100 * left_out_m:.1f} cm" if math.isfinite(left_out_m) else "",
+                f"{judged.share_seen:.0%}",
+                f"{judged.share_bridged:.0%}",
+                judged.verdict.level.value + (f": {judged.verdict.reason}" if judged.verdict.reason else ""),
+            )
         )
+    print_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1))
     (target / "README.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
-    camera = searchers[found.searcher_index].database.camera
     typer.echo(f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; {sequence.in_words()}", err=True)
 
 
@@ -217,6 +239,8 @@ def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef
     """Return the store and the artifacts that a reference names, or those of the only study of a store's folder."""
     if not Path(text).is_dir():
         store = open_store(store_folder)
+        if text == "store" and not store_folder.is_dir():
+            raise InputError(f"there is no database to match with; {_HOW_TO_GET_ONE}")
         refs = resolve(text, store)
         if any("projections" not in store.manifest(ref).tables for ref in refs):
             raise InputError(f"'{text}' does not name projections; a reference to them starts with 'projections:'")
@@ -232,16 +256,18 @@ def _projections(text: str, store_folder: Path) -> tuple[Store, list[ArtifactRef
         names = ", ".join(f"projections:{study}" for study in found)
         raise InputError(
             f"store {text} has projections of {len(found)} studies"
-            + (f"; say which with --store {text} --database REF, one of: {names}" if found else "; run a study first")
+            + (f"; say which with --store {text} --database REF, one of: {names}" if found else f"; {_HOW_TO_GET_ONE}")
         )
     return store, next(iter(found.values()))
 
 
-def _searchers(store: Store, refs: list[ArtifactRef], pitch_deg: float | None) -> list[Searcher]:
-    """Return the database as each of its cameras sees it, or as one of this pitch does."""
+def _searchers(
+    store: Store, refs: list[ArtifactRef], pitch_deg: float | None
+) -> tuple[list[Searcher], npt.NDArray[np.object_]]:
+    """Return the database as each of its cameras sees it, or as one of this pitch does, and the take of each row."""
     views = read_views([store.manifest(ref) for ref in refs])
     cameras = views.cameras
     if pitch_deg is not None:
         cameras = (replace(views.level_camera, pitch_rad=math.radians(pitch_deg)),)
-    level, _, _ = read_database(store, refs)
-    return [Searcher.of(replace(level, camera=camera)) for camera in cameras]
+    level, take_ids, _ = read_database(store, refs)
+    return [Searcher.of(replace(level, camera=camera)) for camera in cameras], take_ids

@@ -164,6 +164,9 @@ class Reconstruction:
         num_joints_seen: (frame,).
         is_bridged: Too little was seen in the frame; the pose is interpolated (frame,).
         metres_per_pixel: (frame,).
+        correction_m: Mean distance that the fit moved a joint from where the followed poses had it (frame,), mid-hips
+            together; NaN where nothing was fitted.
+        noise_m: Standard deviation of the image's noise.
     """
 
     positions_m: Array
@@ -175,6 +178,8 @@ class Reconstruction:
     num_joints_seen: npt.NDArray[np.int64]
     is_bridged: npt.NDArray[np.bool_]
     metres_per_pixel: Array
+    correction_m: Array
+    noise_m: float
 
     def scaled(self, size: float) -> Reconstruction:
         """Return body and path grown about the camera, which sees no difference."""
@@ -279,6 +284,7 @@ def reconstruct_track(
     lengths = REFERENCE_LENGTHS_M * found.proportions
     relative = place_bone_rotations(unitquat, lengths, np.zeros((len(ranks), 3)))
     placement = found.placement
+    retrieved = relative
     if method is Method.FIT:
         relative = _fit(searcher, found, relative, is_known, track, options)
     root, towards = _root_before_camera(placement, found.towards_camera, track, is_known)
@@ -295,7 +301,15 @@ def reconstruct_track(
         num_joints_seen=(track.confidence > 0).sum(axis=1),
         is_bridged=~is_known,
         metres_per_pixel=placement.metres_per_pixel,
+        correction_m=_mean_distance_m(relative, retrieved) if method is Method.FIT else np.full(len(ranks), np.nan),
+        noise_m=image_noise(found.query_m, found.weights > 0),
     )
+
+
+def _mean_distance_m(first: Array, second: Array) -> Array:
+    """Return the mean distance (frame,) of the joints of poses (frame, 14, 3), mid-hips together."""
+    first, second = (poses - mid_hip(poses)[:, None] for poses in (first, second))
+    return np.asarray(np.linalg.norm(first - second, axis=-1).mean(axis=-1))
 
 
 def _fit(

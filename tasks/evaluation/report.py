@@ -14,7 +14,7 @@ from pasdedeux.evaluation.verdicts import Judged, by_stage, verdict_columns, ver
 from pasdedeux.verdict import summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
-from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
+from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of, verdicts_of_parts
 
 __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
@@ -91,21 +91,18 @@ def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score
 
 
 def _judged(manifests: Sequence[Manifest]) -> list[Judged]:
-    """Return one verdict for each stage and partition that has any, in order of appearance."""
-    groups = dict.fromkeys((manifest.ref.stage, manifest.partition) for manifest in manifests)
-    return [
-        Judged(stage, partition, verdict)
-        for stage, partition in groups
-        if (
-            verdict := summarise_verdicts(
-                one
-                for manifest in manifests
-                if (manifest.ref.stage, manifest.partition) == (stage, partition)
-                and (one := verdict_of(manifest)) is not None
-            )
-        )
-        is not None
-    ]
+    """Return one verdict for each part of a stage and partition, or for the whole of it, in order of appearance."""
+    groups: dict[tuple[str, str], list[Manifest]] = {}
+    for manifest in manifests:
+        groups.setdefault((manifest.ref.stage, manifest.partition), []).append(manifest)
+    judged = []
+    for (stage, partition), found in groups.items():
+        parts = {name: verdict for one in found for name, verdict in verdicts_of_parts(one).items()}
+        judged += [Judged(stage, f"{partition} {name}", verdict) for name, verdict in parts.items()]
+        whole = summarise_verdicts(verdict for one in found if (verdict := verdict_of(one)) is not None)
+        if whole is not None and not parts:
+            judged.append(Judged(stage, partition, whole))
+    return judged
 
 
 def _section(store: Store, found: Sequence[Manifest], topic: Topic, scores: ScoresOf) -> Section | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -144,7 +145,12 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
         assert made["is_seen"].all()
         assert (float(made["rate_hz"]), int(made["first_frame"])) == (pytest.approx(30.0), 0)
     said = capsys.readouterr()
-    assert "seen from frame 0 to 39" in said.out
+    header, *lines = said.out.splitlines()
+    assert header.split()[0] == "file"
+    assert [line.split()[:2] for line in lines] == [
+        [str(out / f"{video.name}_{person}.bvh"), "0-39"] for person in (0, 1)
+    ]
+    assert all(re.search(r"\d+ cm .* (pass|warn|fail)", line) for line in lines)
     assert "camera pitch" in said.err
 
 
@@ -162,6 +168,18 @@ def test_files_of_people_who_come_later_start_with_the_others(video: Path, store
     assert first["is_seen"].all()
     assert late["is_seen"].tolist() == [frame >= 8 for frame in range(FRAMES)]
     np.testing.assert_array_equal(late["positions_m"][:8], np.repeat(late["positions_m"][8:9], 8, axis=0))
+
+
+def test_without_a_database_it_is_said_how_to_get_one(
+    video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_command_line(["reconstruct", str(video)]) == 2
+    said = capsys.readouterr().err
+    assert "there is no database to match with; `pasdedeux fetch cmu --out cmu` and `pasdedeux run everyday`" in said
+    (tmp_path / "store").mkdir()
+    assert run_command_line(["reconstruct", str(video)]) == 2
+    assert "projections of 0 studies; `pasdedeux fetch cmu --out cmu`" in capsys.readouterr().err
 
 
 def test_the_height_of_the_camera_gives_people_their_size(
@@ -294,7 +312,7 @@ def test_a_folder_without_frames_and_a_store_without_projections_are_named(
     assert run_command_line(["reconstruct", str(tmp_path / "none"), *reference(store)]) == 2
     assert "does not exist" in capsys.readouterr().err
     assert run_command_line(["reconstruct", str(video), "--database", str(store.root)]) == 2
-    assert "run a study first" in capsys.readouterr().err
+    assert "projections of 0 studies; `pasdedeux fetch cmu" in capsys.readouterr().err
 
 
 def written(folder: Path, frames: dict[int, str]) -> Path:

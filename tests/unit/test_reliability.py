@@ -1,0 +1,107 @@
+"""How good a reconstruction is said to be: more noise, hidden joints and foreign motion are told, good ones pass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.projections.camera import OrthographicCamera
+from pasdedeux.projections.database import Database
+from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
+from pasdedeux.reconstruction.reliability import Reliability, camera_doubt, judge_person, left_out_misfit_m
+from pasdedeux.reconstruction.tracks import Lens, Track
+from pasdedeux.verdict import Level
+from tests.builders.walkers import random_poses, walk
+
+LENS = Lens(1400.0, (960.0, 540.0))
+
+
+def searcher_over(*motions: np.ndarray) -> tuple[Searcher, np.ndarray]:
+    poses = np.concatenate([centre_and_face(motion).poses_m for motion in motions])
+    names = np.concatenate([np.full(len(motion), str(at)) for at, motion in enumerate(motions)]).astype(object)
+    starts = np.r_[True, names[1:] != names[:-1]]
+    return Searcher.of(Database(poses, starts, num_yaws=30, rate_hz=24.0, camera=OrthographicCamera())), names
+
+
+def seen(world: np.ndarray, *, hidden: float = 0.0) -> Track:
+    """Film a motion from five metres, level."""
+    centre = world.mean(axis=(0, 1))
+    depth = 5.0 - (world[..., 2] - centre[2])
+    px = np.stack(
+        [960 + 1400 * (world[..., 0] - centre[0]) / depth, 540 - 1400 * (world[..., 1] - centre[1]) / depth], -1
+    )
+    is_hidden = np.random.default_rng(3).random(px.shape[:2]) < hidden
+    return Track(np.where(is_hidden[..., None], np.nan, px), np.where(is_hidden, 0.0, 0.9), 24.0, LENS)
+
+
+@pytest.fixture(scope="module")
+def walkers() -> tuple[Searcher, np.ndarray]:
+    return searcher_over(*(walk(96, seed=seed) for seed in range(4)))
+
+
+def made(searcher: Searcher, track: Track) -> Reconstruction:
+    return reconstruct_track(searcher, track, Method.FIT)
+
+
+def test_motion_that_the_database_lacks_is_told_and_has_the_larger_expected_and_true_error(
+    walkers: tuple[Searcher, np.ndarray],
+) -> None:
+    searcher, names = walkers
+    left_out = left_out_misfit_m(searcher.database, searcher.index, names, np.random.default_rng(1))
+    known, foreign = walk(48, seed=2), np.repeat(random_poses(np.random.default_rng(4), 6), 8, axis=0)
+    found = [made(searcher, seen(world)) for world in (known, foreign)]
+    judged = [judge_person(one, left_out) for one in found]
+    true = [
+        root_centred_error_m(one.positions_m, world).mean() for one, world in zip(found, (known, foreign), strict=True)
+    ]
+    assert true[0] < true[1]
+    assert judged[0].expected_error_m < judged[1].expected_error_m
+    assert [one.is_lacking for one in judged] == [False, True]
+    assert judged[0].verdict.level is Level.PASS
+    assert "the database lacks this motion" in judged[1].verdict.reason
+
+
+def test_joints_not_seen_are_a_warning_with_their_share(walkers: tuple[Searcher, np.ndarray]) -> None:
+    judged = judge_person(made(walkers[0], seen(walk(48, seed=2), hidden=0.5)))
+    assert judged.share_seen == pytest.approx(0.5, abs=0.05)
+    assert judged.verdict.level is Level.WARN
+    assert "% of the joints are seen" in judged.verdict.reason
+
+
+def test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion(walkers: tuple[Searcher, np.ndarray]) -> None:
+    searcher, names = walkers
+    found = left_out_misfit_m(searcher.database, searcher.index, names, np.random.default_rng(1))
+    rng = np.random.default_rng(1)
+    rows, yaws = rng.integers(0, searcher.database.num_rows, 128), rng.uniform(0.0, 30, 128)
+    plain = []
+    for row, yaw in zip(rows, yaws, strict=True):
+        others = searcher.database.project()[names != names[row]].reshape(-1, 14, 2)
+        query = searcher.database.camera.project(searcher.database.turned(row, yaw))
+        plain.append(np.linalg.norm(others - query, axis=-1).mean(axis=-1).min())
+    assert found <= np.percentile(plain, 95) + 1e-6
+    assert found > 0.5 * np.percentile(plain, 95)
+    alone, one_name = searcher_over(walk(96, seed=0))
+    assert np.isnan(left_out_misfit_m(alone.database, alone.index, one_name, rng))
+
+
+def test_a_pitch_at_the_edge_of_what_was_tried_is_a_doubt() -> None:
+    pitches = np.deg2rad([0.0, 20.0, 45.0])
+    (doubt,) = camera_doubt(pitches, pitches[2])
+    assert "45 degrees, the edge of what was tried" in doubt
+    assert camera_doubt(pitches, pitches[0]) == camera_doubt(pitches, pitches[1]) == camera_doubt([0.8], 0.8) == ()
+    good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
+    assert good.verdict.level is Level.PASS
+    assert replace(good, doubts=(doubt,)).verdict.level is Level.WARN
+
+
+def test_large_expected_errors_and_hardly_anything_seen_fail() -> None:
+    good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
+    assert replace(good, expected_error_m=0.12).verdict.level is Level.WARN
+    assert replace(good, expected_error_m=0.3).verdict.level is Level.FAIL
+    assert replace(good, share_seen=0.2).verdict.level is Level.FAIL
+    assert replace(good, share_bridged=0.5).verdict.level is Level.WARN
+    assert replace(good, expected_error_m=float("nan"), left_out_m=float("nan")).verdict.level is Level.PASS

@@ -20,6 +20,7 @@ from pasdedeux.formats import (
     recognise_format,
 )
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
+from tasks.ingest.cameras import find_cameras, refuse_film
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file, read_again
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
@@ -135,10 +136,8 @@ def _spread(files: Sequence[Path]) -> list[Path]:
     for path in files:
         if not path.exists():
             raise InputError(f"file {path} does not exist")
-        if path.is_dir() and not any(item.suffix.lower() == ".json" for item in path.iterdir()):
-            inside = sorted(item for item in path.iterdir() if item.suffix.lower() in _SUFFIXES)
-            if not inside:
-                raise InputError(f"folder {path} holds no motion or keypoint files")
+        inside = sorted(item for item in path.iterdir() if item.suffix.lower() in _SUFFIXES) if path.is_dir() else []
+        if inside and not any(item.suffix.lower() == ".json" for item in inside):
             found += inside
         else:
             found.append(path)
@@ -149,11 +148,15 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
     """Tell what a file is and what its content says; None for one that only serves those beside it."""
     try:
         if path.is_dir():
-            frames = sorted(item for item in path.iterdir() if item.suffix.lower() == ".json")
-            kind = recognise_format(load_file(frames[0]).data)
-            if not (isinstance(kind, AnnotationFormat) and kind.is_file_per_frame):
-                raise InputError(f"a folder of files of the format '{kind.name}'; name the file")
-            return _Annotations(path, kind.name, f"{len(frames)} frames")
+            cameras = find_cameras(path)
+            names = f" of {len(cameras)} cameras" if len(cameras) > 1 else ""
+            formats = {one.format for one in cameras}
+            return _Annotations(
+                path,
+                formats.pop() if len(formats) == 1 else "auto",
+                f"{sum(len(one.paths) for one in cameras)} files{names}",
+            )
+        refuse_film([path], path)
         loaded = load_file(path)
         if is_companion(loaded.data):
             return None

@@ -199,7 +199,7 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
         InputError: The coordinates are shares and the size is not known, or they lie about 0 as 3D coordinates do.
     """
     points = frames.keypoints_px
-    if not np.isfinite(points).any() or np.nanmax(np.abs(points)) > MAX_SHARE:
+    if not np.isfinite(points).any() or np.nanpercentile(np.abs(points), 90) > MAX_SHARE:
         return frames
     if np.nanmean(points < 0) > MAX_NEGATIVE:
         raise InputError(
@@ -210,8 +210,8 @@ def in_pixels(frames: AnnotatedFrames) -> AnnotatedFrames:
     known = [size for size in sizes if size is not None]
     if len(known) < len(sizes):
         raise InputError(
-            "all coordinates lie within 2; they seem to be shares of the image, not pixels: say the size of the image "
-            "(image_size_px, --size), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
+            "nearly all coordinates lie within 2; they seem to be shares of the image, not pixels: say the size of the "
+            "image (image_size_px, --size), or have the detector write pixels (OpenPose: --keypoint_scale 0)"
         )
     return replace(frames, keypoints_px=points * np.array(known, dtype=np.float64).reshape(-1, 1, 2))
 

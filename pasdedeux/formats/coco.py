@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +44,8 @@ class Coco(AnnotationFormat):
 
     def recognises(self, start: FileStart) -> bool:
         """Tell whether the file is JSON with one of COCO's or mmpose's keys and not OpenPose's, or an empty list."""
-        if not start.is_json or '"people"' in start.text or '"landmarks"' in start.text:
+        others = ('"people"', '"landmarks"', '"pose_landmarks"')
+        if not start.is_json or any(key in start.text for key in others) or re.search(r'"x"\s*:\s*-?\d', start.text):
             return False
         keys = ('"keypoints"', '"annotations"', '"images"', '"instances"', '"instance_info"')
         return any(key in start.text for key in keys) or start.text.split() in (["[]"], ["[", "]"])

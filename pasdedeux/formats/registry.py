@@ -16,6 +16,7 @@ from pasdedeux.formats.bvh import Bvh
 from pasdedeux.formats.coco import Coco
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
+from pasdedeux.formats.mediapipe import MediaPipe
 from pasdedeux.formats.openpose import OpenPose
 from pasdedeux.formats.positions_npz import PositionsNpz
 from pasdedeux.formats.rotation_rows import RotationRows
@@ -45,6 +46,7 @@ ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
     for known in (
         OpenPose(),
         Coco(),
+        MediaPipe(),
         AnnotationCsv(),
         AnnotationNpz(),
     )

@@ -38,6 +38,8 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Couple = tuple[tuple[PersonTrack, Matches, Reconstruction], tuple[PersonTrack, Matches, Reconstruction]]
 
+_KNOWN_LENS_DEVIATION = 0.02
+"""Standard deviation of g about 1 where the focal length is stated: lenses breathe by about as much."""
 _NUM_ROUNDS = 10
 
 
@@ -143,6 +145,8 @@ def place_couple(searcher: PairSearcher, couple: Couple, options: PlacingOptions
     """
     options = options or PlacingOptions()
     (first, first_matches, first_found), (second, second_matches, second_found) = couple
+    if first.track.lens.is_known:
+        options = options.model_copy(update={"lens_deviation": min(options.lens_deviation, _KNOWN_LENS_DEVIATION)})
     frames, at = _common(first, second)
     if not len(frames):
         return None

@@ -23,10 +23,17 @@ _FOCAL_OVER_WIDTH = 0.72
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole as far as it is known: focal length and principal point, pixels, y down."""
+    """A pinhole as far as it is known: focal length and principal point, pixels, y down.
+
+    Args:
+        focal_px: Focal length.
+        principal_point_px: Where the axis meets the image.
+        is_known: Whether the focal length is stated, not assumed.
+    """
 
     focal_px: float
     principal_point_px: tuple[float, float]
+    is_known: bool = False
 
     @classmethod
     def assumed(
@@ -42,8 +49,11 @@ class Lens:
             # People are filmed about the middle, and an image is about 16:9.
             middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
             width = 2.0 * max(float(middle[0]), 16.0 / 9.0 * float(middle[1]), 1.0)
-            return cls(focal_px or _FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])))
-        return cls(focal_px or _FOCAL_OVER_WIDTH * max(width_px, height_px), (width_px / 2.0, height_px / 2.0))
+            return cls(
+                focal_px or _FOCAL_OVER_WIDTH * width, (float(middle[0]), float(middle[1])), focal_px is not None
+            )
+        focal = focal_px or _FOCAL_OVER_WIDTH * max(width_px, height_px)
+        return cls(focal, (width_px / 2.0, height_px / 2.0), focal_px is not None)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pasdedeux.formats import ANNOTATION_FORMATS, Footage, find_format
 from pasdedeux.formats.detections import number_in_name, places_of_names
 from tasks.ingest.sources import load_file
 
-__all__ = ["CameraFiles", "find_cameras", "read_header", "video_beside"]
+__all__ = ["CameraFiles", "find_cameras", "read_header", "refuse_film", "video_beside"]
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts"})
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
@@ -46,7 +46,7 @@ def find_cameras(path: Path, format_name: str = "auto") -> list[CameraFiles]:
         InputError: There is nothing there, nothing that is known, or a video or images, whose people nobody detected.
     """
     if not path.is_dir():
-        _refuse_film([path], path)
+        refuse_film([path], path)
         return [CameraFiles("", _format_of(path, format_name), (path,))]
     cameras = _cameras_in(path, format_name)
     if not cameras:
@@ -56,7 +56,7 @@ def find_cameras(path: Path, format_name: str = "auto") -> list[CameraFiles]:
                 name = folder.name.removesuffix("_json")
                 cameras.append(CameraFiles(f"{name}_{camera.name}".rstrip("_"), camera.format, camera.paths))
     if not cameras:
-        _refuse_film(sorted(path.iterdir()), path)
+        refuse_film(sorted(path.iterdir()), path)
         raise InputError(f"folder {path} holds no files of 2D poses ({', '.join(sorted(_SUFFIXES))})")
     return [CameraFiles("", cameras[0].format, cameras[0].paths)] if len(cameras) == 1 else cameras
 
@@ -100,7 +100,7 @@ def _format_of(path: Path, format_name: str) -> str:
         raise type(error)(f"{path.name}: {error}") from None
 
 
-def _refuse_film(paths: Sequence[Path], path: Path) -> None:
+def refuse_film(paths: Sequence[Path], path: Path) -> None:
     """Refuse a video, or images, with what must be done to them first."""
     suffixes = {item.suffix.lower() for item in paths}
     what = "video" if suffixes & VIDEO_SUFFIXES else "images" if suffixes & IMAGE_SUFFIXES else ""

@@ -269,6 +269,44 @@ def result_texts(num_frames: int = 6, people: int = 2) -> dict[str, str]:
     }
 
 
+def landmark_texts(num_frames: int = 6, people: int = 1, side_px: int = 400) -> dict[str, str]:
+    """Return people in MediaPipe's landmarks, shares of a square image, in the forms in which programs export them."""
+    names = [name.replace("big_toe", "foot_index") for name in KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names]
+    frames: list[list[np.ndarray]] = [[] for _ in range(num_frames)]
+    for frame, _, table in people_of(num_frames, people, "mediapipe33"):
+        frames[frame].append(table / (side_px, side_px, 1.0))
+    points = [
+        [[{"x": x, "y": y, "z": -0.1, "visibility": v} for x, y, v in one.tolist()] for one in frame]
+        for frame in frames
+    ]
+    first = [frame[0] for frame in points]
+    named = [dict(zip((name.upper() for name in names), one, strict=True)) for one in first]
+    rows = [one[0].tolist() for one in frames]
+    by_landmark = [
+        f"{frame},{index},{name.upper()},{x},{y},0,{v}"
+        for frame, row in enumerate(rows)
+        for index, (name, (x, y, v)) in enumerate(zip(names, row, strict=True))
+    ]
+    wide = [",".join(f"{x},{y},0,{v}" for x, y, v in row) for row in rows]
+    return {
+        "frames": json.dumps(
+            {"fps": 25, "width": side_px, "height": side_px}
+            | {"frames": [{"frame_index": frame, "landmarks": one} for frame, one in enumerate(first)]}
+        ),
+        "people": json.dumps([{"pose_landmarks": frame} for frame in points]),
+        "keypoints": json.dumps([{"frame_id": frame, "keypoints": one} for frame, one in enumerate(first)]),
+        "by name": json.dumps([{"frame": frame, "landmarks": one} for frame, one in enumerate(named)]),
+        "rows": "\n".join(["frame,landmark_id,landmark_name,x,y,z,visibility", *by_landmark]),
+        "columns by name": "\n".join(
+            [
+                "frame," + ",".join(f"{name}_x,{name}_y,{name}_z,{name}_visibility" for name in names),
+                *(f"{frame},{row}" for frame, row in enumerate(wide)),
+            ]
+        ),
+        "columns by number": "\n".join([",".join(f"x{i},y{i},z{i},v{i}" for i in range(1, 34)), *wide]),
+    }
+
+
 def csv_text(num_frames: int = 3) -> str:
     """Return our table of annotations of one person in pair17."""
     lines = ["# layout: pair17", "# image_size: 640x480", "# rate_hz: 25", "frame,person,joint,x,y,confidence"]
@@ -320,6 +358,7 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
 GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "openpose": {f"w_{frame}_keypoints.json": openpose_text(people=2, seed=frame).encode() for frame in range(3)},
     "coco": {"c.json": coco_text().encode()},
+    "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
     "annotation_csv": {"t.csv": csv_text().encode()},
     "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},
 }

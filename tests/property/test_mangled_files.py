@@ -21,7 +21,7 @@ from pasdedeux.formats import (
     read_bvh_header,
     recognise_format,
 )
-from tests.builders.source_samples import BVH_SMALL, GOOD_ANNOTATIONS, GOOD_MOTIONS
+from tests.builders.source_samples import BVH_SMALL, GOOD_ANNOTATIONS, GOOD_MOTIONS, landmark_texts, result_texts
 
 
 def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
@@ -43,6 +43,14 @@ def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
                 {first: data, **rest}, sequence_id="s"
             ),
         )
+    forms = {"coco": ("mmpose demo", "alphapose"), "mediapipe": ("by name", "rows", "columns by name")}
+    texts = result_texts() | landmark_texts()
+    for name, wanted in forms.items():
+        for form in wanted:
+            readers[f"{name}, {form}"] = (
+                texts[form].encode(),
+                lambda data, kind=ANNOTATION_FORMATS[name]: kind.read({"file": data}, sequence_id="s"),
+            )
     return readers
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -78,6 +79,16 @@ def test_pairs_find_sizes_lens_and_the_depth_between_two_people() -> None:
     assert placing.sizes[0] / placing.sizes[1] == pytest.approx(SIZES[0] / SIZES[1], rel=0.08)
     assert placing.lens_factor == pytest.approx(FOCAL_PX / ASSUMED_FOCAL_PX, rel=0.1)
     assert placing.sizes.prod() == pytest.approx(1.0)
+
+
+def test_a_stated_focal_length_is_kept() -> None:
+    tracks, truth = filmed()
+    known = Lens(FOCAL_PX, (960.0, 540.0), is_known=True)
+    stated = [replace(one, track=replace(one.track, lens=known)) for one in tracks]
+    placed = reconstructed(stated, database()[1], Method.VITERBI)
+    (placing,) = placed.placings.values()
+    assert placing.lens_factor == pytest.approx(1.0, abs=0.05)
+    assert depth_error(placed, truth) < 0.2
 
 
 def test_people_stay_on_their_rays_with_their_poses() -> None:

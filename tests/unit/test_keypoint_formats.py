@@ -21,11 +21,21 @@ from pasdedeux.formats import (
     read_annotations,
     read_coco,
     read_openpose_frame,
+    recognise_format,
 )
 from pasdedeux.formats.detections import places_of_names
+from pasdedeux.formats.mediapipe import read_mediapipe
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
-from tests.builders.source_samples import coco_text, csv_text, openpose_text, people_of, person_px, result_texts
+from tests.builders.source_samples import (
+    coco_text,
+    csv_text,
+    landmark_texts,
+    openpose_text,
+    people_of,
+    person_px,
+    result_texts,
+)
 
 
 def rows_of(layout: str, keypoints: np.ndarray) -> AnnotatedFrames:
@@ -217,6 +227,47 @@ def test_results_of_every_tool_are_the_same_people(tool: str) -> None:
     for row, (_, _, table) in enumerate(people_of(6, 2)):
         np.testing.assert_array_equal(found.confidence[row], table[:, 2])
         np.testing.assert_array_equal(found.keypoints_px[row], np.where(table[:, 2:] > 0, table[:, :2], np.nan))
+
+
+@pytest.mark.parametrize("form", landmark_texts())
+def test_landmarks_of_every_form_are_the_same_person(form: str) -> None:
+    text = landmark_texts()[form].encode()
+    kind = recognise_format(text)
+    assert kind is ANNOTATION_FORMATS["mediapipe"]
+    found = read_annotations(kind, {"m": text}, source_id="m", told=Footage((400, 400)))
+    assert (found.layout, found.rate_hz) == ("mediapipe33", 25.0 if form == "frames" else None)
+    assert found.frame.tolist() == list(range(6))
+    for row, (_, _, table) in enumerate(people_of(6, 1, "mediapipe33")):
+        np.testing.assert_allclose(found.keypoints_px[row], np.where(table[:, 2:] > 0, table[:, :2], np.nan))
+        np.testing.assert_allclose(found.confidence[row], table[:, 2])
+
+
+def test_landmarks_of_several_people_are_all_read_and_state_the_image() -> None:
+    content = json.loads(landmark_texts(people=2)["people"])
+    text = json.dumps({"video": {"frame_rate": 50.0, "image_width": 400, "image_height": 400}, "frames": content})
+    found = read_mediapipe(text, sequence_id="m")
+    assert found.person_id.tolist() == [0, 1] * 6
+    assert (found.rate_hz, found.image_size_px, found.has_identities) == (50.0, {"m": (400, 400)}, False)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[{"pose_world_landmarks": [[{"x": 0.1, "y": 0.2}]]}]', "frame 0 has no landmarks of the image, only of the"),
+        ('[{"frame": -1, "landmarks": []}]', "frame 0: its number is -1"),
+        (
+            '[{"landmarks": {"nose": {"x": 1, "y": 2}, "left_nose": {"x": 1, "y": 2}, "a": {"x": 1, "y": 2}}}]',
+            "left_nose",
+        ),
+        ("frame,landmark_id,x,y\n0,0,1\n", "line 2: 3 values, the header has 4 columns"),
+        ("frame,landmark_id,x,y\n0,33,1,2\n", "line 2: '33' is no landmark"),
+        ("frame,landmark_id,x,y\nzero,3,1,2\n", "line 2: frame: 'zero' is not a number"),
+        ('{"fps": "fast", "landmarks": []}', "'fps' is fast"),
+    ],
+)
+def test_a_fault_of_a_file_of_landmarks_is_named(text: str, says: str) -> None:
+    with pytest.raises(FormatError, match=says):
+        read_mediapipe(text, sequence_id="m")
 
 
 def test_whole_body_results_are_read_without_face_and_hands() -> None:

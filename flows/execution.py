@@ -187,7 +187,8 @@ def partitions_to_run(plan: StagePlan) -> list[Partition]:
         needs.setdefault(shard.partition, set()).update(
             home[key] for key in shard.after if home.get(key, shard.partition) != shard.partition
         )
-    order = TopologicalSorter(needs).static_order()
+    # Sorted: sets of names have another order in every process, and partitions would have.
+    order = TopologicalSorter({name: sorted(before) for name, before in needs.items()}).static_order()
     return [Partition(name, tuple(shards[name]), tuple(sorted(needs[name]))) for name in order]
 
 

@@ -190,6 +190,12 @@ def test_partitions_come_after_those_they_need() -> None:
     ]
 
 
+def test_partitions_have_the_same_order_in_every_process() -> None:
+    first = [_shard(name, ()) for name in "hgfedcba"]
+    last = _shard("last", tuple(shard.key for shard in first))
+    assert [partition.name for partition in partitions_to_run(_plan_of(last, *first))] == [*"abcdefgh", "last"]
+
+
 def _shard(name: str, after: tuple[str, ...], partition: str | None = None) -> Shard:
     return Shard(stage="toy", version=1, partition=partition or name, name=name, parameters=Parameters(), after=after)
 

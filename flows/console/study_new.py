@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pasdedeux.errors import InputError
 from pasdedeux.formats import (
     ANNOTATION_FORMATS,
@@ -20,8 +22,11 @@ from pasdedeux.formats import (
     recognise_format,
 )
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
-from tasks.ingest.cameras import find_cameras, refuse_film
+from pasdedeux.people.video import why_no_video
+from tasks.ingest.annotations import find_annotations
+from tasks.ingest.cameras import refuse_film
 from tasks.ingest.known_sources import known_source
+from tasks.ingest.parameters import AnnotationOptions
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file, read_again
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
@@ -48,7 +53,28 @@ class _Annotations:
     path: Path
     format: str
     note: str
-    num_persons: int = 2
+    num_persons: int
+    is_video: bool
+
+    @classmethod
+    def read(cls, path: Path) -> _Annotations:
+        """Read a source as a study will; what is no video are single images, such as key frames."""
+        found = find_annotations(AnnotationOptions(id=_identifier(path.stem), path=path))
+        formats = {source.parameters.format for source in found}
+        people: Counter[tuple[str, int]] = Counter()
+        for source in found:
+            frames = source.read()
+            people.update(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
+        numbers: dict[str, list[int]] = {}
+        for sequence_id, frame in people:
+            numbers.setdefault(sequence_id, []).append(frame)
+        return cls(
+            path,
+            formats.pop() if len(formats) == 1 else "auto",
+            "; ".join(source.in_words() for source in found),
+            max(people.values(), default=0),
+            any(not why_no_video(np.array(own)) for own in numbers.values()),
+        )
 
 
 def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
@@ -116,7 +142,8 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
     if are_pairs:
         lines += ["", *_assumptions()]
     if annotations and not takes:
-        lines += ["", *(_from_2d_alone() if are_pairs else _one_person_alone())]
+        are_videos = any(one.is_video for one in annotations)
+        lines += ["", *(_from_2d_alone(are_videos=are_videos) if are_pairs else _one_person_alone())]
         return "\n".join([*lines, ""])
     lines += [
         "",
@@ -148,14 +175,7 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
     """Tell what a file is and what its content says; None for one that only serves those beside it."""
     try:
         if path.is_dir():
-            cameras = find_cameras(path)
-            names = f" of {len(cameras)} cameras" if len(cameras) > 1 else ""
-            formats = {one.format for one in cameras}
-            return _Annotations(
-                path,
-                formats.pop() if len(formats) == 1 else "auto",
-                f"{sum(len(one.paths) for one in cameras)} files{names}",
-            )
+            return _Annotations.read(path)
         refuse_film([path], path)
         loaded = load_file(path)
         if is_companion(loaded.data):
@@ -164,9 +184,7 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
         if isinstance(kind, AnnotationFormat):
             if kind.is_file_per_frame:
                 raise InputError("a single file of this format is one frame; give the folder")
-            found = kind.read({path.name: loaded.data}, sequence_id=_identifier(path.stem))
-            most = max(Counter(zip(found.sequence_id, found.frame.tolist(), strict=True)).values(), default=0)
-            return _Annotations(path, kind.name, f"poses of one person in one frame: {found.num_rows}", most)
+            return _Annotations.read(path)
         companion = find_companion(path, kind)
         motion = kind.read(loaded.data, read_again(companion) if companion else b"")
         return _Motion(path, motion.num_frames, guess_motion(motion))
@@ -245,7 +263,8 @@ def _annotations(source: _Annotations, base: Path | None) -> list[str]:
     return [
         "[[ingest.annotations]]",
         f"id = {_quoted(_identifier(source.path.stem))}",
-        f"path = {_quoted(_shown(source.path, base))}   # {source.note}",
+        f"path = {_quoted(_shown(source.path, base))}",
+        f"# {source.note}",
         f"format = {_quoted(source.format)}",
         "# rate_hz = 30",
         "# image_size_px = [1920, 1080]",
@@ -265,8 +284,16 @@ def _assumptions() -> list[str]:
     ]
 
 
-def _from_2d_alone() -> list[str]:
-    """Return the sections that make 3D of annotated pairs where no take is there."""
+def _from_2d_alone(*, are_videos: bool) -> list[str]:
+    """Return the sections that make 3D of annotated pairs where no take is there; motion where they are videos."""
+    motion = [
+        "",
+        "[projections]               # the draws are the database that motion is reconstructed from; takes of such",
+        "include_draws = true        # motion are a better one: [[ingest.takes]], `pasdedeux fetch cmu`",
+        "",
+        "[reconstruction]            # motion of everybody, also where only one person is seen",
+        'sequences = "given"',
+    ]
     return [
         "[seeds]                     # no take is there to start from: pairs of two people are lifted from 2D alone",
         f"num_lifted = {LIFTED_OF_2D_ALONE}             # annotated pairs that stand for all",
@@ -279,12 +306,7 @@ def _from_2d_alone() -> list[str]:
         "",
         "[lifting]",
         "max_frames = 40             # annotated pairs of each source that are lifted with the draws",
-        "",
-        "[projections]               # the draws are the database that motion is reconstructed from; takes of such",
-        "include_draws = true        # motion are a better one: [[ingest.takes]], `pasdedeux fetch cmu`",
-        "",
-        "[reconstruction]            # motion of everybody, also where only one person is seen",
-        'sequences = "given"',
+        *(motion if are_videos else ()),
     ]
 
 

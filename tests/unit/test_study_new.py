@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -115,3 +116,13 @@ def test_2d_alone_gets_the_sections_that_make_3d_with_what_is_assumed_as_keys(tm
     assert (seeds.num_lifted, seeds.num_grown) == (LIFTED_OF_2D_ALONE, GROWN_OF_2D_ALONE)
     assert isinstance(projections, ProjectionsParameters)
     assert projections.include_draws
+
+
+def test_key_frames_are_lifted_and_no_motion_is_asked_of_them(tmp_path: Path) -> None:
+    rows = [line for line in csv_text(60).splitlines() if not line[0].isdigit() or int(line.split(",")[0]) % 2 == 0]
+    frames = [re.sub(r"^(\d+),", lambda found: f"{500 * int(found[1])},", line) for line in rows]
+    second = [line.replace(",0,", ",1,", 1) for line in frames if line[0].isdigit()]
+    (tmp_path / "keys.csv").write_text("\n".join([*frames, *second]))
+    sections = tomllib.loads(new_study("keys", [tmp_path / "keys.csv"]))
+    assert {"views", "seeds", "chains", "lifting"} <= set(sections)
+    assert not {"projections", "reconstruction"} & set(sections)

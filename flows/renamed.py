@@ -22,7 +22,7 @@ RENAMED_KEYS: dict[str, str] = {
     "seeds.num_hypotheses": "more than the likeliest view of an annotation brought nothing: leave it out",
     "chains.kernel": "it is now called chains.proposal",
     "chains.most_blocks": "it is now called chains.max_blocks",
-    "chains.most_invalid_angles": "it is now called chains.max_invalid_angles",
+    "chains.most_invalid_angles": "it is now called physical_prior.max_invalid_angles",
     "chains.guided_*": "guided steps are gone, they covered no more than plain ones: leave it out",
     "chains.reference": "the truncation refers to the seed's own density alone: leave it out",
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
@@ -38,6 +38,12 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.variants.*.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "reconstruction.identities": "who is who is settled at ingest: say identities of each [[ingest.annotations]]",
     "reconstruction.has_repair": "faults are repaired at ingest: say has_repair of each [[ingest.annotations]]",
+    "seeds.alpha": "one value serves every stage now: it is called physical_prior.alpha",
+    "evaluation.alpha": "one value serves every stage now: it is called physical_prior.alpha",
+    "chains.alpha": "one value serves every stage now: it is called physical_prior.alpha",
+    "chains.sigma_p_m": "one value serves every stage now: it is called physical_prior.sigma_p_m",
+    "chains.max_invalid_angles": "one value serves every stage now: it is called physical_prior.max_invalid_angles",
+    "chains.length_tolerance": "one value serves every stage now: it is called physical_prior.length_tolerance",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
 """Old study key, or key=value, to one sentence with the new name or what became of it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -12,10 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationErr
 
 from flows.renamed import renamed_key
 from flows.study_files import HEAD, StudyError, StudyTree, read_study_tree, unknown
+from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = ["Study", "StudyError", "StudyHead", "load_study", "study_from_tree"]
+__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shared_keys", "study_from_tree"]
 
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
@@ -50,13 +51,15 @@ class StudyHead(BaseModel):
 class Study(BaseModel):
     """A study with everything resolved: defaults filled in, overrides applied, paths absolute.
 
-    `asked` are the stages that its files name, by a section or in `stages`: of those something must come.
+    `asked` are the stages that its files name, by a section or in `stages`: of those something must come.  `shared` are
+    the sections that several stages share; what they say is in the parameters of each of those too.
     """
 
     model_config = ConfigDict(frozen=True)
 
     head: StudyHead
     parameters: Mapping[str, SerializeAsAny[Parameters]]
+    shared: Mapping[str, SerializeAsAny[Settings]] = {}
     asked: frozenset[str] = frozenset()
 
     @property
@@ -66,7 +69,10 @@ class Study(BaseModel):
 
     def resolved(self) -> dict[str, Any]:
         """Return the whole study as JSON values, as it could have been written in its file."""
-        sections = {name: model.model_dump(mode="json") for name, model in self.parameters.items()}
+        models = [type(section) for section in self.shared.values()]
+        sections = {name: section.model_dump(mode="json") for name, section in self.shared.items()}
+        for name, own in self.parameters.items():
+            sections[name] = own.model_dump(mode="json", exclude=shared_keys(type(own), models))
         return {HEAD: self.head.model_dump(mode="json"), **sections}
 
 
@@ -115,15 +121,25 @@ def study_from_tree(
     """
     sections = tuple(tree.values)
     problems = tree.override(settings, os.environ if environment is None else environment, here)
-    known = (HEAD, *graph.names)
+    known = (HEAD, *graph.shared, *graph.names)
     for name in tree.values:
         if name not in known:
             renamed = renamed_key([name])
             problems.append(unknown(name, known) if renamed is None else f"{name}: {renamed}")
     head = _validate(StudyHead, tree.values.get(HEAD, {}), HEAD, problems)
+    shared = {name: _validate(model, tree.values.get(name, {}), name, problems) for name, model in graph.shared.items()}
     parameters: dict[str, Parameters] = {}
     for stage in graph.stages:
-        section = _validate(stage.parameters, tree.values.get(stage.name, {}), stage.name, problems)
+        values = tree.values.get(stage.name, {})
+        for name, settings_of in shared.items():
+            if settings_of is not None and isinstance(values, dict):
+                taken = shared_keys(stage.parameters, [type(settings_of)])
+                moved = sorted(taken.intersection(values))
+                problems += [
+                    f"{stage.name}.{key}: {renamed_key([stage.name, key]) or f'say {name}.{key}'}" for key in moved
+                ]
+                values = {**values, **settings_of.model_dump(include=taken)}
+        section = _validate(stage.parameters, values, stage.name, problems)
         if section is not None:
             parameters[stage.name] = _with_absolute_paths(section, (stage.name,), tree)
     if head is not None and head.stages is not None:
@@ -134,7 +150,20 @@ def study_from_tree(
         raise StudyError([f"study {tree.label}: {problem}" for problem in problems])
     wanted = graph if head.stages is None else graph.only(head.stages)
     asked = frozenset(wanted.names).intersection([*sections, *(head.stages or ())])
-    return Study(head=head, parameters={name: parameters[name] for name in wanted.names}, asked=asked), wanted
+    return (
+        Study(
+            head=head,
+            parameters={name: parameters[name] for name in wanted.names},
+            shared={name: said for name in wanted.shared if (said := shared[name]) is not None},
+            asked=asked,
+        ),
+        wanted,
+    )
+
+
+def shared_keys(parameters: type[BaseModel], shared: Iterable[type[BaseModel]]) -> set[str]:
+    """Return the keys of a stage's parameters that stand in a section that stages share."""
+    return {name for model in shared if issubclass(parameters, model) for name in model.model_fields}
 
 
 def _validate(model: type[M], values: Any, section: str, problems: list[str]) -> M | None:

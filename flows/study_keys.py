@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
 
-from flows.study import StudyHead
+from flows.study import StudyHead, shared_keys
 from flows.study_files import HEAD
 from tasks.graph import Graph
 
@@ -43,8 +43,13 @@ class StudyKey:
 
 def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
     """Return the keys of a section, of all when None, in the order of the models; none for an unknown section."""
-    models: dict[str, type[BaseModel]] = {HEAD: StudyHead, **{stage.name: stage.parameters for stage in graph.stages}}
-    return [key for name, model in models.items() if section in (None, name) for key in _keys_of(model, name, (model,))]
+    models: dict[str, type[BaseModel]] = {HEAD: StudyHead, **graph.shared}
+    elsewhere: set[str] = set()
+    for stage in graph.stages:
+        models[stage.name] = stage.parameters
+        elsewhere |= {f"{stage.name}.{key}" for key in shared_keys(stage.parameters, graph.shared.values())}
+    keys = (key for name, model in models.items() if section in (None, name) for key in _keys_of(model, name, (model,)))
+    return [key for key in keys if key.name not in elsewhere]
 
 
 def _keys_of(model: type[BaseModel], path: str, above: tuple[type[BaseModel], ...]) -> Iterator[StudyKey]:

@@ -9,9 +9,14 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
 import tasks
+from pasdedeux.sampling.prior import PriorSettings
+from pasdedeux.settings import Settings
 from tasks.stage import Stage
 
 __all__ = ["Graph", "GraphError", "load_graph"]
+
+SHARED_SECTIONS: dict[str, type[Settings]] = {"physical_prior": PriorSettings}
+"""Sections of a study that are no stage's own: every stage whose parameters have these settings gets what it says."""
 
 _NOT_STAGES = frozenset({"stage", "graph", "shards"})
 
@@ -62,6 +67,15 @@ class Graph:
     def names(self) -> tuple[str, ...]:
         """Return the stages' names in the order they run."""
         return tuple(stage.name for stage in self.stages)
+
+    @property
+    def shared(self) -> dict[str, type[Settings]]:
+        """Return the models of the sections that stages of this graph share, by name."""
+        return {
+            name: model
+            for name, model in SHARED_SECTIONS.items()
+            if any(issubclass(stage.parameters, model) for stage in self.stages)
+        }
 
     def stage(self, name: str) -> Stage:
         """Return the stage of this name, or a GraphError that lists the known ones."""

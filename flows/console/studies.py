@@ -97,7 +97,9 @@ def keys(
     graph = graph_of(context)
     found = study_keys(graph, section)
     if not found:
-        raise StudyError([f"there is no section '{section}'; sections: {', '.join((HEAD, *graph.names))}"])
+        raise StudyError(
+            [f"there is no section '{section}'; sections: {', '.join((HEAD, *graph.shared, *graph.names))}"]
+        )
     if as_json:
         print_json([asdict(key) for key in found])
         return

@@ -114,14 +114,14 @@ def lift_pair(
     torsos = lift_torsos(image_m[:, TORSO_INDICES] * _DOWN, basis)
     if not torsos.is_lifted.all():
         return None
-    people = []
+    people, prior = [], prior or PriorSettings()
     for person in range(2):
         torso_m = torsos.torso_m[person]
         flat = (
             torso_m[..., :2] / torsos.metres_per_pixel[person, :, None, None] + torsos.root_px[person, :, None] * _DOWN
         )
         image = _completed(image_m[person], flat.mean(axis=0), lengths_m[person])
-        people.append([_lift_person(image, own, lengths_m[person], limits) for own in torso_m])
+        people.append([_lift_person(image, own, lengths_m[person], limits, prior) for own in torso_m])
     pairs, costs = [], []
     for first, second in itertools.product(*people):
         placed = np.stack([np.broadcast_to(first.pose_m, (len(_DEPTHS_M), 17, 3))] * 2, axis=1)
@@ -171,7 +171,7 @@ def lift_seeds(
         for index in near[:_NUM_TRIES]:
             entry = int(shown[index])
             pair = lift_pair(annotated.points_m[entry], annotated.directions[entry], lengths, limits, basis, prior)
-            if pair is not None and seed_quality(pair[None], limits).is_possible[0]:
+            if pair is not None and seed_quality(pair[None], limits, prior).is_possible[0]:
                 found.append(gauge_fix(pair))
                 used.append(index)
                 break
@@ -219,7 +219,9 @@ def _completed(image_m: Array, torso_m: Array, lengths_m: Array) -> Array:
     return image
 
 
-def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits) -> _Person:
+def _lift_person(
+    image_m: Array, torso_m: Array, lengths_m: Array, limits: JointLimits, prior: PriorSettings
+) -> _Person:
     """Return the likeliest of 256 poses of a person's limbs, (17, 3), pelvis at depth 0, and its cost."""
     up = normalise(torso_m[1] - torso_m[0])
     across = torso_m[2] - torso_m[3]
@@ -238,7 +240,7 @@ def _lift_person(image_m: Array, torso_m: Array, lengths_m: Array, limits: Joint
     images = np.ascontiguousarray(np.broadcast_to(image_m, (len(_SIGNS), *image_m.shape)))
     lengths = np.ascontiguousarray(np.broadcast_to(lengths_m, depth.shape))
     place_bones(images, depth, lengths, _ORDER, _PARENTS, np.full_like(depth, TIGHTNESS), poses)
-    cost = -PriorSettings().log_prior(limits.nearest_valid(poses).squared_distance_m2)
+    cost = -prior.log_prior(limits.nearest_valid(poses).squared_distance_m2)
     for root, _, end in _LIMBS:
         cost = cost - FORWARD_PER_M * ((poses[:, end] - poses[:, root]) @ forward)
     best = int(np.argmin(cost))

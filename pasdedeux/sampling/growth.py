@@ -23,7 +23,7 @@ from pasdedeux.cameras import pair_frame, project_pair
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits
+from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
 from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.parameters import gauge_fix
@@ -78,7 +78,7 @@ class Growth:
             ones are grown pairs, counted on from there.
         generation: Steps from a seed, (n,), from 1.
         image_distance_m: Distance of the annotation from the parent under the annotation's view, (n,), metres.
-        log_prior: Log of eq. 2 (Yin et al. 2018) with `sigma_p` 0.05 m and the pair's own bone lengths, (n,).
+        log_prior: Log of eq. 2 (Yin et al. 2018) with the pair's own bone lengths, (n,).
         is_possible: Whether the joint limits are kept, (n,): agreeing on depths may have changed it.
         num_refused: Annotations whose lifted pair was refused.
         num_left: Annotations that nothing lifted came near, or that were not asked for.
@@ -107,12 +107,12 @@ def grow(
     """Lift up to `num_grown` annotations from seeds (seed, person=2, joint=17, 3), metres, nearest first.
 
     Every annotation is lifted at most once, by the hypothesis of its view that matches best.  Bone lengths are those of
-    the pair lifted from.  No randomness; ties go to the entry that comes first.  What has grown is scored by `prior`.
+    the pair lifted from.  No randomness; ties go to the entry that comes first.  `prior` refuses and scores pairs.
 
     Raises:
         InputError: There is no seed, or one with a position that is not finite.
     """
-    options = options or GrowthOptions()
+    options, prior = options or GrowthOptions(), prior or PriorSettings()
     if not len(seeds_m) or not np.isfinite(seeds_m).all():
         raise InputError("growth needs at least one seed, all of its positions finite")
     frontier = _Frontier(annotated, options)
@@ -124,7 +124,7 @@ def grow(
         if entry < 0:
             break
         pair = frontier.lift(entry)
-        if limits.num_invalid(pair).sum() > MAX_INVALID_ANGLES:
+        if limits.num_invalid(pair).sum() > prior.max_invalid_angles:
             num_refused += 1
             continue
         nearest, distance_m = int(frontier.which[entry, 0]), float(frontier.distance_m[entry, 0])
@@ -252,7 +252,7 @@ class _Frontier:
             for row, entry in enumerate(entries)
         ]
 
-    def growth(self, num_seeds: int, limits: JointLimits, num_refused: int, prior: PriorSettings | None) -> Growth:
+    def growth(self, num_seeds: int, limits: JointLimits, num_refused: int, prior: PriorSettings) -> Growth:
         """Turn every pair upright as its parent and give them all."""
         fixed = [gauge_fix(pair) for pair in self.pairs[:num_seeds]]
         generation = [0] * num_seeds

@@ -21,7 +21,7 @@ from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_J
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["PenetrationWeight", "PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
+__all__ = ["PhysicalPrior", "PriorSettings", "PriorTerms", "Violations", "pair_violations"]
 
 Array = npt.NDArray[np.float64]
 
@@ -30,15 +30,10 @@ Value = TypeVar("Value", float, Array)
 _TIE_TOLERANCE = 1e-9
 
 
-class PenetrationWeight(Settings):
-    """The weight of eq. 2 that everything has which scores pairs by it: chains, seeds, the judge of a density."""
+class PriorSettings(Settings):
+    """The weights and limits of eq. 2, the same for all that scores pairs by it: seeds, growth, chains, judges."""
 
     alpha: float = Field(default=10.0, ge=0, description="Weight of the squared penetration in the prior (eq. 2)")
-
-
-class PriorSettings(PenetrationWeight):
-    """The weights and limits of eq. 2."""
-
     sigma_p_m: float = Field(default=0.05, gt=0, description="Bandwidth of the prior (eq. 2), metres")
     max_invalid_angles: int = Field(
         default=MAX_INVALID_ANGLES, ge=0, description="Invalid joint angles beyond which a pair is impossible"

@@ -13,7 +13,7 @@ from pydantic import Field
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
-from pasdedeux.sampling.prior import PenetrationWeight
+from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
@@ -43,7 +43,7 @@ class SeedFile(Parameters):
     takes: tuple[str, ...] = Field((), description="Takes it shows or was made from, beside those that the file names")
 
 
-class FileSeed(PenetrationWeight, Parameters):
+class FileSeed(PriorSettings, Parameters):
     """A seed that is in a file: how its shard reads it again."""
 
     seed_index: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from pasdedeux.sampling.growth import GrowthOptions
-from pasdedeux.sampling.prior import PenetrationWeight
+from pasdedeux.sampling.prior import PriorSettings
 from tasks.seeds.files import SeedFile
 from tasks.stage import Parameters
 
@@ -24,7 +24,7 @@ class SeedFrame(Parameters):
     frame: int = Field(ge=0, description="Frame at the study's rate")
 
 
-class SeedsParameters(PenetrationWeight, GrowthOptions, Parameters):
+class SeedsParameters(PriorSettings, GrowthOptions, Parameters):
     """How many seeds there are and where they come from."""
 
     num_seeds: int | None = Field(
@@ -67,20 +67,20 @@ class SeedsParameters(PenetrationWeight, GrowthOptions, Parameters):
         return self
 
 
-class FrameSeed(PenetrationWeight, SeedFrame):
+class FrameSeed(PriorSettings, SeedFrame):
     """A seed that is a named frame."""
 
     seed_index: int
 
 
-class ChosenSeed(PenetrationWeight, Parameters):
+class ChosenSeed(PriorSettings, Parameters):
     """A seed that is the best frame after those that the seeds before it chose."""
 
     seed_index: int
     max_frames_per_take: int
 
 
-class LiftedSeeds(PenetrationWeight, Parameters):
+class LiftedSeeds(PriorSettings, Parameters):
     """All seeds lifted from 2D alone."""
 
     first_index: int
@@ -88,7 +88,7 @@ class LiftedSeeds(PenetrationWeight, Parameters):
     max_annotations: int
 
 
-class GrownSeeds(PenetrationWeight, GrowthOptions, Parameters):
+class GrownSeeds(PriorSettings, GrowthOptions, Parameters):
     """All seeds grown from the others."""
 
     first_index: int

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pasdedeux.errors import InputError
+from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import ArtifactRef, Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
 from tasks.seeds.files import SeedFile, load_seed
@@ -83,11 +84,12 @@ def _from_takes(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]
     """Plan a shard per named frame, or as many as are to be chosen."""
     takes = {str(manifest.facts["take_id"]): manifest for manifest in inputs.of("poses") if _is_usable(manifest)}
     limits = inputs.of("joint_limits")
+    prior = parameters.part(PriorSettings).model_dump()
     wanted: list[FrameSeed | ChosenSeed] = []
     poses: list[list[Manifest]] = []
     for index, frame in enumerate(parameters.frames):
         _check_frame(frame, takes)
-        wanted.append(frame.part(FrameSeed, seed_index=index, alpha=parameters.alpha))
+        wanted.append(frame.part(FrameSeed, seed_index=index, **prior))
         poses.append([takes[frame.take]])
     if parameters.num_seeds and not takes:
         raise InputError(
@@ -126,7 +128,7 @@ def _from_file(inputs: StageInputs, parameters: SeedsParameters, index: int, fil
             "nothing that is learned may have seen it"
         )
     limits = named_refs(joint_limits=inputs.of("joint_limits"))
-    options = loaded.parameters.model_copy(update={"alpha": parameters.alpha})
+    options = loaded.parameters.model_copy(update=parameters.part(PriorSettings).model_dump())
     return _shard(inputs, f"seed{index}", "file", options, limits, files=loaded.files)
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES
 from pasdedeux.sampling.direct_lifting import lift_seeds
 from pasdedeux.sampling.growth import Growth, grow
 from pasdedeux.sampling.parameters import gauge_fix
@@ -81,7 +80,7 @@ def _commit_one(
     quality = seed_quality(pair_m[None], read_limits(store, shard.refs("joint_limits")), options.part(PriorSettings))
     verdict = Verdict(Level.PASS)
     if not quality.is_possible[0]:
-        reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {MAX_INVALID_ANGLES} may be"
+        reason = f"{quality.num_invalid[0]} joint angles are out of range, at most {options.max_invalid_angles} may be"
         verdict = Verdict(Level.FAIL, f"{reason}: no chain can start here")
     columns = _columns(origin, [index], gauge_fix(pair_m)[None], quality.log_prior, **known)
     facts = {"kind": "seed", "seed_index": index, **facts}

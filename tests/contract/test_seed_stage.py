@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -86,11 +87,20 @@ def test_seeds_grow_over_the_annotations_with_their_lineage(inputs: Any) -> None
 
 def _one_inside_the_other(store: Store, take: Manifest) -> Manifest:
     """Return a take whose second person stands where the first does."""
+
+    def moved(pairs: np.ndarray) -> np.ndarray:
+        return np.concatenate([pairs[:1], pairs[:1] + np.array([0.05, 0.0, 0.05])])
+
+    return _changed(store, take, "inside", moved)
+
+
+def _changed(store: Store, take: Manifest, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Manifest:
+    """Return a take whose positions (person, frame, 17, 3) are others."""
     table = store.read(take.ref, "poses")
-    columns = {name: np.array(table[name]) for name in table.column_names}
-    second = columns["person"] == 1
-    columns["pair17_m"][second] = columns["pair17_m"][~second] + np.array([0.05, 0.0, 0.05], dtype=np.float32)
-    return put(store, "ingest", f"{take.partition}_inside", {"poses": columns}, take.facts)
+    columns = {column: np.array(table[column]) for column in table.column_names}
+    positions = columns["pair17_m"].astype(np.float64)
+    columns["pair17_m"] = change(positions.reshape(2, -1, 17, 3)).reshape(positions.shape).astype(np.float32)
+    return put(store, "ingest", f"{take.partition}_{name}", {"poses": columns}, take.facts)
 
 
 @pytest.mark.parametrize(
@@ -103,21 +113,32 @@ def _one_inside_the_other(store: Store, take: Manifest) -> Manifest:
     ],
     ids=["chosen", "named", "grown", "lifted"],
 )
-def test_the_weight_of_penetration_that_a_study_chooses_reaches_the_prior_of_its_seeds(
-    inputs: Any, asked: dict[str, Any]
-) -> None:
+def test_the_weights_of_the_prior_that_a_study_chooses_reach_its_seeds(inputs: Any, asked: dict[str, Any]) -> None:
     store, tables = inputs
     limits = JointLimits.published()
     tables = {**tables, "poses": [_one_inside_the_other(store, take) for take in tables["poses"][:1]]}
-    for alpha in (10.0, 1e4):
-        made = with_seeds(store, tables, alpha=alpha, **asked).of("seeds")
+    for changed in ({}, {"alpha": 1e4}, {"sigma_p_m": 0.02}):
+        made = with_seeds(store, tables, **changed, **asked).of("seeds")
         table = store.read(made[-1].ref, "seeds")
         pairs = np.asarray(table["pair17_m"])
         chosen, default = (
-            seed_quality(pairs, limits, prior).log_prior for prior in (PriorSettings(alpha=alpha), PriorSettings())
+            seed_quality(pairs, limits, prior).log_prior for prior in (PriorSettings(**changed), PriorSettings())
         )
         np.testing.assert_allclose(table["log_prior"], chosen, rtol=1e-9, atol=1e-12)
-        assert (alpha == PriorSettings().alpha) == np.allclose(table["log_prior"], default)
+        assert (not changed) == np.allclose(table["log_prior"], default)
+
+
+def test_the_number_of_invalid_angles_that_a_study_allows_decides_whether_a_seed_can_start_chains(inputs: Any) -> None:
+    store, tables = inputs
+    mirrored = _changed(store, tables["poses"][0], "mirrored", lambda pairs: pairs * np.array([-1.0, 1.0, 1.0]))
+    frames = [SeedFrame(take="one", frame=3)]
+    for allowed, level in ((0, Level.FAIL), (58, Level.PASS)):
+        given = with_seeds(store, {**tables, "poses": [mirrored]}, frames=frames, max_invalid_angles=allowed)
+        verdict = verdict_of(given.of("seeds")[-1])
+        assert verdict is not None
+        assert verdict.level is level
+    (strict, *_) = with_seeds(store, {**tables, "poses": [mirrored]}, frames=frames, max_invalid_angles=0).of("seeds")
+    assert "at most 0 may be: no chain can start here" in verdict_of(strict).reason
 
 
 def test_growth_that_hardly_reaches_anything_is_warned_of_with_the_reason(inputs: Any) -> None:

@@ -15,7 +15,7 @@ from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, grow
+from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, PriorSettings, grow
 from pasdedeux.sampling.annotations import shows_enough
 from pasdedeux.sampling.growth import ViewedImages
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
@@ -208,6 +208,9 @@ def test_impossible_pairs_are_refused_and_far_annotations_left() -> None:
     narrow = JointLimits(np.full(29, 3.0), np.full(29, 3.01), ("nothing",) * 29)
     refused = grow(pairs[:1], entries, narrow, num_grown=100)
     assert (len(refused.entry), refused.num_refused, refused.num_left) == (0, 30, 0)
+    lenient = grow(pairs[:1], entries, narrow, num_grown=100, prior=PriorSettings(max_invalid_angles=58))
+    assert (len(lenient.entry), lenient.num_refused) == (30, 0)
+    assert lenient.is_possible.all()
     left = grow(pairs[:1], entries, WIDE, num_grown=100, options=GrowthOptions(farthest_m=1e-3))
     assert left.num_left == 30 - len(left.entry)
     assert left.num_left > 20

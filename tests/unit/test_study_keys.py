@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
+
+from flows.study import load_study
+from flows.study_files import StudyError
 from flows.study_keys import study_keys
+from pasdedeux.sampling.prior import PriorSettings
 from tasks.graph import load_graph
 
 KEYS = {key.name: key for key in study_keys(load_graph())}
@@ -22,3 +29,25 @@ def test_keys_of_lists_and_of_named_tables_have_the_path_that_an_override_takes(
 def test_only_the_keys_of_one_section_are_told_when_it_is_named() -> None:
     assert {key.name.split(".")[0] for key in study_keys(load_graph(), "chains")} == {"chains"}
     assert study_keys(load_graph(), "chain") == []
+
+
+def test_what_stages_share_is_said_once() -> None:
+    assert {name for name in KEYS if name.startswith("physical_prior.")} == {
+        f"physical_prior.{name}" for name in PriorSettings.model_fields
+    }
+    assert not {f"{stage}.{name}" for stage in load_graph().names for name in PriorSettings.model_fields} & set(KEYS)
+
+
+def test_one_value_of_the_prior_reaches_seeds_chains_and_evaluation(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text('[study]\nname = "own"\n[physical_prior]\nalpha = 3.0\n')
+    study, _ = load_study(str(file), load_graph(), settings=["physical_prior.max_invalid_angles=5"], environment={})
+    for stage in ("seeds", "chains", "evaluation"):
+        told = study.parameters[stage].part(PriorSettings)
+        assert (told.alpha, told.max_invalid_angles) == (3.0, 5)
+        assert "alpha" not in study.resolved()[stage]
+    assert study.resolved()["physical_prior"]["alpha"] == 3.0
+    with pytest.raises(StudyError, match=r"seeds\.alpha: one value serves every stage now: .* physical_prior\.alpha"):
+        load_study(str(file), load_graph(), settings=["seeds.alpha=2"], environment={})
+    with pytest.raises(StudyError, match=r"physical_prior\.alpa: .*alpha"):
+        load_study(str(file), load_graph(), settings=["physical_prior.alpa=2"], environment={})

@@ -22,7 +22,7 @@ from pasdedeux.experiments.judging import (
 from pasdedeux.sampling.annotations import build_bank
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth import GrowthOptions, grow
-from pasdedeux.sampling.prior import PenetrationWeight, PriorSettings
+from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import Store
 from tasks.annotated_pairs import annotated_pairs, gather, views_of
 from tasks.draw_sets import read_grown
@@ -43,7 +43,7 @@ LIFTED_FOR_JUDGED = 2
 RANK_METRIC = "rank_correlation_with_nearest_real"
 
 
-class DensitySettings(PenetrationWeight, Parameters):
+class DensitySettings(PriorSettings, Parameters):
     """How much is judged."""
 
     num_judged_pairs: int = Field(

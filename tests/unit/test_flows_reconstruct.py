@@ -430,13 +430,45 @@ def test_two_cameras_of_a_folder_are_two_sequences(
     assert names == {f".{camera}_{person}.bvh" for camera in ("left", "right") for person in (0, 1)}
 
 
+def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = {number: path.read_text() for number, path in list_frames(video)[:24]}
+    one = {number: json.loads(text) for number, text in frames.items() if number % 2 == 0}
+    for frame in one.values():
+        frame["people"] = frame["people"][:1]  # one person for the whole video, and only every second frame
+    folder = written(tmp_path / "one", {1000 + number: json.dumps(frame) for number, frame in one.items()})
+    out = tmp_path / "out"
+    command = ["reconstruct", str(folder), *reference(store), "--pitch", "6", "--rate", "60", "--out", str(out)]
+    assert run_command_line(command) == 0
+    (file,) = out.glob("*.bvh")
+    source = read_bvh(file.read_bytes())
+    assert (source.num_frames, source.rate_hz) == (23, pytest.approx(60.0))
+    assert "1000-1022" in capsys.readouterr().out
+    far = written(tmp_path / "far", {100_000 * number: text for number, text in frames.items()})
+    assert run_command_line(["reconstruct", str(far), *reference(store)]) == 2
+    assert "far: 24 frames spread over 2,300,001 are single images, not a video" in capsys.readouterr().err
+
+
 def test_people_of_known_stature_come_out_that_tall() -> None:
     positions = walk(30, seed=1)
     tracks = [
         PersonTrack(name, 0, 0.0, Track(np.zeros((30, 14, 2)), np.ones((30, 14)), 30.0, Lens(1.0, (0.0, 0.0))))
         for name in (0, 1)
     ]
-    made = Reconstruction(positions, positions, positions[:, 8], *(np.ones(30) for _ in range(6)))
+    made = Reconstruction(
+        positions_m=positions,
+        bone_unitquat=bone_rotations(positions),
+        root_m=mid_hip(positions),
+        yaw_rad=np.zeros(30),
+        score_m=np.zeros(30),
+        row=np.zeros(30, dtype=int),
+        num_joints_seen=np.full(30, 14),
+        is_bridged=np.zeros(30, dtype=bool),
+        metres_per_pixel=np.ones(30),
+        correction_m=np.zeros(30),
+        noise_m=0.0,
+    )
     people = [(track, made) for track in tracks]
 
     def heights(found: Sequence[tuple[PersonTrack, Reconstruction]]) -> list[float]:

@@ -25,7 +25,7 @@ from pasdedeux.formats import (
 )
 from pasdedeux.formats.detections import places_of_names
 from pasdedeux.formats.mediapipe import read_mediapipe
-from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS
+from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
 from tests.builders.source_samples import (
     coco_text,
@@ -154,6 +154,19 @@ def test_names_of_images_tell_cameras_and_frames() -> None:
 @pytest.mark.parametrize("layout", KEYPOINT_LAYOUTS)
 def test_people_in_the_right_layout_are_accepted(layout: str) -> None:
     check_anatomy(rows_of(layout, np.stack([person_px(layout, seed) for seed in range(10)])))
+
+
+@pytest.mark.parametrize("layout", [layout.name for layout in LAYOUT_OF_COUNT.values()])
+def test_noise_missing_joints_and_junk_do_not_make_people_of_another_layout(layout: str) -> None:
+    """Whatever a detector adds to the right keypoints, they stay right: what is measured are medians."""
+    rng = np.random.default_rng(7)
+    for noise_px, missing, junk in ((5.0, 0.1, 0), (5.0, 0.1, 3), (8.0, 0.3, 1)):
+        px = np.stack([person_px(layout, seed) for seed in range(40)])
+        px += rng.normal(0.0, noise_px, px.shape)
+        px[rng.random(px.shape[:2]) < missing] = np.nan
+        for row in px:
+            row[rng.choice(len(row), junk, replace=False)] = rng.uniform(0.0, 1500.0, (junk, 2))
+        check_anatomy(rows_of(layout, px))
 
 
 def test_coco18_padded_to_25_keypoints_is_noticed_and_the_right_order_named() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 import typer
@@ -18,14 +18,20 @@ import typer
 from flows.console.following import FollowedFile
 from pasdedeux.errors import InputError
 from pasdedeux.formats import OpenPoseFrame, check_anatomy, in_pixels, join_openpose_frames
+from pasdedeux.formats.humanoid import AXES
+from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
-from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons import BODY22, OP14
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tasks.ingest.parameters import AnnotationOptions
 
 __all__ = ["follow_lines", "lines_into", "told_to_stop"]
 
 _MIN_CONFIDENCE = float(AnnotationOptions.model_fields["min_confidence"].default)
+_DECIMALS = 7
+"""Digits of metres and of rotations: bones do not change by more than 1e-6 m because of them."""
+
 _CHECKED_ROWS = 30
 """Detections after which a live video's keypoints are checked for looking like people."""
 
@@ -77,6 +83,7 @@ def follow_lines(
         InputError: Keypoints that are not people, or another layout in between.
     """
     times = _Times(time.time() if began is None else began)
+    lines = _Lines(people, out, rate_hz=rate_hz)
     seen: list[tuple[int, OpenPoseFrame]] = []
     layout: str | None = None
     for file in files:
@@ -99,9 +106,9 @@ def follow_lines(
             op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, sure)
             poses = people.push(file.number, op14.positions, op14.confidence)
         times.worked()
-        _write(poses, times, out, rate_hz=rate_hz)
+        lines.write(poses, times)
         times.written(poses)
-    _write(people.finish(), times, out, rate_hz=rate_hz)
+    lines.write(people.finish(), times)
     typer.echo(times.in_words(), err=True)
 
 
@@ -167,27 +174,56 @@ def _spread_ms(seconds: list[float]) -> str:
     return f"{1000 * np.median(seconds):.1f} ms (median), {1000 * np.quantile(seconds, 0.99):.1f} ms (99 %)"
 
 
-def _write(poses: list[LivePose], times: _Times, out: TextIO | None, *, rate_hz: float) -> None:
-    for pose in poses:
-        line = _line(pose, rate_hz=rate_hz, delay_s=times.delay_s(pose))
-        if out is None:
-            typer.echo(line)
+class _Lines:
+    """The lines: the first says what the others hold, then one for each pose."""
+
+    def __init__(self, people: LivePeople, out: TextIO | None, *, rate_hz: float) -> None:
+        self._upright = people.camera_from_upright_rotmat
+        self._out = out
+        self._rate_hz = rate_hz
+        self._bodies: dict[int, Body] = {}
+        self._put(
+            {
+                "format": "pasdedeux live",
+                "version": 2,
+                "rate_hz": rate_hz,
+                "unit": "m",
+                "axes": f"{AXES}; x to the right of the image, z towards the camera, which is the origin",
+                "joint_names": [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names],
+                "parents": list(BODY22.parents),
+                "local_unitquat": "x, y, z, w against the parent, from the standing T-pose; root: Hips at hips_m",
+                "rest_offset_m": "from the parent in the T-pose; in a person's first line and again once, when the "
+                "person's own bones are known",
+                "floor_m": "y of the floor; null where it is not kept",
+                "op14_names": list(OP14.joint_names),
+            }
+        )
+
+    def write(self, poses: list[LivePose], times: _Times) -> None:
+        """Write a line for each pose."""
+        for pose in poses:
+            line = {
+                "frame": pose.frame,
+                "time_s": round(pose.frame / self._rate_hz, 6),
+                "person_id": pose.person_id,
+                "hips_m": np.round(pose.pelvis_m, _DECIMALS).tolist(),
+                "local_unitquat": np.round(pose.body22_unitquat, _DECIMALS).tolist(),
+                "floor_m": round(pose.floor_m, _DECIMALS) if np.isfinite(pose.floor_m) else None,
+                "op14_m": np.round(pose.positions_m @ self._upright, _DECIMALS).tolist(),
+                "root_m": np.round(pose.root_m @ self._upright, _DECIMALS).tolist(),
+                "yaw_rad": round(pose.yaw_rad, 4),
+                "score_m": round(pose.score_m, 4),
+                "num_joints_seen": pose.num_joints_seen,
+                "delay_s": round(times.delay_s(pose), 4),
+            }
+            if self._bodies.get(pose.person_id) is not pose.body:
+                self._bodies[pose.person_id] = pose.body
+                line["rest_offset_m"] = np.round(pose.body.offsets_m, _DECIMALS).tolist()
+            self._put(line)
+
+    def _put(self, line: dict[str, Any]) -> None:
+        if self._out is None:
+            typer.echo(json.dumps(line))
         else:
-            out.write(line + "\n")
-            out.flush()
-
-
-def _line(pose: LivePose, *, rate_hz: float, delay_s: float) -> str:
-    return json.dumps(
-        {
-            "frame": pose.frame,
-            "time_s": round(pose.frame / rate_hz, 6),
-            "person_id": pose.person_id,
-            "op14_m": np.round(pose.positions_m, 4).tolist(),
-            "root_m": np.round(pose.root_m, 4).tolist(),
-            "yaw_rad": round(pose.yaw_rad, 4),
-            "score_m": round(pose.score_m, 4),
-            "num_joints_seen": pose.num_joints_seen,
-            "delay_s": round(delay_s, 4),
-        }
-    )
+            self._out.write(json.dumps(line) + "\n")
+            self._out.flush()

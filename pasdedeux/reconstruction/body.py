@@ -9,6 +9,7 @@ one that turns its joints least is taken.  Every rotation is relative to the sta
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numba
 import numpy as np
@@ -18,6 +19,7 @@ from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     cross,
+    dot,
     length,
     mix,
     multiply,
@@ -37,15 +39,16 @@ from pasdedeux.kinematics.rotations import unitquat_from_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, REFERENCE_STATURE_M, mid_hip
 from pasdedeux.reconstruction.bones import REST_DIRECTIONS, bone_rotations
-from pasdedeux.reconstruction.cleanup import bend_leg, bend_one_leg
+from pasdedeux.reconstruction.cleanup import bend_one_leg
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import t_pose
 
 __all__ = [
-    "ANKLE_HEIGHT",
+    "REFERENCE_HIP_WIDTH_M",
     "REFERENCE_REST_M",
+    "SHARED",
     "Bends",
     "Body",
     "EmbodiedMotion",
@@ -54,6 +57,7 @@ __all__ = [
     "body_of",
     "body_through",
     "embody",
+    "held_hips",
     "hold_hips",
     "pose_body",
     "rotations_from_t_pose",
@@ -76,16 +80,18 @@ _LEGS = np.array(BODY22.legs)
 _TOES = np.array(BODY22.indices(["left_toe", "right_toe"]))
 _OP14_ARMS = np.array(OP14.arms)
 _OP14_LEGS = np.array(OP14.legs)
+_REST_NOSE = tuple(REST_DIRECTIONS[_NOSE].tolist())
 SHARED = [name for name in OP14.joint_names if name in BODY22.joint_names and name not in ("neck", "head")]
 """Joints that op14 and body22 have in common; neck and head are other points."""
 
-ANKLE_HEIGHT = t_pose("left_ankle")[1]
+_ANKLE_HEIGHT = t_pose("left_ankle")[1]
 _TOE_HEIGHT = t_pose("left_toe")[1]
 _SHOULDER_LINE = t_pose("left_shoulder")[1] - t_pose("left_hip")[1]
 """Heights over the floor, and of the shoulders over the hips, of who stands in the T-pose; fractions of stature."""
 _COLLAR = (0.018, 0.812, 0.016)
 """Where the collar bones begin (left, up, forward), before the shoulders: so they can rise, sink and close in."""
 
+_LEAST_WIDTH_M = 1e-3
 _MAX_ROUNDS = 30
 _CLOSED_M = 1e-10
 _MAX_STEP = 0.5
@@ -119,14 +125,14 @@ def _rest(lengths_m: Array, hip_width_m: float) -> Array:
         rest[hip] = [sign * half, 0.0, 0.0]
         rest[knee] = rest[hip] - [0.0, of[f"{side}_knee"], 0.0]
         rest[ankle] = rest[knee] - [0.0, of[f"{side}_ankle"], 0.0]
-        foot = np.subtract(t_pose("left_toe"), t_pose("left_ankle")) / ANKLE_HEIGHT
+        foot = np.subtract(t_pose("left_toe"), t_pose("left_ankle")) / _ANKLE_HEIGHT
         rest[toe] = rest[ankle] + _ankle_height(of[f"{side}_knee"] + of[f"{side}_ankle"]) * foot
     return rest
 
 
 def _ankle_height(leg_m: float) -> float:
     """Return the height of the ankles of who stands on legs of this length from hip to ankle, metres."""
-    return float(leg_m * ANKLE_HEIGHT / (t_pose("left_hip")[1] - ANKLE_HEIGHT))
+    return float(leg_m * _ANKLE_HEIGHT / (t_pose("left_hip")[1] - _ANKLE_HEIGHT))
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,7 @@ class Body:
     rest_m: Array
     ankle_height_m: float
 
-    @property
+    @cached_property
     def offsets_m(self) -> Array:
         """Offset of each joint from its parent in the T-pose (22, 3); zero for the pelvis."""
         offsets = self.rest_m - self.rest_m[np.maximum(_PARENTS, 0)]
@@ -150,7 +156,7 @@ class Body:
     @property
     def toe_height_m(self) -> float:
         """Height of the balls of the feet of who stands."""
-        return self.ankle_height_m * _TOE_HEIGHT / ANKLE_HEIGHT
+        return self.ankle_height_m * _TOE_HEIGHT / _ANKLE_HEIGHT
 
 
 def body_of(lengths_m: Array, hip_width_m: float) -> Body:
@@ -160,7 +166,8 @@ def body_of(lengths_m: Array, hip_width_m: float) -> Body:
     return Body(_rest(lengths_m, hip_width_m), _ankle_height(leg))
 
 
-REFERENCE_REST_M: Array = _rest(REFERENCE_LENGTHS_M, 2.0 * t_pose("left_hip")[0] * REFERENCE_STATURE_M)
+REFERENCE_HIP_WIDTH_M = 2.0 * t_pose("left_hip")[0] * REFERENCE_STATURE_M
+REFERENCE_REST_M: Array = _rest(REFERENCE_LENGTHS_M, REFERENCE_HIP_WIDTH_M)
 """The T-pose (22, 3) of the reference body, mid-hip at the origin, metres."""
 REFERENCE_REST_M.flags.writeable = False
 
@@ -186,30 +193,47 @@ def rotations_from_t_pose(
 
 
 def hold_hips(found: Reconstruction) -> Reconstruction:
-    """Return a reconstruction whose hips keep their distance, its median, under the neck; the ankles stay.
+    """Return a reconstruction whose hips keep their distance, its median; see `held_hips`."""
+    positions = np.array(found.positions_m, dtype=np.float64, order="C")
+    positions = held_hips(positions, np.median(bone_lengths(OP14, positions), axis=0), _hip_width(positions))
+    return replace(found, positions_m=positions, bone_unitquat=bone_rotations(positions), root_m=mid_hip(positions))
+
+
+def _hip_width(positions_m: Array) -> float:
+    return float(np.median(np.linalg.norm(positions_m[:, _HIPS[0]] - positions_m[:, _HIPS[1]], axis=-1)))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def held_hips(positions: Array, lengths: Array, width: float) -> Array:
+    """Return op14 positions (frame, 14, 3) of bones (14,) whose hips are `width` apart under the neck; the ankles stay.
 
     The two bones from the neck to the hips of op14 turn on their own, so that hips come apart and close in.
     """
-    lengths = np.median(bone_lengths(OP14, found.positions_m), axis=0)
-    left, right = lengths[_HIPS]
-    positions = np.array(found.positions_m)
-    neck, hips = positions[:, _NECK], positions[:, _HIPS]
-    width = float(np.median(np.linalg.norm(hips[:, 0] - hips[:, 1], axis=-1)))
-    width = float(np.clip(width, abs(left - right) + 1e-3, left + right - 1e-3))
-    out = (left**2 - right**2 + width**2) / (2.0 * width)
-    across = normalise_vectors(hips[:, 0] - hips[:, 1], fallback=np.array([1.0, 0.0, 0.0]))
-    down = 0.5 * (hips[:, 0] + hips[:, 1]) - neck
-    down = normalise_vectors(down - np.sum(down * across, axis=-1, keepdims=True) * across)
-    held = neck + np.sqrt(left**2 - out**2) * down
-    facing = np.cross(across, -down)
-    for hip, (_, knee, ankle), aside in zip(_HIPS, OP14.legs, (out, out - width), strict=True):
-        place = held + aside * across
-        moved = positions[:, [knee, ankle]] + (place - positions[:, hip])[:, None]
-        positions[:, knee], positions[:, ankle] = bend_leg(
-            place, moved[:, 0], moved[:, 1], positions[:, ankle], fallback=facing
-        )
-        positions[:, hip] = place
-    return replace(found, positions_m=positions, bone_unitquat=bone_rotations(positions), root_m=mid_hip(positions))
+    held = positions.copy()
+    left, right = lengths[_HIPS_AT[0]], lengths[_HIPS_AT[1]]
+    width = min(max(width, abs(left - right) + _LEAST_WIDTH_M), left + right - _LEAST_WIDTH_M)
+    out = (left * left - right * right + width * width) / (2.0 * width)
+    drop = np.sqrt(left * left - out * out)
+    for at in range(positions.shape[0]):
+        pose = held[at]
+        neck, first, second = row_of(pose, _NECK), row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
+        across = normalise(subtract(first, second))
+        if dot(across, across) == 0.0:
+            across = (1.0, 0.0, 0.0)
+        down = subtract(mix(0.5, first, 0.5, second), neck)
+        down = normalise(subtract(down, scale(dot(down, across), across)))
+        ahead = cross(down, across)
+        facing = np.array([ahead[0], ahead[1], ahead[2]])
+        for side in range(2):
+            hip, knee, ankle = _OP14_LEGS[side, 0], _OP14_LEGS[side, 1], _OP14_LEGS[side, 2]
+            aside = out if side == 0 else out - width
+            place, end = np.empty(3), pose[ankle].copy()
+            for axis in range(3):
+                place[axis] = neck[axis] + drop * down[axis] + aside * across[axis]
+            shift = place - pose[hip]
+            pose[knee], pose[ankle] = bend_one_leg(place, pose[knee] + shift, end + shift, end, facing)
+            pose[hip] = place
+    return held
 
 
 @dataclass(frozen=True)
@@ -300,9 +324,7 @@ def body_from_joints(body22_m: Array, unitquat: Array) -> EmbodiedMotion:
 
 def body_through(positions_m: Array) -> Body:
     """Return the body whose bones are those of op14 positions (frame, 14, 3), metres: the median over the frames."""
-    hips = positions_m[:, _HIPS]
-    width = float(np.median(np.linalg.norm(hips[:, 0] - hips[:, 1], axis=-1)))
-    return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), width)
+    return body_of(np.median(bone_lengths(OP14, positions_m), axis=0), _hip_width(positions_m))
 
 
 def embody(database: Database, found: Reconstruction, positions_m: Array, *, window: int) -> EmbodiedMotion:
@@ -338,7 +360,7 @@ def pose_body(
     trunk = np.ascontiguousarray(bone_rotations(poses)[:, _NECK])
     bends = bends or Bends.none(len(poses))
     bent = np.ascontiguousarray(bends.unitquat)
-    nose = rotate_vectors(bends.nose_unitquat, np.broadcast_to(REST_DIRECTIONS[_NOSE], (len(poses), 3)))
+    nose = np.ascontiguousarray(bends.nose_unitquat)
     return _pose_bodies(poses, trunk, bent, nose, body.offsets_m, body.rest_m, floor_m + body.toe_height_m)
 
 
@@ -356,7 +378,7 @@ def _pose_bodies(
         _hang_on_hips(pose, world, points, rest)
         _bend(bent[at], world, points, offsets, _SPINE1)
         _close_spine(pose, bent[at], world, points, offsets, rest)
-        _face(pose, bent[at], _of(trunk, at), row_of(nose, at), world, points, offsets)
+        _face(pose, bent[at], _of(trunk, at), rotate(_of(nose, at), _REST_NOSE), world, points, offsets)
         for side in range(2):
             _reach(pose, _OP14_ARMS[side], bent[at], _ARMS[side], world, points, offsets, _COLLARS[side])
             _reach(pose, _OP14_LEGS[side], bent[at], _LEGS[side], world, points, offsets, _PELVIS)

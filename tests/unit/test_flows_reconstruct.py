@@ -21,16 +21,18 @@ from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.formats import read_bvh
 from pasdedeux.formats.npz import read_npz
+from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.projections.retarget import centre_and_face, mid_hip
-from pasdedeux.reconstruction.body import body_through, pose_body
+from pasdedeux.reconstruction.body import SHARED, body_through, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.people import sized_by_stature
 from pasdedeux.reconstruction.reconstruct import Reconstruction, Searcher
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
-from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons import OP14, Skeleton
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store, artifact_key
 from storage_schema.errors import SchemaError
@@ -205,7 +207,7 @@ def test_files_being_written_by_another_process_become_lines_in_order(
         command = ["reconstruct", str(folder), *reference(store), "--follow", "--out", str(out)]
         assert run_command_line([*command, "--idle", "60", "--lag", "3"]) == 0
     assert writer.returncode == 0
-    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     for person in (0, 1):
         own = [line for line in lines if line["person_id"] == person]
         assert [line["frame"] for line in own] == list(range(FRAMES))
@@ -214,6 +216,31 @@ def test_files_being_written_by_another_process_become_lines_in_order(
     said = capsys.readouterr().err
     assert "a pose left 3 frames after its image (3 at most)" in said
     assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
+
+
+def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
+    video: Path, store: Store, tmp_path: Path
+) -> None:
+    out = tmp_path / "lines"
+    command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
+    assert run_command_line(command) == 0
+    head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
+    assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
+    skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))
+    offsets: dict[int, np.ndarray] = {}
+    floors = []
+    for line in lines:
+        if "rest_offset_m" in line:
+            offsets[line["person_id"]] = np.array(line["rest_offset_m"])
+        joints, _ = forward_kinematics(
+            skeleton, offsets[line["person_id"]], np.array(line["hips_m"]), np.array(line["local_unitquat"])
+        )
+        own = joints[[skeleton.index(HUMANOID_NAMES[name].mixamo) for name in SHARED]]
+        op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
+        np.testing.assert_allclose(own, op14, atol=2e-6)
+        floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
+    assert sum("rest_offset_m" in line for line in lines) == 2
+    assert 0.05 < np.median(floors) < 0.09
 
 
 def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
@@ -279,7 +306,7 @@ def test_times_are_told_of_files_that_came_while_following(
     newest = max(file.path.stat().st_mtime for file in files)
     follow_lines(people, iter(files), None, rate_hz=30.0, began=newest + 1.0)
     said = capsys.readouterr()
-    assert len(said.out.splitlines()) == 2 * FRAMES
+    assert len(said.out.splitlines()) == 1 + 2 * FRAMES
     assert "came while following" not in said.err
     people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
     follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
@@ -349,7 +376,7 @@ def test_people_without_any_joint_are_nobody(store: Store, tmp_path: Path, capsy
     command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(tmp_path / "y")]
     assert run_command_line(command) == 0
     assert "12 frames, nobody to be seen" in capsys.readouterr().err
-    assert (tmp_path / "y").read_text() == ""
+    assert len((tmp_path / "y").read_text().splitlines()) == 1
 
 
 def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
@@ -366,7 +393,7 @@ def test_numbers_with_gaps_and_people_who_come_and_go_keep_their_frames(
     folder, out = written(tmp_path / "gaps", frames), tmp_path / "lines"
     command = ["reconstruct", str(folder), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
     assert run_command_line([*command, "--rate", "90"]) == 0
-    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
     seen = {one: [line["frame"] for line in lines if line["person_id"] == one] for one in (0, 1)}
     assert seen[0] == sorted(frames)
     assert seen[1] == [number for number in sorted(frames) if number >= 24]

@@ -9,14 +9,15 @@ from pydantic import ValidationError
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import jitter_m, root_centred_error_m
-from pasdedeux.kinematics.forward import bone_lengths
+from pasdedeux.kinematics.forward import bone_lengths, forward_kinematics
 from pasdedeux.projections.database import Database
-from pasdedeux.projections.retarget import centre_and_face, mid_hip
+from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip
+from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, LivePose
 from pasdedeux.reconstruction.reconstruct import Searcher
 from pasdedeux.reconstruction.temporal import FixedLagViterbi, choose_viterbi
-from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons import BODY22, OP14
 from tests.builders.walkers import walk
 
 RATE_HZ = 30.0
@@ -111,6 +112,26 @@ def test_clean_up_can_be_switched_off_and_keeps_bones_and_rotations_together(sea
         np.testing.assert_allclose(np.abs(np.sum(clean.bone_unitquat * bone_rotations(clean.positions_m), -1)), 1.0)
         np.testing.assert_allclose(mid_hip(clean.positions_m), clean.root_m, atol=1e-9)
     assert max(np.abs(a.positions_m - b.positions_m).max() for a, b in zip(found[True], found[False], strict=True)) > 0
+
+
+@pytest.mark.parametrize("has_clean_up", [True, False])
+def test_bones_change_once_when_they_have_settled_and_never_again(searcher: Searcher, has_clean_up: bool) -> None:
+    px, _ = video(60)
+    px[40:] = px[39:40] + 1.3 * (px[40:] - px[39:40])  # later frames that say otherwise of the person
+    options = LiveOptions(lag=4, settling_s=1.0, has_clean_up=has_clean_up)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
+    poses = [pose for pose in run(people, px[:, :1]) if pose.person_id == 0]
+    before, after = poses[: 29 - 4], poses[29 - 4 :]
+    for part in (before, after):
+        op14 = np.stack([pose.positions_m for pose in part])
+        body22 = np.stack(
+            [forward_kinematics(BODY22, pose.body.offsets_m, pose.pelvis_m, pose.body22_unitquat)[0] for pose in part]
+        )
+        for skeleton, joints in ((OP14, op14), (BODY22, body22)):
+            assert np.ptp(bone_lengths(skeleton, joints), axis=0).max() < 1e-9
+        np.testing.assert_allclose(body22[:, BODY22.indices(SHARED)], op14[:, OP14.indices(SHARED)], atol=1e-8)
+    np.testing.assert_allclose(bone_lengths(OP14, before[0].positions_m[None])[0], REFERENCE_LENGTHS_M, atol=1e-9)
+    assert np.abs(before[0].body.rest_m - after[0].body.rest_m).max() > 1e-3
 
 
 def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(

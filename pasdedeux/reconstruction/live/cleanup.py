@@ -88,6 +88,9 @@ class LiveCleanUp:
         options: How.
         floor: The floor shared with other people; one's own where not given.
         person: Number of the person there.
+
+    Attributes:
+        floor_m: Height of ankles that stand, as the last step had it.
     """
 
     def __init__(
@@ -103,6 +106,7 @@ class LiveCleanUp:
         self._floor = floor or LiveFloor(rate_hz, self._options)
         self._person = person
         self._frame: int | None = None
+        self.floor_m = 0.0
         self._is_planted = np.zeros(2, dtype=np.bool_)
         self._raw_m = np.zeros((2, 3))
         self._anchor_m = np.zeros((2, 3))
@@ -123,11 +127,12 @@ class LiveCleanUp:
         """
         passed_s = 0.0 if self._frame is None else (frame - self._frame) / self._rate_hz
         self._frame = frame
+        self.floor_m = self._floor.under(self._person, frame, positions_m)
         one = self._options
         return _clean_pose(
             positions_m,
             passed_s,
-            self._floor.under(self._person, frame, positions_m),
+            self.floor_m,
             self._is_planted,
             self._raw_m,
             self._anchor_m,

@@ -20,6 +20,7 @@ from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.people.identity import IdentityOptions
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
+from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, held_hips, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions, LiveFloor
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions
@@ -62,6 +63,9 @@ class LiveOptions(Settings):
     root_smoothing: OneEuro = Field(
         OneEuro(min_cutoff_hz=0.8, beta=2.0), description="That of the root's path, whose growth is in Hz per m/s"
     )
+    bend_smoothing: OneEuro = Field(
+        OneEuro(min_cutoff_hz=2.0, beta=1.0), description="That of what spine, head and feet take from the matches"
+    )
     identities: IdentityOptions = Field(IdentityOptions(), description="How people are followed")
     search_slack: float = Field(
         0.2,
@@ -72,6 +76,11 @@ class LiveOptions(Settings):
         None, gt=0, description="Scale of the image at the person where it is known; estimated otherwise"
     )
     has_own_proportions: bool = Field(True, description="Bone lengths are estimated per person, else the reference's")
+    settling_s: float = Field(
+        2.0,
+        gt=0,
+        description="A person's bones are estimated for this time and kept; poses until then have the reference's",
+    )
     is_fitted: bool = Field(True, description="Poses are fitted to the images of their window")
     fit: WindowFitOptions = Field(WindowFitOptions(), description="What the fit believes")
     has_clean_up: bool = Field(True, description="Planted feet are stilled and the floor is kept")
@@ -92,6 +101,10 @@ class LivePose:
         score_m: Mean distance per seen joint to it.
         row: Database row matched.
         num_joints_seen: Joints seen in the image.
+        body: The person's bones: the reference body's until they have settled, then the person's own for good.
+        pelvis_m: Pelvis (3,), upright axes (y up), camera at the origin.
+        body22_unitquat: Local rotations (22, 4) of the whole body from the standing T-pose, upright axes.
+        floor_m: Height of the floor there; NaN where it is not kept.
     """
 
     person_id: int
@@ -103,6 +116,10 @@ class LivePose:
     score_m: float
     row: int
     num_joints_seen: int
+    body: Body
+    pelvis_m: Array
+    body22_unitquat: Array
+    floor_m: float
 
 
 @dataclass(frozen=True)
@@ -170,6 +187,12 @@ class LivePerson:
         self._fit = WindowFit(rate_hz, self._options.fit)
         self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
+        self._settling = max(1, round(self._options.settling_s * rate_hz))
+        self._hip_widths: list[float] = []
+        self._lengths_m = REFERENCE_LENGTHS_M.copy()
+        self._hip_width_m = REFERENCE_HIP_WIDTH_M
+        self._body = body_of(self._lengths_m, self._hip_width_m)
+        self._bends = OneEuroFilter(self._options.bend_smoothing, rate_hz)
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
         self._rotations = OneEuroFilter(self._options.smoothing, rate_hz)
         self._clean_up = (
@@ -276,18 +299,26 @@ class LivePerson:
         return np.asarray(share @ off_mean / share.sum())
 
     def _learn_proportions(self, seen: _ProportionFrame) -> None:
-        """Estimate the proportions now and then, from frames spread over all that was seen: a body does not change."""
+        """Estimate the proportions now and then, from frames spread over those seen, until they have settled."""
+        if self._num_seen == self._settling:
+            return
         if self._num_seen % self._stride == 0:
             self._spread.append(seen)
             if len(self._spread) == 2 * _SPREAD_FRAMES:
                 self._spread, self._stride = self._spread[::2], 2 * self._stride
         self._num_seen += 1
-        if self._num_seen % self._options.proportions_every == 0:
+        if self._num_seen % self._options.proportions_every == 0 or self._num_seen == self._settling:
             self._proportions = estimate_proportions(
                 np.stack([one.own_m for one in self._spread]),
                 np.stack([one.weights for one in self._spread]),
                 np.stack([one.matched_m for one in self._spread]),
             )
+        if self._num_seen == self._settling:
+            self._spread = []
+            self._lengths_m = REFERENCE_LENGTHS_M * self._proportions
+            if self._hip_widths:
+                self._hip_width_m = median(self._hip_widths) * float(self._lengths_m[[_LEFT_HIP, _RIGHT_HIP]].mean())
+            self._body = body_of(self._lengths_m, self._hip_width_m)
 
     def _poses(self, decided: list[Decision]) -> list[LivePose]:
         """Return the poses of frames that were just decided on."""
@@ -305,11 +336,19 @@ class LivePerson:
         # Bones turn against each other, so only the body's frame turns with the whole.
         turned = np.array(unitquat)
         turned[OP14.root] = multiply(camera_turns(-root[None])[0], unitquat[OP14.root])
-        positions = place_bone_rotations(turned, REFERENCE_LENGTHS_M * self._proportions, root)
+        positions = place_bone_rotations(turned, self._lengths_m, root)
+        if self._options.has_own_proportions and self._num_seen < self._settling:
+            hips = positions[[_LEFT_HIP, _RIGHT_HIP]]
+            bones = np.linalg.norm(hips - positions[OP14.root], axis=-1)
+            self._hip_widths.append(float(np.linalg.norm(hips[0] - hips[1]) / bones.mean()))
+        upright = held_hips(positions[None], self._lengths_m, self._hip_width_m)[0] @ self._camera_rotmat
+        floor = float("nan")
         if self._clean_up is not None:
-            cleaned = self._clean_up.step(waiting.frame, positions @ self._camera_rotmat)
-            positions = cleaned @ self._camera_rotmat.T
-            turned, root = bone_rotations(positions), mid_hip(positions)
+            upright = self._clean_up.step(waiting.frame, upright)
+            floor = self._clean_up.floor_m - self._body.ankle_height_m
+        pelvis, body22 = self._whole(decision, waiting, upright, floor)
+        positions = upright @ self._camera_rotmat.T
+        turned, root = bone_rotations(positions), mid_hip(positions)
         return LivePose(
             person_id=self.person_id,
             frame=waiting.frame,
@@ -320,4 +359,20 @@ class LivePerson:
             score_m=float(waiting.distance_m[rank]),
             row=int(waiting.row[rank]),
             num_joints_seen=int(np.count_nonzero(waiting.weights > 0)),
+            body=self._body,
+            pelvis_m=pelvis,
+            body22_unitquat=body22,
+            floor_m=floor,
         )
+
+    def _whole(self, decision: Decision, waiting: _Waiting, upright_m: Array, floor_m: float) -> tuple[Array, Array]:
+        """Return pelvis (3,) and local rotations (22, 4) of the whole body through a pose (14, 3), upright axes."""
+        said = bends_of(self._searcher.database, waiting.row[decision.rank : decision.rank + 1])
+        both = self._bends.step(waiting.frame, np.concatenate([said.unitquat[0], said.nose_unitquat]))
+        pelvis, body22 = pose_body(
+            self._body,
+            upright_m[None],
+            Bends(both[None, :-1], both[-1:]),
+            floor_m=floor_m if np.isfinite(floor_m) else -np.inf,
+        )
+        return pelvis[0], body22[0]

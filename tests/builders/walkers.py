@@ -64,4 +64,6 @@ def reconstruction(positions: np.ndarray, *, num_bridged: int = 0) -> Reconstruc
         num_joints_seen=np.full(frames, 14),
         is_bridged=is_bridged,
         metres_per_pixel=np.ones(frames),
+        correction_m=np.zeros(frames),
+        noise_m=0.0,
     )

@@ -38,7 +38,7 @@ from storage_schema import Store, artifact_key
 from storage_schema.errors import SchemaError
 from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import read_database
-from tests.builders.walkers import walk
+from tests.builders.walkers import reconstruction, walk
 
 LAYOUT = KEYPOINT_LAYOUTS["coco18"]
 FRAMES = 40
@@ -483,19 +483,7 @@ def test_people_of_known_stature_come_out_that_tall() -> None:
         PersonTrack(name, 0, 0.0, Track(np.zeros((30, 14, 2)), np.ones((30, 14)), 30.0, Lens(1.0, (0.0, 0.0))))
         for name in (0, 1)
     ]
-    made = Reconstruction(
-        positions_m=positions,
-        bone_unitquat=bone_rotations(positions),
-        root_m=mid_hip(positions),
-        yaw_rad=np.zeros(30),
-        score_m=np.zeros(30),
-        row=np.zeros(30, dtype=int),
-        num_joints_seen=np.full(30, 14),
-        is_bridged=np.zeros(30, dtype=bool),
-        metres_per_pixel=np.ones(30),
-        correction_m=np.zeros(30),
-        noise_m=0.0,
-    )
+    made = reconstruction(positions)
     people = [(track, made) for track in tracks]
 
     def heights(found: Sequence[tuple[PersonTrack, Reconstruction]]) -> list[float]:

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from pasdedeux.cameras import (
     DEPTH_RULES,
+    TORSO_INDICES,
     ViewDensity,
     ViewOptions,
     angle_between_directions,
@@ -108,6 +109,21 @@ def test_annotations_without_a_torso_have_no_view_and_no_trust() -> None:
     assert len(nothing.weight) == 0
     assert (nothing.trust == 0).all()
     assert len(estimate_views(np.zeros((0, 2, 17, 2)), BASIS).weight) == 0
+
+
+def test_with_a_hidden_torso_joint_of_each_person_a_hypothesis_stays_as_near_and_the_likeliest_loses_some() -> None:
+    px, truth = filmed(dancers(11, 300), 12)
+    some = px.copy()
+    rng = np.random.default_rng(5)
+    for pair in some:
+        for person in pair:
+            person[rng.choice(TORSO_INDICES)] = np.nan
+    whole, part = (view_accuracy(estimate_views(points, BASIS), truth) for points in (px, some))
+    assert len(part.best_rad) == 300
+    assert np.median(part.nearest_rad) < 1.4 * np.median(whole.nearest_rad)
+    # Without the neck or a shoulder the scale of a person, and with it who is nearer, is known less well.
+    assert np.rad2deg(np.median(part.best_rad)) < 20
+    assert np.median(part.best_rad) < 0.3 * np.median(part.baseline_rad)
 
 
 def test_a_joint_without_confidence_does_not_count() -> None:

@@ -62,7 +62,7 @@ class SeedsParameters(PriorSettings, GrowthOptions, Parameters):
 
     @model_validator(mode="after")
     def _starts_are_grown(self) -> SeedsParameters:
-        if self.num_starts > (GROWN_OF_2D_ALONE if self.num_grown is None else self.num_grown):
+        if self.num_grown is not None and self.num_starts > self.num_grown:
             raise ValueError(f"seeds.num_starts is {self.num_starts}, but only {self.num_grown} are grown (num_grown)")
         return self
 

@@ -34,7 +34,7 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
 
     Raises:
         InputError: A named frame or file cannot be a seed, or seeds are asked of takes or of annotations and there are
-            none.
+            none, or more starts than pairs that grow.
     """
     shards = _from_takes(inputs, parameters)
     shards += [_from_file(inputs, parameters, len(shards) + at, file) for at, file in enumerate(parameters.files)]
@@ -49,6 +49,10 @@ def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
     if (num_lifted or num_grown) and not (annotated and views):
         raise InputError(
             "seeds.num_lifted and seeds.num_grown lift annotations, but there are no annotated pairs with views"
+        )
+    if parameters.num_starts > num_grown:
+        raise InputError(
+            f"seeds.num_starts is {parameters.num_starts}, but {num_grown} are grown here: say seeds.num_grown"
         )
     if num_lifted:
         bases = [one for one in inputs.of("torso_basis") if not any(shares_takes(pair, one) for pair in annotated)]

@@ -201,6 +201,8 @@ def test_seeds_are_lifted_from_2d_alone_and_grow(inputs: Any) -> None:
         SeedsParameters(num_seeds=0, num_lifted=0)
 
 
-def test_more_starts_than_grown_seeds_are_refused() -> None:
+def test_more_starts_than_grown_seeds_are_refused(inputs: Any) -> None:
     with pytest.raises(ValueError, match="only 3 are grown"):
         SeedsParameters(num_grown=3, num_starts=4)
+    with pytest.raises(InputError, match="num_starts is 4, but 0 are grown here"):
+        seeds.plan(StageInputs(inputs[1], seed=1), SeedsParameters(num_starts=4))

@@ -74,14 +74,18 @@ def reconstruct(
     ] = None,
     lag: Annotated[int, typer.Option(min=0, max=1000, metavar="FRAMES", help="Delay of live poses.")] = 6,
     units: Annotated[Literal["cm", "m"], typer.Option(help="Unit of lengths in BVH files.")] = "cm",
+    people: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Table of who is who, as this command writes it; overrules what it decides."),
+    ] = None,
     clean_up: Annotated[bool, typer.Option(help="Still planted feet and keep the floor.")] = True,
 ) -> None:
     """Run the command."""
     # Here, because numba and the search take a second that the other commands need not wait for.
     from flows.console.reconstructing import Live, Whole, follow_video, reconstruct_video
 
-    whole_only = {"--height": height, "--stature": stature, "--person": person, "--focal": focal, "--fov": fov}
-    given = [name for name, value in whole_only.items() if value]
+    whole_only: dict[str, object] = {"--height": height, "--stature": stature, "--person": person, "--people": people}
+    given = [name for name, value in (whole_only | {"--focal": focal, "--fov": fov}).items() if value]
     if follow and given:
         raise InputError(f"{given[0]} is for whole videos: live, nobody knows yet where the floor is or who is who")
     if follow:
@@ -99,6 +103,7 @@ def reconstruct(
             statures=tuple(stature or ()),
             pitch_deg=pitch,
             camera_height_m=height,
+            people=people,
             has_clean_up=clean_up,
             units=units,
         )

@@ -18,7 +18,8 @@ from flows.console.following import STOP_NAME, follow_folder
 from flows.console.live_lines import follow_lines, lines_into, told_to_stop
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
-from pasdedeux.people.settle import SequencePeople, SettledPeople, settle_people
+from pasdedeux.people.decisions import write_decisions
+from pasdedeux.people.settle import SequencePeople, SettledPeople
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople, warm_up
 from pasdedeux.reconstruction.people import reconstruct_people
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
@@ -68,6 +69,7 @@ class Whole:
     statures: tuple[str, ...] = ()
     pitch_deg: float | None = None
     camera_height_m: float | None = None
+    people: Path | None = None
     has_clean_up: bool = True
     units: str = "cm"
 
@@ -79,6 +81,7 @@ class Whole:
             "focal_px": self.focal_px,
             "fov_deg": self.fov_deg,
             "min_confidence": self.min_confidence,
+            "people_file": self.people,
         }
         name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.resolve().stem).lstrip("_.-")[:100]
         known = {key: value for key, value in told.items() if value is not None}
@@ -119,7 +122,7 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
     found = []
     for one in sources:
         typer.echo(one.in_words(), err=True)
-        settled = settle_people(one.read())
+        settled = one.settle()
         found += [(settled, sequence) for sequence in settled.sequences]
     num_failed = 0
     for settled, sequence in found:
@@ -181,6 +184,9 @@ def _reconstruct_sequence(
         )
     print_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1))
     (target / "README.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
+    table = target / f"{sequence.sequence_id}_people.csv"
+    table.write_text(write_decisions(sequence.decisions), encoding="utf-8")
+    typer.echo(f"{table}: who is who; --people with a changed copy overrules it", err=True)
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
     typer.echo(f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; {sequence.in_words()}", err=True)

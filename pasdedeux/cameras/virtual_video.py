@@ -19,9 +19,11 @@ __all__ = [
     "ViewAngles",
     "ViewDistribution",
     "VirtualView",
+    "add_junk",
     "annotate",
     "frame_take",
     "look_at_camera",
+    "passer_by",
     "sample_views",
 ]
 
@@ -32,6 +34,13 @@ PERSON_HEIGHT_PX = 600.0
 
 PERSON_HEIGHT_M = 1.7
 """Height of the person that the focal length is chosen for."""
+
+
+_JUNK_CONFIDENCE = (0.05, 0.2)
+_WALK_M_S = 1.3
+"""Comfortable walking speed (Bohannon 1997)."""
+_MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
+"""A passer-by crosses the image within 30 degrees and within 0.6 m of the middle of the pair."""
 
 
 @dataclass(frozen=True)
@@ -217,3 +226,49 @@ def annotate(
     seen = np.where(is_hidden[..., None], np.nan, exact + noise)
     is_seen = np.asarray(np.isfinite(seen).all(axis=-1))
     return Annotated(px=np.where(is_seen[..., None], seen, np.nan), confidence=is_seen.astype(np.float64))
+
+
+def add_junk(rng: np.random.Generator, seen: Annotated, count: int, image_size_px: tuple[int, int]) -> Annotated:
+    """Put `count` joints of everybody in every frame anywhere in the image, with a confidence below 0.2.
+
+    Detectors do so with joints that they do not find.  Nobody who is not seen at all gets any.
+
+    Raises:
+        InputError: More joints than there are.
+    """
+    num_joints = seen.confidence.shape[-1]
+    if not 0 <= count <= num_joints:
+        raise InputError(f"virtual video: {count} junk joints of {num_joints}")
+    chosen = np.argsort(rng.random(seen.confidence.shape), axis=-1) < count
+    chosen &= (seen.confidence > 0).any(axis=-1, keepdims=True)
+    places = rng.random(seen.px.shape) * np.array(image_size_px, dtype=np.float64)
+    confidence = rng.uniform(*_JUNK_CONFIDENCE, size=seen.confidence.shape)
+    return Annotated(
+        px=np.where(chosen[..., None], places, seen.px), confidence=np.where(chosen, confidence, seen.confidence)
+    )
+
+
+def passer_by(
+    rng: np.random.Generator, person: Array, centre: Array, *, towards_camera: Array, rate_hz: float
+) -> Array:
+    """Return somebody who walks through a take across the image: `person` later and earlier, at a walk's speed.
+
+    Args:
+        rng: Draws the direction and how far from the middle of the pair the way leads.
+        person: Joints (frame, joint, 3) that are moved so that the mean of the joints keeps to the way; time is turned
+            round, so that nobody does what that person does.
+        centre: Middle (3,) of the people walked through.
+        towards_camera: Direction (3,) from there to the camera.
+        rate_hz: Frames per second.
+    """
+    moved = person[::-1].copy()
+    turn = rng.uniform(-_MAX_TURN_RAD, _MAX_TURN_RAD) + (np.pi if rng.random() < 0.5 else 0.0)
+    depth = np.array([towards_camera[0], 0.0, towards_camera[2]])
+    depth = depth / max(float(np.linalg.norm(depth)), 1e-9)
+    across = np.array([depth[2], 0.0, -depth[0]])
+    along = np.cos(turn) * across + np.sin(turn) * depth
+    time_s = (np.arange(len(person)) - 0.5 * (len(person) - 1)) / rate_hz
+    way = centre + rng.uniform(-_MAX_AWAY_M, _MAX_AWAY_M) * depth + _WALK_M_S * time_s[:, None] * along
+    shift = way - moved.mean(axis=1)
+    shift[:, 1] = 0.0
+    return np.asarray(moved + shift[:, None])

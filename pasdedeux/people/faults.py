@@ -5,6 +5,8 @@ All are told by continuity: a label that is wrong makes joints jump, and back ag
 - *Swapped sides* (arms, legs, or all of the body) and *exchanged limbs* (a limb of one person given to the other and
   the reverse) keep all keypoints and only their labels are wrong.  For every frame the labelling is chosen by Viterbi
   over pairs of frames, so that the second difference of the joints over time is least; wrong labels are put right.
+Joints far less confident than the person's usual ones say nothing about labels, and are the first to be wild.
+
 - *Wild keypoints* (a limb found on the other person only, a merged person's mixture) are places no relabelling
   explains.  Per joint the frames that can be reached from one another at a plausible speed are kept; the others, and
   ends of limbs whose bone is longer than it ever is, are masked with confidence 0.
@@ -20,6 +22,7 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import body_size_px
+from pasdedeux.people.identity_kernels import MIN_TRUST
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
@@ -29,7 +32,9 @@ __all__ = [
     "repair_exchanges",
     "repair_faults",
     "repair_sides",
+    "track_size_px",
     "wild_joints",
+    "wild_points",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -138,7 +143,7 @@ def repair_faults(
     for person, own in enumerate(spans):
         if own.stop - own.start < 3:
             continue
-        source = repair_sides(points[person, own], rate_hz=rate_hz, options=options)
+        source = repair_sides(_trusted(points[person, own], weight[person, own]), rate_hz=rate_hz, options=options)
         points[person, own] = np.take_along_axis(points[person, own], source[..., None], axis=1)
         weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
         source_joint[person, own] = source
@@ -149,7 +154,8 @@ def repair_faults(
             if len(common) < 3:
                 continue
             at = np.ix_([first, second], common)
-            exchanged = repair_exchanges(points[at], rate_hz=rate_hz, options=options)
+            pair = np.stack([_trusted(points[one, common], weight[one, common]) for one in (first, second)])
+            exchanged = repair_exchanges(pair, rate_hz=rate_hz, options=options)
             for given in (points, weight, source_person, source_joint):
                 two = given[at]
                 given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
@@ -177,7 +183,7 @@ def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions |
     used = np.concatenate([_ARMS, _MIRROR[np.array(_ARMS)], _LEGS, _MIRROR[np.array(_LEGS)]])
     states = keypoints_px[:, sources][:, :, used]
     changed = np.array([np.count_nonzero(source != np.arange(14)) for source in sources]) / len(used)
-    path = _smoothest(states, changed, _size(keypoints_px), rate_hz, options)
+    path = _smoothest(states, changed, track_size_px(keypoints_px), rate_hz, options)
     return np.asarray(sources[path], dtype=np.int64)
 
 
@@ -185,7 +191,7 @@ def repair_exchanges(pair_px: Array, *, rate_hz: float, options: FaultOptions | 
     """Tell which joints of two people (2, frame, 14, 2) were given to the wrong one (frame, 14), limb by limb."""
     options = options or FaultOptions()
     exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
-    size = np.nanmax([_size(pair_px[0]), _size(pair_px[1])], axis=0)
+    size = np.nanmax([track_size_px(pair_px[0]), track_size_px(pair_px[1])], axis=0)
     for limb in _EXCHANGED_LIMBS:
         own = pair_px[:, :, np.array(limb)]
         given = np.concatenate([own[0], own[1]], axis=1)
@@ -200,25 +206,11 @@ def repair_exchanges(pair_px: Array, *, rate_hz: float, options: FaultOptions | 
 def wild_joints(
     keypoints_px: Array, confidence: Array, *, rate_hz: float, options: FaultOptions | None = None
 ) -> Booleans:
-    """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone of impossible length.
-
-    Per joint the cheapest chain of kept frames: dropping a frame costs `mask_cost`, going from one kept frame to the
-    next costs the distance beyond what the speed allows.
-    """
+    """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone that is too long."""
     options = options or FaultOptions()
-    size = _size(keypoints_px)
+    size = track_size_px(_trusted(keypoints_px, confidence))
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
-    is_wild = np.zeros(is_seen.shape, dtype=bool)
-    reach = max(2, round(options.longest_wild_s * rate_hz))
-    for joint in range(14):
-        frames = np.flatnonzero(is_seen[:, joint])
-        if len(frames) < 3:
-            continue
-        places = keypoints_px[frames, joint] / size[frames, None]
-        speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(frames) * rate_hz
-        usual = options.usual_speeds * float(np.quantile(speed, _USUAL_QUANTILE))
-        kept = _kept(frames, places, min(usual, options.speed_per_s) / rate_hz, reach, options)
-        is_wild[frames[~kept], joint] = True
+    is_wild = wild_points(keypoints_px, confidence, size, rate_hz=rate_hz, options=options)
     for parent, child in OP14.bones:
         both = is_seen[:, parent] & is_seen[:, child] & ~is_wild[:, parent] & ~is_wild[:, child]
         if both.sum() < 10:
@@ -229,13 +221,56 @@ def wild_joints(
     return is_wild
 
 
+def wild_points(
+    keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float, options: FaultOptions | None = None
+) -> Booleans:
+    """Tell which keypoints of a person (frame, K) are where they cannot have got to.
+
+    Per keypoint the cheapest chain of kept frames: dropping a frame costs `mask_cost` times the trust in it, going from
+    one kept frame to the next costs the distance beyond what the speed allows.
+
+    Args:
+        keypoints_px: (frame, K, 2); NaN where not seen.
+        confidence: (frame, K); 0 where not seen.
+        size_px: Size of the person in the image (frame,).
+        rate_hz: Frames per second.
+        options: What counts as a fault.
+    """
+    options = options or FaultOptions()
+    is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
+    trust, is_wild = _trust(confidence), np.zeros(is_seen.shape, dtype=bool)
+    reach = max(2, round(options.longest_wild_s * rate_hz))
+    for point in range(is_seen.shape[1]):
+        frames = np.flatnonzero(is_seen[:, point])
+        if len(frames) < 3:
+            continue
+        places, own = keypoints_px[frames, point] / size_px[frames, None], trust[frames, point]
+        speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(frames) * rate_hz
+        speed = speed[(own[1:] >= MIN_TRUST) & (own[:-1] >= MIN_TRUST)]
+        usual = options.usual_speeds * float(np.quantile(speed, _USUAL_QUANTILE)) if len(speed) else np.inf
+        kept = _kept(frames, places, min(usual, options.speed_per_s) / rate_hz, reach, options.mask_cost * own)
+        is_wild[frames[~kept], point] = True
+    return is_wild
+
+
 def _span(is_there: Booleans) -> slice:
     """Return the frames from the first to the last in which a person is seen; empty for who is never seen."""
     frames = np.flatnonzero(is_there)
     return slice(int(frames[0]), int(frames[-1]) + 1) if len(frames) else slice(0, 0)
 
 
-def _size(keypoints_px: Array) -> Array:
+def _trust(confidence: Array) -> Array:
+    """Return the confidence of a person's joints (frame, 14) as a share of the usual one, at most 1."""
+    known = confidence[confidence > 0]
+    return np.asarray(np.minimum(confidence / np.median(known), 1.0)) if len(known) else np.zeros(confidence.shape)
+
+
+def _trusted(keypoints_px: Array, confidence: Array) -> Array:
+    """Return a person's keypoints (frame, 14, 2), NaN where they are hardly trusted."""
+    return np.asarray(np.where((_trust(confidence) >= MIN_TRUST)[..., None], keypoints_px, np.nan))
+
+
+def track_size_px(keypoints_px: Array) -> Array:
     """Return the size of a person over the frames (frame,), by the median over the track."""
     size = body_size_px(keypoints_px, np.isfinite(keypoints_px).all(axis=-1).astype(float))
     known = size[np.isfinite(size)]
@@ -288,25 +323,26 @@ def _hold(states: Array, longest: int) -> Array:
     return held
 
 
-def _kept(frames: Integers, places: Array, free_distance: float, reach: int, options: FaultOptions) -> Booleans:
+def _kept(frames: Integers, places: Array, free_distance: float, reach: int, mask_cost: Array) -> Booleans:
     """Return which of a joint's frames (n,) belong to the cheapest chain; `places` (n, 2) are shares of the size."""
     count = len(frames)
     cost = np.zeros(count)
+    dropped = np.concatenate([[0.0], np.cumsum(mask_cost)])  # cost of dropping all frames before this one
     back = np.full(count, -1, dtype=np.int64)
     for index in range(count):
         start = max(0, index - reach)
-        cost[index] = options.mask_cost * index if index <= reach else np.inf
+        cost[index] = dropped[index] if index <= reach else np.inf
         if start == index:
             continue
         others = np.arange(start, index)
         distance = np.linalg.norm(places[index] - places[others], axis=-1)
         excess = np.maximum(distance - free_distance * (frames[index] - frames[others]), 0.0)
-        total = cost[others] + excess + options.mask_cost * (index - others - 1)
+        total = cost[others] + excess + dropped[index] - dropped[others + 1]
         best = int(np.argmin(total))
         if total[best] < cost[index]:
             cost[index], back[index] = total[best], int(others[best])
     tail = np.arange(max(0, count - 1 - reach), count)
-    at = int(tail[np.argmin(cost[tail] + options.mask_cost * (count - 1 - tail))])
+    at = int(tail[np.argmin(cost[tail] + dropped[count] - dropped[tail + 1])])
     kept = np.zeros(count, dtype=bool)
     while at >= 0:
         kept[at] = True

@@ -20,7 +20,6 @@ from pasdedeux.people.identity_kernels import (
     clean_detections,
     match_costs,
     predict_joints,
-    size_in_image,
     update_joints,
 )
 from pasdedeux.settings import Settings
@@ -58,12 +57,18 @@ class IdentityOptions(Settings):
     max_absent_s: float = Field(1.5, gt=0, description="After this time unseen a person who comes back is a new one")
     size_cost: float = Field(0.2, ge=0, description="Cost of a size that is e times the one before")
     duplicate: float = Field(
-        0.06, gt=0, description="Two detections of a frame nearer than this are one person seen twice"
+        0.06, ge=0, description="Two detections of a frame nearer than this are one person seen twice"
     )
     ghost_s: float = Field(
         0.25, ge=0, description="Tracks seen for less than this are dropped, when the sequence is four times as long"
     )
     min_joints: int = Field(3, ge=1, description="Detections with fewer joints are dropped")
+    given_cost: float = Field(
+        0.05,
+        ge=0,
+        description="Cost of a detection that the source numbers otherwise than the person's one before; it grows with "
+        "the time between as the gate does, for motion then says less",
+    )
 
     @model_validator(mode="after")
     def _check_gate(self) -> Self:
@@ -110,6 +115,7 @@ class _Person:
     is_known: npt.NDArray[np.bool_]
     size_px: float
     last_time_s: float
+    given_id: int
 
     def predict(self, time_s: float) -> Array:
         """Return where the joints are expected; speeds fade, so that absences do not fling people away."""
@@ -121,13 +127,11 @@ class _Person:
 def body_size_px(keypoints_px: Array, confidence: Array) -> Array:
     """Return the size (*batch,) of people in the image, about their height, pixels; NaN with fewer than two joints.
 
-    The diagonal of the box of the seen joints, but at least what the trunk says and at most four times the trunk.
+    The diagonal of the box of the trusted joints, but at least what the trunk says and at most four times the trunk.
     """
     batch, joints = confidence.shape[:-1], confidence.shape[-1]
     flat, seen = keypoints_px.reshape(-1, joints, 2), confidence.reshape(-1, joints)
-    is_seen = np.isfinite(flat).all(axis=-1) & (seen > 0)
-    sizes = [size_in_image(points, one) for points, one in zip(flat.astype(np.float64), is_seen, strict=True)]
-    return np.array(sizes, dtype=np.float64).reshape(batch)
+    return np.asarray(clean_detections(flat.astype(np.float64), seen.astype(np.float64))[3]).reshape(batch)
 
 
 class Follower:
@@ -142,24 +146,34 @@ class Follower:
         self._people: list[_Person] = []
         self._num_tracks = 0
 
-    def step(self, time_s: float, keypoints_px: Array, confidence: Array) -> FollowedRows:
+    def step(
+        self, time_s: float, keypoints_px: Array, confidence: Array, given_id: Integers | None = None
+    ) -> FollowedRows:
         """Return the people of one frame.
 
         Args:
             time_s: Time of the frame, later than the one before.
             keypoints_px: Detections (detection, 14, 2), NaN where not seen.
             confidence: (detection, 14), 0 where not seen.
+            given_id: Person of each detection (detection,) as the source numbers them, where it does over time.
         """
-        points, seen, is_seen, size = clean_detections(
+        points, seen, trust, size = clean_detections(
             np.asarray(keypoints_px, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
         )
+        is_seen = trust > 0
         is_usable = (is_seen.sum(axis=1) >= self.options.min_joints) & np.isfinite(size)
         track_id = np.full(len(points), -1, dtype=np.int64)
         usable = np.flatnonzero(is_usable)
         self._people = [p for p in self._people if time_s - p.last_time_s <= self.options.max_absent_s]
         matched: dict[int, _Person] = {}
         if len(usable) and self._people:
-            cost, limit = self._costs(time_s, points[usable], is_seen[usable], size[usable])
+            cost, limit = self._costs(time_s, points[usable], trust[usable], size[usable])
+            if given_id is not None:
+                passed = time_s - np.array([person.last_time_s for person in self._people])
+                claim = self.options.given_cost + self.options.gate_growth_per_s * passed
+                own = np.array([person.given_id for person in self._people])
+                cost += claim[:, None] * (own[:, None] != given_id[usable])
+                limit += claim[:, None]
             from scipy.optimize import linear_sum_assignment  # here: 0.3 s that planning does not need
 
             # Leaving both unmatched costs 0; who was away has a wider gate but no better claim.
@@ -181,18 +195,22 @@ class Follower:
                     is_seen[index].copy(),
                     float(size[index]),
                     time_s,
+                    -1 if given_id is None else int(given_id[index]),
                 )
                 self._people.append(matched[index])
             else:
                 points[twin], seen[twin] = mean_of_two(points[np.array([twin, index])], seen[np.array([twin, index])])
-                is_seen = seen > 0
+                trust[twin] = np.maximum(trust[twin], trust[index])
+                is_seen = trust > 0
                 twins[index] = twin
         for index, person in matched.items():
             track_id[index] = person.track_id
-            _update(person, time_s, points[index], is_seen[index], float(size[index]))
+            _update(person, time_s, points[index], trust[index], float(size[index]))
+            if given_id is not None:
+                person.given_id = int(given_id[index])
         return FollowedRows(track_id, points, seen, twins)
 
-    def _costs(self, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size: Array) -> tuple[Array, Array]:
+    def _costs(self, time_s: float, points: Array, trust: Array, size: Array) -> tuple[Array, Array]:
         """Return the cost (person, detection) as a share of the body's size, and its greatest allowed value."""
         cost = np.empty((len(self._people), len(points)))
         limit = np.zeros(cost.shape)
@@ -202,7 +220,7 @@ class Follower:
                 person.is_known,
                 person.size_px,
                 points,
-                is_seen,
+                trust,
                 size,
                 3.0 * self.options.gate,
                 self.options.size_cost,
@@ -218,15 +236,19 @@ def follow_people(
     confidence: Array,
     *,
     rate_hz: float,
+    given_id: Integers | None = None,
     options: IdentityOptions | None = None,
 ) -> FollowedRows:
     """Return the person of every detection of a sequence, whatever the order of people within its frames.
+
+    Where the source numbers people, a change of number is evidence against a match, and no more than that.
 
     Args:
         frame: Frame number of each row (row,), in any order; numbers may have gaps.
         keypoints_px: op14 keypoints (row, 14, 2), pixels; NaN where not seen.
         confidence: (row, 14), 0 where not seen.
         rate_hz: Frames per second.
+        given_id: Person of each row (row,) as the source numbers them over time.
         options: How.
 
     Returns:
@@ -248,7 +270,9 @@ def follow_people(
     follower = Follower(options)
     for number in np.unique(frame):
         rows = np.flatnonzero(frame == number)
-        found = follower.step(float(number) / rate_hz, points[rows], seen[rows])
+        found = follower.step(
+            float(number) / rate_hz, points[rows], seen[rows], None if given_id is None else given_id[rows]
+        )
         track_id[rows], points[rows], seen[rows] = found.track_id, found.keypoints_px, found.confidence
         twin[rows] = np.where(found.twin >= 0, rows[found.twin], -1)
     track_id[_ghosts(frame, track_id, rate_hz, options)] = -1
@@ -299,7 +323,7 @@ def _twin(
     return None
 
 
-def _update(person: _Person, time_s: float, points: Array, is_seen: npt.NDArray[np.bool_], size_px: float) -> None:
+def _update(person: _Person, time_s: float, points: Array, trust: Array, size_px: float) -> None:
     """Move a person's state to a detection that is theirs."""
     passed = time_s - person.last_time_s
     update_joints(
@@ -308,7 +332,7 @@ def _update(person: _Person, time_s: float, points: Array, is_seen: npt.NDArray[
         person.is_known,
         person.predict(time_s),
         points,
-        is_seen,
+        trust,
         passed,
         float(np.exp(-passed / _LIMB_FADE_S)),
         _PLACE_GAIN,

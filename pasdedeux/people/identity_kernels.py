@@ -8,32 +8,43 @@ import numpy.typing as npt
 
 from pasdedeux.skeletons import OP14
 
-__all__ = ["clean_detections", "match_costs", "predict_joints", "size_in_image", "update_joints"]
+__all__ = ["MIN_TRUST", "clean_detections", "match_costs", "predict_joints", "size_in_image", "update_joints"]
 
 Array = npt.NDArray[np.float64]
 Booleans = npt.NDArray[np.bool_]
 
 _TRUNK = np.array(OP14.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip", "neck"]))
+MIN_TRUST = 0.3
 _MIN_SIZE_PX = 4.0
 _HIGHEST_BOX_PER_LENGTH = 4.0
 _MIN_BOX_PER_LENGTH = 1.5
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Booleans, Array]:
-    """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, what was seen (n, j), and sizes (n,)."""
+def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Array, Array]:
+    """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, trust (n, j) in them, and sizes (n,).
+
+    Joints are trusted by their confidence as a share of the median of the detection, at most 1; those below 0.3 of it
+    are not, for detectors put joints anywhere that they do not find, and say so by a low confidence.
+    """
     count, joints = confidence.shape
     points, seen = np.empty((count, joints, 2)), np.empty((count, joints))
-    is_seen, size = np.empty((count, joints), dtype=np.bool_), np.empty(count)
+    trust, size = np.zeros((count, joints)), np.empty(count)
     for at in range(count):
         for joint in range(joints):
             x, y, c = keypoints[at, joint, 0], keypoints[at, joint, 1], confidence[at, joint]
-            is_seen[at, joint] = np.isfinite(x) and np.isfinite(y) and c > 0
-            points[at, joint, 0] = x if is_seen[at, joint] else np.nan
-            points[at, joint, 1] = y if is_seen[at, joint] else np.nan
-            seen[at, joint] = c if is_seen[at, joint] else 0.0
-        size[at] = size_in_image(points[at], is_seen[at])
-    return points, seen, is_seen, size
+            is_seen = np.isfinite(x) and np.isfinite(y) and c > 0
+            points[at, joint, 0] = x if is_seen else np.nan
+            points[at, joint, 1] = y if is_seen else np.nan
+            seen[at, joint] = c if is_seen else 0.0
+        known = seen[at][seen[at] > 0]
+        if len(known):
+            usual = np.median(known)
+            for joint in range(joints):
+                share = min(seen[at, joint] / usual, 1.0)
+                trust[at, joint] = share if share >= MIN_TRUST else 0.0
+        size[at] = size_in_image(points[at], trust[at] > 0)
+    return points, seen, trust, size
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -78,12 +89,14 @@ def match_costs(
     is_known: Booleans,
     own_size: float,
     points: Array,
-    is_seen: Booleans,
+    trust: Array,
     size: Array,
     max_share: float,
     size_cost: float,
 ) -> Array:
     """Return what each detection (n,) costs a person: mean distance of its joints from the prediction in sizes.
+
+    Joints count by the trust (n, j) in them, 0 for those not seen.
 
     A single joint that is far off is a detector's fault and not another person: it counts `max_share` at most.  Where
     the two have too few joints in common only the place of the whole tells.
@@ -97,20 +110,21 @@ def match_costs(
             own += predicted[joint]
     own /= num_known
     for at in range(points.shape[0]):
-        total, both, num_seen = 0.0, 0, 0
+        total, both, weight, num_seen = 0.0, 0, 0.0, 0
         centre = np.zeros(2)
         for joint in range(is_known.shape[0]):
-            if not is_seen[at, joint]:
+            if trust[at, joint] <= 0:
                 continue
             num_seen += 1
             centre += points[at, joint]
             if is_known[joint]:
                 both += 1
+                weight += trust[at, joint]
                 away = np.hypot(points[at, joint, 0] - predicted[joint, 0], points[at, joint, 1] - predicted[joint, 1])
-                total += min(away / own_size, max_share)
+                total += trust[at, joint] * min(away / own_size, max_share)
         centre /= num_seen
         if both >= 2:
-            cost[at] = total / both
+            cost[at] = total / weight
         else:
             cost[at] = np.hypot(centre[0] - own[0], centre[1] - own[1]) / own_size
         cost[at] += size_cost * abs(np.log(size[at] / own_size))
@@ -124,23 +138,27 @@ def update_joints(
     is_known: Booleans,
     predicted: Array,
     points: Array,
-    is_seen: Booleans,
+    trust: Array,
     passed: float,
     fade: float,
     place_gain: float,
     speed_gain: float,
 ) -> None:
-    """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade."""
+    """Move a person's joints (j, 2) to a detection that is theirs, in place; speeds of joints not seen fade.
+
+    What is trusted (j,) less moves them less.
+    """
     for joint in range(place.shape[0]):
-        both = is_seen[joint] and is_known[joint]
+        is_seen = trust[joint] > 0
+        both = is_seen and is_known[joint]
         for axis in range(2):
-            off = points[joint, axis] - predicted[joint, axis] if both else 0.0
-            if is_seen[joint] and not is_known[joint]:
+            off = trust[joint] * (points[joint, axis] - predicted[joint, axis]) if both else 0.0
+            if is_seen and not is_known[joint]:
                 place[joint, axis] = points[joint, axis]
             else:
                 place[joint, axis] = predicted[joint, axis] + place_gain * off
             if passed > 0:
-                if not is_seen[joint]:
+                if not is_seen:
                     speed[joint, axis] *= fade
                 speed[joint, axis] += speed_gain / passed * off
-        is_known[joint] = is_known[joint] or is_seen[joint]
+        is_known[joint] = is_known[joint] or is_seen

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -11,16 +12,25 @@ from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats import AnnotatedFrames
-from pasdedeux.people.faults import repair_faults
-from pasdedeux.people.identity import follow_people, mean_of_two
+from pasdedeux.people.decisions import Decision, decide, spans_of
+from pasdedeux.people.identity import IdentityOptions, follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
+from pasdedeux.people.repair import repair_rows
 from pasdedeux.people.video import why_no_video
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
 from pasdedeux.skeletons.layouts.keypoints import Keypoints
 
-__all__ = ["PeopleSettings", "SequencePeople", "SettledPeople", "settle_people"]
+__all__ = [
+    "PeopleSettings",
+    "SequencePeople",
+    "SequenceRows",
+    "SettledPeople",
+    "SettledSequence",
+    "settle_people",
+    "settle_sequence",
+]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -32,7 +42,8 @@ class PeopleSettings(Settings):
     identities: Literal["auto", "follow", "given"] = Field(
         "auto",
         description="Who is who: followed by pose and motion, as given, or followed where people are numbered anew in "
-        "every frame (OpenPose, COCO without track_id).  Single images are never followed",
+        "every frame (OpenPose, COCO without track_id) and checked by pose and motion where they are not.  Single "
+        "images are never followed",
     )
     has_repair: bool = Field(
         True, description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or left out"
@@ -51,6 +62,8 @@ class SequencePeople:
         num_merged_rows: Doubled detections that were merged.
         num_ghost_rows: Detections that were dropped.
         num_repaired_joints: Joints of op14 that were put right or masked.
+        num_renamed_rows: Detections that are not who the source says they are.
+        decisions: Who everybody is, as `decisions` writes it; none of images whose people have no numbers over time.
     """
 
     sequence_id: str
@@ -60,6 +73,8 @@ class SequencePeople:
     num_merged_rows: int = 0
     num_ghost_rows: int = 0
     num_repaired_joints: int = 0
+    num_renamed_rows: int = 0
+    decisions: tuple[Decision, ...] = ()
 
     def in_words(self) -> str:
         """Say it in a line."""
@@ -68,6 +83,7 @@ class SequencePeople:
         if self.why_not_followed:
             words.append(self.why_not_followed)
         counts = (
+            (self.num_renamed_rows, "detections are somebody else than the source says"),
             (self.num_merged_rows, "doubled detections merged"),
             (self.num_ghost_rows, "detections dropped"),
             (self.num_repaired_joints, "joints repaired or left out"),
@@ -96,141 +112,200 @@ class SettledPeople:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """The rows of one sequence; keypoints (row, K, 2) of the source's layout, confidences (row, K)."""
+class SequenceRows:
+    """The rows of one sequence.
+
+    Args:
+        frame: (row,).
+        person_id: (row,).
+        keypoints_px: (row, K, 2) of the source's layout; NaN where not seen.
+        confidence: (row, K); 0 where not seen.
+        source_row: Which row of the source each is (row,).
+    """
 
     frame: Integers
     person_id: Integers
-    source_person_id: Integers
     keypoints_px: Array
     confidence: Array
+    source_row: Integers
 
-    def chosen(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> _Rows:
+    def chosen(self, rows: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> SequenceRows:
         """Return some of the rows."""
-        return _Rows(*(getattr(self, name)[rows] for name in _Rows.__dataclass_fields__))
+        return SequenceRows(*(getattr(self, one.name)[rows] for one in fields(self)))
 
 
-def settle_people(frames: AnnotatedFrames, settings: PeopleSettings | None = None) -> SettledPeople:
+@dataclass(frozen=True)
+class SettledSequence:
+    """One sequence whose people are settled: its rows by frame and person, op14, partners (row,), -1 for nobody."""
+
+    rows: SequenceRows
+    op14: Keypoints
+    partner_id: Integers
+    decided: SequencePeople
+
+
+def settle_people(
+    frames: AnnotatedFrames, settings: PeopleSettings | None = None, decisions: Sequence[Decision] = ()
+) -> SettledPeople:
     """Decide who is who in every sequence, repair the detector's faults, and find the pairs.
 
     Args:
         frames: The rows as a source gives them, with their rate.
         settings: How.
+        decisions: What somebody else decided, which is right; those of other sequences are passed over.
 
     Raises:
-        InputError: The rate is not known, or nobody is left.
+        InputError: The rate is not known, nobody is left, or a decision is about what the sequences do not have.
     """
     settings = settings or PeopleSettings()
     if frames.rate_hz is None:
         raise InputError("people cannot be followed without the frame rate of the video")
-    layout = KEYPOINT_LAYOUTS[frames.layout]
-    is_followed = settings.identities == "follow" or (settings.identities == "auto" and not frames.has_identities)
+    layout, found = KEYPOINT_LAYOUTS[frames.layout], []
     sequence_of = np.array(frames.sequence_id, dtype=object)
-    everyone = _Rows(
-        frames.frame, frames.person_id, frames.person_id, frames.keypoints_px.copy(), frames.confidence.copy()
-    )
-    parts, points, partners, decided = [], [], [], []
     for name in sorted(set(frames.sequence_id)):
-        rows = everyone.chosen(np.flatnonzero(sequence_of == name))
-        reason = why_no_video(rows.frame)
-        merged = ghosts = repaired = 0
-        if is_followed and not reason:
-            rows, merged, ghosts = _followed(rows, layout, frames.rate_hz)
-        rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))
-        op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
-        if settings.has_repair and not reason:
-            rows, op14, repaired = _repaired(rows, op14, layout, frames.rate_hz)
-        pairs, partner = _partners(rows, op14, has_identities=frames.has_identities or not reason)
-        parts.append(rows)
-        points.append(op14)
-        partners.append(partner)
-        num_people = len(np.unique(rows.person_id))
-        decided.append(SequencePeople(name, num_people, tuple(pairs), reason, merged, ghosts, repaired))
-    if not sum(len(part.frame) for part in parts):
+        at = np.flatnonzero(sequence_of == name)
+        rows = SequenceRows(frames.frame[at], frames.person_id[at], frames.keypoints_px[at], frames.confidence[at], at)
+        found.append(
+            settle_sequence(
+                name,
+                rows,
+                layout,
+                rate_hz=frames.rate_hz,
+                has_identities=frames.has_identities,
+                settings=settings,
+                decisions=[one for one in decisions if one.sequence_id == name],
+            )
+        )
+    if not sum(len(one.rows.frame) for one in found):
         raise InputError("no frame shows enough joints of a person")
-    joined = _Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Rows.__dataclass_fields__))
+
+    joined = SequenceRows(
+        *(np.concatenate([getattr(one.rows, field.name) for one in found]) for field in fields(SequenceRows))
+    )
     return SettledPeople(
         frames=replace(
             frames,
-            sequence_id=tuple(one.sequence_id for one, part in zip(decided, parts, strict=True) for _ in part.frame),
+            sequence_id=tuple(one.decided.sequence_id for one in found for _ in one.rows.frame),
             frame=joined.frame,
             person_id=joined.person_id,
             keypoints_px=joined.keypoints_px,
             confidence=joined.confidence,
         ),
-        source_person_id=joined.source_person_id,
-        partner_id=np.concatenate(partners),
+        source_person_id=frames.person_id[joined.source_row],
+        partner_id=np.concatenate([one.partner_id for one in found]),
         op14=Keypoints(
-            np.concatenate([one.positions for one in points]), np.concatenate([one.confidence for one in points])
+            np.concatenate([one.op14.positions for one in found]),
+            np.concatenate([one.op14.confidence for one in found]),
         ),
-        sequences=tuple(decided),
+        sequences=tuple(one.decided for one in found),
     )
 
 
-def _followed(rows: _Rows, layout: KeypointLayout, rate_hz: float) -> tuple[_Rows, int, int]:
+def settle_sequence(
+    sequence_id: str,
+    rows: SequenceRows,
+    layout: KeypointLayout,
+    *,
+    rate_hz: float,
+    has_identities: bool,
+    settings: PeopleSettings | None = None,
+    decisions: Sequence[Decision] = (),
+) -> SettledSequence:
+    """Do for one sequence what `settle_people` does for all of a source.
+
+    Args:
+        sequence_id: Its name.
+        rows: As the source gives them.
+        layout: What the keypoints are.
+        rate_hz: Frames per second.
+        has_identities: Whether a person has the same number in every frame.
+        settings: How.
+        decisions: What somebody else decided of this sequence.
+
+    Raises:
+        InputError: A decision is about what the sequence does not have, or makes one of two in the same frame.
+    """
+    settings = settings or PeopleSettings()
+    is_followed = settings.identities == "follow" or (settings.identities == "auto" and not has_identities)
+    reason = why_no_video(rows.frame)
+    merged = ghosts = repaired = renamed = 0
+    if is_followed and not reason:
+        rows, merged, ghosts = _followed(rows, layout, rate_hz)
+    elif settings.identities == "auto" and not reason:
+        person_id = _checked(rows, layout, rate_hz)
+        renamed = int(np.count_nonzero(person_id != rows.person_id))
+        rows = replace(rows, person_id=person_id)
+    has_numbers = has_identities or not reason
+    decided = decide(sequence_id, rows.frame, rows.person_id, decisions)
+    spans = spans_of(sequence_id, rows.frame, rows.person_id, decided) if has_numbers else []
+    rows = replace(rows, person_id=decided).chosen(decided >= 0)
+    rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))
+    op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
+    if settings.has_repair and not reason:
+        mended = repair_rows(
+            rows.frame, rows.person_id, rows.keypoints_px, rows.confidence, op14, layout, rate_hz=rate_hz
+        )
+        rows = replace(rows, keypoints_px=mended.keypoints_px, confidence=mended.confidence)
+        op14, repaired = mended.op14, mended.num_touched
+    pairs, partner = _partners(rows, op14, has_identities=has_numbers)
+    found = SequencePeople(
+        sequence_id,
+        len(np.unique(rows.person_id)),
+        tuple(pairs),
+        reason,
+        merged,
+        ghosts,
+        repaired,
+        renamed,
+        tuple(spans),
+    )
+    return SettledSequence(rows, op14, partner, found)
+
+
+def _followed(rows: SequenceRows, layout: KeypointLayout, rate_hz: float) -> tuple[SequenceRows, int, int]:
     """Return the rows of those who are people, as the persons they are, and how many were merged and dropped."""
     op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
     found = follow_people(rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz)
+    keypoints_px, confidence = rows.keypoints_px.copy(), rows.confidence.copy()
     for row in np.flatnonzero(found.twin >= 0):
         both = np.array([found.twin[row], row])
-        rows.keypoints_px[both[0]], rows.confidence[both[0]] = mean_of_two(
-            rows.keypoints_px[both], rows.confidence[both]
-        )
-    settled = replace(rows, person_id=found.track_id).chosen(found.track_id >= 0)
+        keypoints_px[both[0]], confidence[both[0]] = mean_of_two(keypoints_px[both], confidence[both])
+    settled = replace(rows, person_id=found.track_id, keypoints_px=keypoints_px, confidence=confidence)
+    settled = settled.chosen(found.track_id >= 0)
     return settled, found.num_merged, found.num_ghosts
 
 
-def _repaired(rows: _Rows, op14: Keypoints, layout: KeypointLayout, rate_hz: float) -> tuple[_Rows, Keypoints, int]:
-    """Return the rows and their op14 with faults put right, and how many joints were touched.
+def _checked(rows: SequenceRows, layout: KeypointLayout, rate_hz: float) -> Integers:
+    """Return who each row is (row,), where the source numbers people over time but may take them for each other.
 
-    What is found on op14 goes for the keypoints that move with its joints.  Somebody of whom nothing would be left
-    stays as they were.
+    People are followed with the numbers as evidence; who is followed gets the number given most often to them, and one
+    number is given to several only where they are not there together: so a person who comes back keeps the number.
     """
-    people, person = np.unique(rows.person_id, return_inverse=True)
-    at = rows.frame - (int(rows.frame.min()) if len(rows.frame) else 0)
-    shape = (len(people), int(at.max()) + 1 if len(at) else 0, OP14.num_joints)
-    points, confidence = np.full((*shape, 2), np.nan), np.zeros(shape)
-    points[person, at], confidence[person, at] = op14.positions, op14.confidence
-    row_of = np.full(shape[:2], -1, dtype=np.int64)
-    row_of[person, at] = np.arange(len(at))
-    found = repair_faults(points, confidence, rate_hz=rate_hz)
-    is_kept = np.array([(one > 0).any() for one in found.confidence], dtype=bool)[person]
-    is_touched = found.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
-    source_row = row_of[found.source_person[person, at], at[:, None]]
-    keypoints_px, seen = rows.keypoints_px.copy(), rows.confidence.copy()
-    for keypoint, (joint, mirror) in enumerate(_joints_of(layout)):
-        if joint < 0:
-            continue
-        source = np.where(found.source_joint[person, at, joint] == joint, keypoint, mirror)
-        change = is_kept & (source_row[:, joint] >= 0)
-        keypoints_px[change, keypoint] = rows.keypoints_px[source_row[change, joint], source[change]]
-        seen[change, keypoint] = rows.confidence[source_row[change, joint], source[change]]
-        masked = is_kept & found.is_masked[person, at, joint]
-        keypoints_px[masked, keypoint], seen[masked, keypoint] = np.nan, 0.0
-    repaired = Keypoints(
-        np.where(is_kept[:, None, None], found.keypoints_px[person, at], op14.positions),
-        np.where(is_kept[:, None], found.confidence[person, at], op14.confidence),
-    )
-    return replace(rows, keypoints_px=keypoints_px, confidence=seen), repaired, int(is_touched.sum())
+    op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
+    options = IdentityOptions(duplicate=0.0, ghost_s=0.0, min_joints=1)
+    track_id = follow_people(
+        rows.frame, op14.positions, op14.confidence, rate_hz=rate_hz, given_id=rows.person_id, options=options
+    ).track_id
+    is_followed = track_id >= 0
+    votes, counts = np.unique(np.stack([track_id, rows.person_id])[:, is_followed], axis=1, return_counts=True)
+    taken = {
+        (int(one), int(at)) for one, at in zip(rows.person_id[~is_followed], rows.frame[~is_followed], strict=True)
+    }
+    person_id = rows.person_id.copy()
+    named: set[int] = set()
+    for vote in np.argsort(-counts, kind="stable"):
+        track, name = (int(one) for one in votes[:, vote])
+        own = {(name, int(at)) for at in rows.frame[track_id == track]}
+        if track not in named and not own & taken:
+            person_id[track_id == track] = name
+            named.add(track)
+            taken |= own
+    for track in sorted(set(track_id[is_followed].tolist()) - named):
+        person_id[track_id == track] = int(person_id.max()) + 1
+    return person_id
 
 
-def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
-    """Return for each keypoint the joint of op14 that it moves with, -1 for none, and its mirrored keypoint."""
-    names = layout.keypoint_names
-    single = {next(iter(means[0])): joint for joint, means in layout.recipes[OP14.name].items() if len(means[0]) == 1}
-    found = []
-    for keypoint, name in enumerate(names):
-        side, _, part = name.partition("_")
-        joint = single.get(name, f"{side}_ankle" if part in _OF_FOOT else "")
-        other = {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
-        found.append((OP14.index(joint) if joint else -1, names.index(other) if other in names else keypoint))
-    return found
-
-
-_OF_FOOT = ("big_toe", "small_toe", "heel")
-
-
-def _partners(rows: _Rows, op14: Keypoints, *, has_identities: bool) -> tuple[list[Paired], Integers]:
+def _partners(rows: SequenceRows, op14: Keypoints, *, has_identities: bool) -> tuple[list[Paired], Integers]:
     """Return the pairs of a sequence, and each row's partner; images whose people have no names are paired singly."""
     partner = np.full(len(rows.frame), -1, dtype=np.int64)
     groups = [np.arange(len(rows.frame))]

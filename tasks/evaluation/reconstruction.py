@@ -21,7 +21,7 @@ from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
 from tasks.evaluation.truth import rate_of, read_cameras, read_take_frames, read_takes
 from tasks.stage import Parameters, Shard, StageInputs
 
-__all__ = ["TOPIC", "search_notes"]
+__all__ = ["TOPIC", "read_reconstructed", "search_notes"]
 
 _CLIP_HZ = 12.0
 _CLIP_S = 4.0
@@ -49,36 +49,21 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     )
     if not annotations:
         return _show(store, motions, f"{shard.name}: a video whose truth nobody knows; no scores.")
-    takes = read_takes(store, shard.refs("takes"), "op14_m")
-    cameras, frames = read_cameras(store, annotations), read_take_frames(store, annotations)
+    cameras = read_cameras(store, annotations)
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
     table = _read_motions(store, motions)
+    sequence_id = str(table["sequence_id"][0])
     scores, pictures, captions = [], {}, {}
-    people: list[Reconstructed] = []
-    for person in np.unique(table["person_id"]):
-        is_person = table["person_id"] == person
-        sequence_id = str(table["sequence_id"][0])
-        found = {
-            str(method): table["op14_m"][is_person & (table["method"] == method)].astype(np.float64)
-            for method in dict.fromkeys(table["method"])
-        }
-        first = next(iter(found))
-        at = table["frame"][is_person & (table["method"] == first)]
-        seen = [frames[sequence_id, int(frame)] for frame in at]
-        world = np.stack([takes[take][frame, person] for take, frame in seen])
-        truth = world @ cameras[sequence_id].camera_from_world_rotmat.T
-        result = Reconstructed(
-            item=f"{sequence_id} person {person}", truth_m=truth, found_m=found, frames=at, person_id=int(person)
-        )
-        people.append(result)
+    people = read_reconstructed(store, motions, annotations, shard.refs("takes"))
+    for result in people:
         scores += reconstruction_scores(result, split=split)
-        best = list(found)[-1]
-        name = f"reconstruction-{sequence_id.replace('/', '-')}-{person}.png"
+        best = list(result.found_m)[-1]
+        name = f"reconstruction-{sequence_id.replace('/', '-')}-{result.person_id}.png"
         pictures[name] = reconstruction_sheet(result, best)
         captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
     clip_name = f"reconstruction-{shard.name.replace('/', '-')}.webp"
     keypoints = _read_keypoints(store, annotations, shard.name)
-    camera = cameras[str(table["sequence_id"][0])]
+    camera = cameras[sequence_id]
     camera_m = camera.camera_from_world_rotmat @ camera.position_m
     pictures[clip_name] = _clip(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))
     captions[clip_name] = (
@@ -98,6 +83,34 @@ def search_notes(name: str, facts: Mapping[str, Any]) -> list[str]:
         f"{name}: {facts['num_projections']:,} projections were searched with a slack of {facts['search_slack']:g}; "
         f"{100 * facts['search_recall']:.1f} % of the 50 nearest are found."
     ]
+
+
+def read_reconstructed(
+    store: Store, motions: ArtifactRef, annotations: Sequence[ArtifactRef], takes: Sequence[ArtifactRef]
+) -> list[Reconstructed]:
+    """Return the people of a sequence of virtual video who are in its take, with the truth in camera axes."""
+    poses, frames, cameras = (
+        read_takes(store, takes, "op14_m"),
+        read_take_frames(store, annotations),
+        read_cameras(store, annotations),
+    )
+    table = _read_motions(store, motions)
+    sequence_id = str(table["sequence_id"][0])
+    people = []
+    for person in np.unique(table["person_id"]):
+        is_person = table["person_id"] == person
+        found = {
+            str(method): table["op14_m"][is_person & (table["method"] == method)].astype(np.float64)
+            for method in dict.fromkeys(table["method"])
+        }
+        at = table["frame"][is_person & (table["method"] == next(iter(found)))]
+        seen = [frames[sequence_id, int(frame)] for frame in at]
+        if person >= min(poses[take].shape[1] for take, _ in seen):
+            continue  # a passer-by of a simulated detector, or somebody whom it made up
+        truth = np.stack([poses[take][frame, person] for take, frame in seen])
+        truth = truth @ cameras[sequence_id].camera_from_world_rotmat.T
+        people.append(Reconstructed(f"{sequence_id} person {person}", truth, found, at, int(person)))
+    return people
 
 
 def _read_motions(store: Store, motions: ArtifactRef) -> TableData:

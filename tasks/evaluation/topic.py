@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 17
+VERSION = 18
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -14,6 +14,7 @@ import numpy as np
 from pasdedeux.errors import InputError
 from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, Footage, read_annotations
 from pasdedeux.formats.detections import UNKNOWN
+from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
@@ -26,6 +27,8 @@ from tasks.stage import Shard, SourceFile, commit
 __all__ = ["FoundAnnotations", "find_annotations", "run_annotations"]
 
 DEFAULT_RATE_HZ = 30.0
+PEOPLE_NAME = "people.csv"
+"""Who is who, as ingest decided it, beside the tables."""
 MAX_NAMED_FILES = 20
 """Skipped files that are named, of any number."""
 GOOD_SHARE_SEEN, POOR_SHARE_SEEN = 0.8, 0.4
@@ -54,6 +57,18 @@ class FoundAnnotations:
         """
         frames = _read(self.parameters, self.files)
         return replace(frames, rate_hz=frames.rate_hz or DEFAULT_RATE_HZ)
+
+    def settle(self) -> SettledPeople:
+        """Return the annotations with who is who settled.
+
+        Raises:
+            InputError: As `read`, nobody is in it, or the table of who is who is about others.
+        """
+        try:
+            decisions = [Decision.from_words(row) for row in self.parameters.people]
+            return settle_people(self.read(), self.parameters.part(PeopleSettings), decisions)
+        except InputError as error:
+            raise type(error)(f"annotations {self.parameters.id}: {error}") from None
 
     def in_words(self) -> str:
         """Say what the files are, and where what is known of the video comes from."""
@@ -84,28 +99,48 @@ def find_annotations(options: AnnotationOptions, *, is_held_out: bool = False) -
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
     """
-    found = []
+    found: list[FoundAnnotations] = []
+    known: set[str] = set()
     try:
+        decisions = [] if options.people_file is None else _read_people(options.people_file)
         cameras = find_cameras(options.path, options.format)
         for camera in cameras:
             video = video_beside(options.path, camera)
             header = UNKNOWN if video is None else read_header(video)
             name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
             parameters = AnnotationParameters(
-                **options.model_dump(exclude={"id", "path", "format"}),
+                **options.model_dump(exclude={"id", "path", "format", "people_file"}),
                 id=f"{options.id}.{name}" if name else options.id,
                 format=camera.format,
                 is_held_out=is_held_out,
                 frames=tuple(ANNOTATION_FORMATS[camera.format].frame_numbers([path.name for path in camera.paths])),
                 video_rate_hz=header.rate_hz,
                 video_size_px=header.image_size_px,
+                people=(),
             )
             files = tuple(load_file(path).file for path in camera.paths)
-            found.append(FoundAnnotations(parameters, files, None if header == UNKNOWN else video))
-            found[-1].read()
+            one = FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
+            sequences = set(one.read().sequence_id)
+            known |= sequences
+            rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
+            found.append(replace(one, parameters=parameters.model_copy(update={"people": rows})))
+        for row in decisions:
+            if row.sequence_id not in known:
+                raise InputError(
+                    f"people, row '{row.in_words()}': there is no such sequence; sequences: "
+                    f"{', '.join(sorted(known)[:MAX_NAMED_FILES])}"
+                )
     except InputError as error:
         raise type(error)(f"annotations {options.id}: {error}") from None
     return found
+
+
+def _read_people(path: Path) -> list[Decision]:
+    """Read a table of who is who."""
+    try:
+        return read_decisions(load_file(path).data)
+    except InputError as error:
+        raise type(error)(f"{path.name}: {error}") from None
 
 
 @lru_cache(maxsize=16)
@@ -127,13 +162,9 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
     """Read a source of 2D poses, settle who is who, and derive the working skeletons."""
     for file in shard.files:
         read_again(file)
-    given = _read(parameters, shard.files)
-    rate_hz = given.rate_hz or DEFAULT_RATE_HZ
-    try:
-        settled = settle_people(replace(given, rate_hz=rate_hz), parameters.part(PeopleSettings))
-    except InputError as error:
-        raise type(error)(f"annotations {parameters.id}: {error}") from None
+    settled = FoundAnnotations(parameters, shard.files, None).settle()
     frames, op14 = settled.frames, settled.op14
+    rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
     sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
     count = frames.num_rows
@@ -182,6 +213,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
             "skipped_files": list(frames.skipped[:MAX_NAMED_FILES]),
             **_decisions(settled),
         },
+        attachments={PEOPLE_NAME: write_decisions(row for one in settled.sequences for row in one.decisions).encode()},
         sources=[SourceCredit(name=parameters.id, licence=parameters.licence, credit=parameters.credit)],
         verdict=_verdict(float((pair17.confidence > 0).mean()), len(frames.skipped), len(shard.files)),
     )
@@ -198,6 +230,7 @@ def _decisions(settled: SettledPeople) -> dict[str, Any]:
         "num_merged_rows": sum(one.num_merged_rows for one in settled.sequences),
         "num_ghost_rows": sum(one.num_ghost_rows for one in settled.sequences),
         "num_repaired_joints": sum(one.num_repaired_joints for one in settled.sequences),
+        "num_renamed_rows": sum(one.num_renamed_rows for one in settled.sequences),
     }
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "AnnotationOptions",
     "AnnotationParameters",
     "CommonOptions",
+    "DetectorOptions",
     "DuetOptions",
     "DuetParameters",
     "IngestParameters",
@@ -185,6 +186,21 @@ class VirtualCameras(Parameters):
     )
 
 
+class DetectorOptions(Parameters):
+    """A simulated detector, which sees worse than the cameras do and does not know who is who."""
+
+    occlusion: float = Field(default=0.1, ge=0, lt=1, description="Share of the joints missing, each on its own")
+    num_junk_joints: int = Field(
+        default=3,
+        ge=0,
+        le=19,
+        description="Joints of everybody in every frame that are anywhere in the image, with a confidence below 0.2",
+    )
+    passer_by_share: float = Field(
+        default=0.25, ge=0, le=1, description="Share of the time in which a third person walks through; 0 for nobody"
+    )
+
+
 class VirtualVideoOptions(VirtualCameras):
     """Virtual cameras: takes seen from drawn views, as the default source of 2D annotations."""
 
@@ -195,6 +211,11 @@ class VirtualVideoOptions(VirtualCameras):
         ge=0,
         le=100_000,
         description="Annotated pairs from random views, for each take of two people that is not held out",
+    )
+    detector: DetectorOptions | None = Field(
+        default=None,
+        description="Each whole video once more as this detector sees it, with people in any order in every frame: "
+        "sequences `<take>.video00.detector`",
     )
 
 
@@ -243,6 +264,11 @@ class _AnnotationCommon(PeopleSettings, Parameters):
 class AnnotationOptions(_AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
 
+    people_file: Path | None = Field(
+        default=None,
+        description="Table of who is who that overrules what ingest decides (sequence, first_frame, last_frame, "
+        "person, is): the attachment people.csv of an earlier run, changed",
+    )
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
 
 
@@ -365,13 +391,14 @@ class TakeParameters(_OfTake):
 
 
 class VideoParameters(VirtualCameras):
-    """A shard of virtual video over a take: `count` whole videos, or pairs from random views."""
+    """A shard of virtual video over a take: `count` whole videos, perhaps by a detector, or pairs from random views."""
 
     purpose: Purpose
     count: int
     take_id: str
     is_held_out: bool
     rate_hz: float
+    detector: DetectorOptions | None = None
 
 
 class AnnotationParameters(_AnnotationCommon):
@@ -381,9 +408,11 @@ class AnnotationParameters(_AnnotationCommon):
         frames: The frame of each file, where its name tells it: no digest of the content knows.
         video_rate_hz: What the header of the video beside the files says; None without.
         video_size_px: Its width and height.
+        people: Rows of the table of who is who that are about its sequences.
     """
 
     is_held_out: bool
     frames: tuple[int, ...]
     video_rate_hz: float | None
     video_size_px: tuple[int, int] | None
+    people: tuple[str, ...]

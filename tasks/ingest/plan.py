@@ -10,6 +10,7 @@ from pasdedeux.errors import InputError
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
+    DetectorOptions,
     DuetOptions,
     DuetParameters,
     IngestParameters,
@@ -28,7 +29,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 4
+VERSION = 5
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -208,8 +209,13 @@ def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator
     cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
     is_pair = isinstance(told, DuetParameters) or len(told.persons) == 2
     num_random_views = options.num_random_views if is_pair and not told.is_held_out else 0
-    wanted: tuple[tuple[Purpose, int], ...] = (("video", options.num_videos), ("random_views", num_random_views))
-    for purpose, count in wanted:
+    wanted: list[tuple[Purpose, int, DetectorOptions | None]] = [
+        ("video", options.num_videos, None),
+        ("random_views", num_random_views, None),
+    ]
+    if options.detector:
+        wanted.append(("video", options.num_videos, options.detector))
+    for purpose, count, detector in wanted:
         if count:
             video = VideoParameters(
                 purpose=purpose,
@@ -217,6 +223,8 @@ def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator
                 take_id=told.take_id,
                 is_held_out=told.is_held_out,
                 rate_hz=parameters.rate_hz,
+                detector=detector,
                 **cameras,
             )
-            yield _shard(take.seed, told.take_id, purpose, video, after=(take.key,))
+            name = "detector" if detector else purpose
+            yield _shard(take.seed, told.take_id, name, video, after=(take.key,))

@@ -7,15 +7,21 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.cameras.virtual_video import (
+    Annotated,
     ViewAngles,
     ViewDistribution,
     VirtualView,
+    add_junk,
     annotate,
     frame_take,
+    passer_by,
     sample_views,
 )
 from pasdedeux.errors import InputError
+from pasdedeux.people.identity import identity_switches
+from pasdedeux.people.settle import SequenceRows, SettledSequence, settle_sequence
 from pasdedeux.skeletons import OP14, PAIR17
+from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.parameters import VideoParameters
@@ -33,11 +39,17 @@ GOOD_SHARE_INSIDE, POOR_SHARE_INSIDE = 0.9, 0.5
 _OWN_OP14 = OP14.indices(["head", "neck"])
 """Joints of op14 that stand for other points than those of the same name in pair17: nose, middle of the shoulders."""
 
-_OP14_OF_SEEN = [
-    PAIR17.num_joints + _OWN_OP14.index(joint) if joint in _OWN_OP14 else PAIR17.index(name)
-    for joint, name in enumerate(OP14.joint_names)
-]
-"""For each joint of op14 its place among the points of virtual video: pair17, then the two of op14's own."""
+_LAYOUT = KeypointLayout(
+    name="virtual",
+    keypoint_names=(*PAIR17.joint_names, "nose", "mid_shoulder"),
+    recipes={
+        PAIR17.name: {joint: ({joint: 1.0},) for joint in PAIR17.joint_names},
+        OP14.name: {
+            joint: ({{"head": "nose", "neck": "mid_shoulder"}.get(joint, joint): 1.0},) for joint in OP14.joint_names
+        },
+    },
+)
+"""What virtual cameras see: pair17, then the two of op14's own."""
 
 Columns = dict[str, list[Any]]
 
@@ -54,7 +66,10 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     pair17 = np.asarray(poses["pair17_m"], dtype=np.float64).reshape(*shape, PAIR17.num_joints, 3).swapaxes(0, 1)
     op14 = np.asarray(poses["op14_m"], dtype=np.float64).reshape(*shape, OP14.num_joints, 3).swapaxes(0, 1)
 
+    # A detector looks through the same cameras with the same noise; what it adds is drawn apart.
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)
+    faults = stream(shard.seed, "ingest", take_id, "detector")
+    detected: list[dict[str, Any]] = []
     angles = sample_views(rng, count, _distribution(parameters))
     is_video = parameters.purpose == "video"
     keys = np.zeros(count, dtype=int) if is_video else _key_frames(rng, num_frames, count)
@@ -70,8 +85,16 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
             frames = np.arange(max(key - NEIGHBOURS, 0), min(key + NEIGHBOURS + 1, num_frames))
             sequence_id = f"{take_id}.view{index:05d}"
         view = _view(parameters, pair17[frames], angles, index)
-        inside = _add_seen(rows, parameters, sequence_id, frames, key, view, pair17[frames], op14[frames], rng)
-        shares_inside.append(inside)
+        exact = _see(view, pair17[frames], op14[frames])
+        shares_inside.append(float(np.isfinite(exact[..., 0]).mean()))
+        occlusion = parameters.detector.occlusion if parameters.detector else parameters.occlusion
+        seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=occlusion)
+        if parameters.detector:
+            sequence_id += ".detector"
+            settled = _detect(sequence_id, parameters, view, seen, pair17[frames], op14[frames], faults)
+            detected.append(_add_detected(rows, parameters, sequence_id, view, settled))
+        else:
+            _add_known(rows, parameters, sequence_id, view, frames, key, seen)
         _add_camera(cameras, parameters, sequence_id, view)
     return commit(
         shard,
@@ -87,6 +110,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
             "num_persons": num_persons,
             "rate_hz": parameters.rate_hz,
             "purpose": parameters.purpose,
+            "detected": detected,
         },
         sources=manifest.sources,
         verdict=_verdict(float(np.mean(shares_inside))),
@@ -139,57 +163,176 @@ def _view(parameters: VideoParameters, pair17: np.ndarray, angles: ViewAngles, i
     )
 
 
-def _add_seen(
-    rows: Columns,
-    parameters: VideoParameters,
-    sequence_id: str,
-    frames: np.ndarray,
-    key: int | None,
-    view: VirtualView,
-    pair17: np.ndarray,
-    op14: np.ndarray,
-    rng: np.random.Generator,
-) -> float:
-    """Add the rows of one sequence and return the share of joints that are in the image.
+def _see(view: VirtualView, pair17: np.ndarray, op14: np.ndarray) -> np.ndarray:
+    """Return exact pixels (frame, person, point, 2) of the points of `_LAYOUT`; NaN outside the image.
 
     Joints of the same name in pair17 and op14 are one detection with one noise.
     """
     px17, px14 = (view.camera.project(points).px for points in (pair17, op14))
     exact = np.concatenate([px17, px14[..., _OWN_OP14, :]], axis=-2)
-    is_inside = view.camera.is_inside(exact)
-    exact = np.where(is_inside[..., None], exact, np.nan)
-    seen = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=parameters.occlusion)
-    num_frames, num_persons = exact.shape[:2]
+    return np.where(view.camera.is_inside(exact)[..., None], exact, np.nan)
+
+
+def _detect(
+    sequence_id: str,
+    parameters: VideoParameters,
+    view: VirtualView,
+    seen: Annotated,
+    pair17: np.ndarray,
+    op14: np.ndarray,
+    rng: np.random.Generator,
+) -> tuple[SettledSequence, np.ndarray]:
+    """Return what is settled of the people that a detector sees, and who each row really is (row,).
+
+    A passer-by is one more person than the take has.  People are listed in random order in every frame.
+    """
+    detector = parameters.detector
+    assert detector is not None
+    px, confidence = seen.px, seen.confidence
+    count = round(detector.passer_by_share * len(pair17))
+    if count:
+        start = (len(pair17) - count) // 2
+        there = slice(start, start + count)
+        joined = np.concatenate([pair17[:, 0], op14[:, 0]], axis=-2)[there]
+        centre = pair17[there, :, PAIR17.root].mean(axis=(0, 1))
+        moved = passer_by(
+            rng, joined, centre, towards_camera=view.camera.position_m - centre, rate_hz=parameters.rate_hz
+        )
+        exact = _see(view, moved[:, : PAIR17.num_joints], moved[:, PAIR17.num_joints :])
+        extra = annotate(rng, exact, noise_px=parameters.noise_px, occlusion=detector.occlusion)
+        px = np.concatenate([px, np.full((len(px), 1, *px.shape[2:]), np.nan)], axis=1)
+        confidence = np.concatenate([confidence, np.zeros((len(px), 1, px.shape[2]))], axis=1)
+        px[there, -1], confidence[there, -1] = extra.px, extra.confidence
+    seen = add_junk(rng, Annotated(px, confidence), detector.num_junk_joints, view.camera.image_size_px)
+    order = np.argsort(rng.random(seen.confidence.shape[:2]), axis=1)
+    frame = np.repeat(np.arange(len(order)), order.shape[1])
+    is_there = np.array([(one > 0).any() for one in seen.confidence[frame, order.reshape(-1)]], dtype=bool)
+    frame, person = frame[is_there], order.reshape(-1)[is_there]
+    place = np.concatenate([np.arange(np.count_nonzero(frame == number)) for number in np.unique(frame)])
+    rows = SequenceRows(
+        frame, place, seen.px[frame, person], seen.confidence[frame, person], np.arange(len(frame), dtype=np.int64)
+    )
+    settled = settle_sequence(sequence_id, rows, _LAYOUT, rate_hz=parameters.rate_hz, has_identities=False)
+    return settled, person[settled.rows.source_row]
+
+
+def _add_detected(
+    rows: Columns,
+    parameters: VideoParameters,
+    sequence_id: str,
+    view: VirtualView,
+    found: tuple[SettledSequence, np.ndarray],
+) -> dict[str, Any]:
+    """Add the rows of a detector's sequence, and return how well people were told apart.
+
+    People are numbered as the take numbers who they are for most of the time; all others come after those.
+    """
+    settled, true_id = found
+    people, person = np.unique(settled.rows.person_id, return_inverse=True)
+    counts = np.zeros((len(people), int(true_id.max()) + 1), dtype=np.int64)
+    np.add.at(counts, (person, true_id), 1)
+    names: dict[int, int] = {}
+    for at in np.argsort(-counts, axis=None, kind="stable"):
+        one, name = (int(index) for index in np.unravel_index(at, counts.shape))
+        if one not in names and name not in names.values() and counts[one, name]:
+            names[one] = name
+    for one in range(len(people)):
+        names.setdefault(one, max([*names.values(), counts.shape[1] - 1]) + 1)
+    renamed = np.array([names[one] for one in range(len(people))])
+    number = settled.rows.frame
+    _add_rows(
+        rows,
+        parameters,
+        view,
+        sequence_id,
+        number=number,
+        take_frame=number,
+        person_id=renamed[person],
+        partner_id=[None if one < 0 else int(renamed[np.searchsorted(people, one)]) for one in settled.partner_id],
+        source_person_id=[None] * len(number),
+        is_key=np.ones(len(number), dtype=bool),
+        seen=Annotated(settled.rows.keypoints_px, settled.rows.confidence),
+        op14=Annotated(settled.op14.positions, settled.op14.confidence),
+    )
+    return {
+        "sequence_id": sequence_id,
+        "num_people": len(people),
+        "num_true_people": len(np.unique(true_id)),
+        "num_identity_switches": identity_switches(true_id, settled.rows.person_id, number),
+        "couples": [
+            sorted(int(renamed[np.searchsorted(people, one)]) for one in (pair.first, pair.second))
+            for pair in settled.decided.pairs
+        ],
+    }
+
+
+def _add_known(
+    rows: Columns,
+    parameters: VideoParameters,
+    sequence_id: str,
+    view: VirtualView,
+    frames: np.ndarray,
+    key: int | None,
+    seen: Annotated,
+) -> None:
+    """Add the rows of a sequence whose people are known."""
+    num_frames, num_persons = seen.confidence.shape[:2]
     count = num_frames * num_persons
-    px, confidence = seen.px.reshape(count, -1, 2), seen.confidence.reshape(count, -1)
-    number = np.repeat(frames - frames[0], num_persons)
+    flat = Annotated(seen.px.reshape(count, -1, 2), seen.confidence.reshape(count, -1))
+    op14 = _LAYOUT.derive(OP14.name, flat.px, flat.confidence)
+    person = np.tile(np.arange(num_persons), num_frames)
+    _add_rows(
+        rows,
+        parameters,
+        view,
+        sequence_id,
+        number=np.repeat(frames - frames[0], num_persons),
+        take_frame=np.repeat(frames, num_persons),
+        person_id=person,
+        partner_id=1 - person if num_persons == 2 else [None] * count,
+        source_person_id=person,
+        is_key=np.repeat(np.ones(num_frames, bool) if key is None else frames == key, num_persons),
+        seen=flat,
+        op14=Annotated(op14.positions, op14.confidence),
+    )
+
+
+def _add_rows(
+    rows: Columns,
+    parameters: VideoParameters,
+    view: VirtualView,
+    sequence_id: str,
+    *,
+    number: np.ndarray,
+    seen: Annotated,
+    op14: Annotated,
+    **columns: Any,
+) -> None:
+    """Add rows; `seen` has the points of `_LAYOUT`."""
+    count = len(number)
     width, height = view.camera.image_size_px
+    px, confidence = seen.px[:, : PAIR17.num_joints], seen.confidence[:, : PAIR17.num_joints]
     _add(
         rows,
         sequence_id=[sequence_id] * count,
         frame=number,
-        person_id=np.tile(np.arange(num_persons), num_frames),
-        partner_id=(1 - np.tile([0, 1], num_frames) if num_persons == 2 else [None] * count),
-        source_person_id=np.tile(np.arange(num_persons), num_frames),
         time_s=number / parameters.rate_hz,
-        is_key=np.repeat(np.ones(num_frames, bool) if key is None else frames == key, num_persons),
         is_virtual=[True] * count,
         is_held_out=[parameters.is_held_out] * count,
         take_id=[parameters.take_id] * count,
-        take_frame=np.repeat(frames, num_persons),
         layout=["pair17"] * count,
-        keypoints_px=px[:, : PAIR17.num_joints].reshape(count, -1),
-        keypoint_confidence=confidence[:, : PAIR17.num_joints],
-        pair17_px=px[:, : PAIR17.num_joints],
-        pair17_confidence=confidence[:, : PAIR17.num_joints],
-        op14_px=px[:, _OP14_OF_SEEN],
-        op14_confidence=confidence[:, _OP14_OF_SEEN],
+        keypoints_px=px.reshape(count, -1),
+        keypoint_confidence=confidence,
+        pair17_px=px,
+        pair17_confidence=confidence,
+        op14_px=op14.px,
+        op14_confidence=op14.confidence,
         image_width_px=[width] * count,
         image_height_px=[height] * count,
         # As with a user's video, nobody knows the lens; `cameras` does.
         focal_px=[None] * count,
+        **columns,
     )
-    return float(is_inside.mean())
 
 
 def _add_camera(cameras: Columns, parameters: VideoParameters, sequence_id: str, view: VirtualView) -> None:
@@ -210,5 +353,5 @@ def _add_camera(cameras: Columns, parameters: VideoParameters, sequence_id: str,
         camera_position_m=[camera.position_m],
         camera_from_world_rotmat=[camera.camera_from_world_rotmat],
         noise_px=[parameters.noise_px],
-        occlusion=[parameters.occlusion],
+        occlusion=[parameters.detector.occlusion if parameters.detector else parameters.occlusion],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,12 +15,13 @@ from pasdedeux.evaluation.drawing import skeleton_sheet
 from pasdedeux.evaluation.score_tables import format_value
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, Store
-from tasks import projections
+from tasks import ingest, projections, reconstruction
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
-from tests.builders.real_study import BuiltStudy
+from tests.builders.real_study import SMALL, BuiltStudy
 from tests.builders.walking_takes import put_take
 
 pytestmark = pytest.mark.slow
@@ -64,8 +66,20 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
     takes = StageInputs({"poses": [put_take(store, WALKER, rate_hz=12.0)]}, seed=3)
     for shard in projections.plan(takes, projections.ProjectionsParameters(pitches_deg=(0.0, 20.0), heights_m=())):
         projections.run_shard(shard, store)
+    _detect(store)
     made = evaluate(store, STAGE, **EVERYTHING)
     return store, made, page_of(store, made)
+
+
+def _detect(store: Store) -> None:
+    """Put the held-out take as a detector sees it into the small study's store, and what is reconstructed of that."""
+    section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "detector": {}}}
+    planned = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
+    (seen,) = (ingest.run_shard(one, store) for one in planned if (one.partition, one.name) == ("hug", "detector"))
+    database = [one for one in store.artifacts("projections") if one.partition != WALKER]
+    inputs = StageInputs({"annotations": [store.manifest(seen)], "projections": database}, seed=3)
+    for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):
+        reconstruction.run_shard(shard, store)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)

@@ -198,6 +198,27 @@ def test_the_height_of_the_camera_gives_people_their_size(
     assert "--height is for whole videos" in capsys.readouterr().err
 
 
+def test_who_is_who_is_written_and_a_changed_table_overrules_it(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reconstruct", str(video), *reference(store), "--size", "1920x1080", "--out"]
+    assert run_command_line([*command, str(tmp_path / "all")]) == 0
+    assert "0 and 1 are partners" in capsys.readouterr().err
+    table = tmp_path / "all" / f"{video.name}_people.csv"
+    header, *rows = table.read_text().splitlines()
+    changed = tmp_path / "people.csv"
+    names = (row.rsplit(",", 1)[0] + (",nobody" if at else ",5") for at, row in enumerate(rows))
+    changed.write_text("\n".join([header, *names]))
+    assert run_command_line([*command, str(tmp_path / "one"), "--people", str(changed)]) == 0
+    assert [path.name for path in (tmp_path / "one").glob("*.bvh")] == [f"{video.name}_5.bvh"]
+    changed.write_text(f"{header}\n{video.name},0,3,9,1\n")
+    assert run_command_line([*command, str(tmp_path / "none"), "--people", str(changed)]) == 2
+    assert "there is no person 9; persons: 0, 1" in capsys.readouterr().err
+    assert run_command_line([*command, str(tmp_path / "none"), "--people", str(tmp_path / "no.csv")]) == 2
+    assert run_command_line([*command, str(tmp_path / "none"), "--people", str(changed), "--follow"]) == 2
+    assert "--people is for whole videos" in capsys.readouterr().err
+
+
 def test_files_being_written_by_another_process_become_lines_in_order(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -94,6 +94,17 @@ def test_who_comes_later_is_repaired_and_nobody_is_made_up_before() -> None:
     assert found.is_swapped[0, 30].sum() >= 8
 
 
+def test_junk_of_low_confidence_is_masked_and_labels_stay() -> None:
+    points, confidence = filmed("waltz", 5.0)
+    rng = np.random.default_rng(4)
+    junk = np.argsort(rng.random(confidence.shape), axis=-1) < 2
+    spoilt = np.where(junk[..., None], rng.random(points.shape) * [1920.0, 1080.0], points)
+    found = repair_faults(spoilt, np.where(junk, 0.1, 0.9), rate_hz=30.0)
+    is_far = junk & (np.linalg.norm(spoilt - points, axis=-1) > 60.0)
+    assert found.is_masked[is_far].mean() > 0.99
+    assert found.is_touched[~junk].mean() < 0.01
+
+
 def test_scraps_are_left_as_they_are_and_bad_input_is_named() -> None:
     short = repair_faults(np.zeros((1, 2, 14, 2)), np.ones((1, 2, 14)), rate_hz=30.0)
     assert not short.is_masked.any()

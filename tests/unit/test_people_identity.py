@@ -142,6 +142,24 @@ def test_short_ghosts_and_scraps_are_dropped() -> None:
     assert switches(everyone, found) == 0
 
 
+@pytest.mark.parametrize("confidence", [0.1, 0.2])
+def test_junk_joints_of_low_confidence_split_nobody(confidence: float) -> None:
+    couple = duet_couple("waltz", duration_s=5.0)
+    for people in (couple[:, :1], couple):
+        seen = film(np.random.default_rng(1), people, noise_px=5.0)
+        rng = np.random.default_rng(2)
+        junk = np.argsort(rng.random(seen.confidence.shape), axis=1) < 3
+        places = rng.random(seen.keypoints_px.shape) * [1920.0, 1080.0]
+        spoilt = replace(
+            seen,
+            keypoints_px=np.where(junk[..., None], places, seen.keypoints_px),
+            confidence=np.where(junk, confidence, 0.9),
+        )
+        found = follow(spoilt)
+        assert set(found.track_id.tolist()) == set(range(people.shape[1]))
+        assert switches(spoilt, found) == 0
+
+
 def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
     empty = follow_people(np.zeros(0, np.int64), np.zeros((0, 14, 2)), np.zeros((0, 14)), rate_hz=30.0)
     assert len(empty.track_id) == 0
@@ -159,20 +177,22 @@ def test_nothing_seen_gives_nothing_and_bad_input_is_named() -> None:
 def test_costs_and_updates_of_one_person_are_what_their_formulas_say() -> None:
     rng = np.random.default_rng(8)
     place, speed = rng.normal(0, 100, (14, 2)), rng.normal(0, 30, (14, 2))
-    known, seen = rng.uniform(size=14) < 0.8, rng.uniform(size=(3, 14)) < 0.8
+    known, trust = rng.uniform(size=14) < 0.8, rng.uniform(size=(3, 14)).clip(0.2) - 0.2
+    seen = trust > 0
     points = place + rng.normal(0, 20, (3, 14, 2))
     body = np.median(speed[known], axis=0)
     predicted = place + 0.1 * body + 0.05 * (speed - body)
     np.testing.assert_allclose(predict_joints(place, speed, known, 0.1, 0.05), predicted)
     size = np.array([300.0, 330.0, 200.0])
-    cost = match_costs(predicted, known, 310.0, points, seen, size, 0.08, 0.2)
+    cost = match_costs(predicted, known, 310.0, points, trust, size, 0.08, 0.2)
     for at in range(3):
         both = seen[at] & known
-        way = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.08)[both].mean()
+        apart = np.minimum(np.linalg.norm(points[at] - predicted, axis=-1) / 310.0, 0.08)
+        way = np.average(apart[both], weights=trust[at, both])
         assert cost[at] == pytest.approx(way + 0.2 * abs(np.log(size[at] / 310.0)))
     new_place, new_speed, new_known = place.copy(), speed.copy(), known.copy()
-    update_joints(new_place, new_speed, new_known, predicted, points[0], seen[0], 0.04, 0.8, 0.7, 0.25)
-    off = np.where((seen[0] & known)[:, None], points[0] - predicted, 0.0)
+    update_joints(new_place, new_speed, new_known, predicted, points[0], trust[0], 0.04, 0.8, 0.7, 0.25)
+    off = np.where((seen[0] & known)[:, None], trust[0][:, None] * (points[0] - predicted), 0.0)
     np.testing.assert_allclose(new_place, np.where((seen[0] & ~known)[:, None], points[0], predicted + 0.7 * off))
     np.testing.assert_allclose(new_speed, speed * np.where(seen[0], 1.0, 0.8)[:, None] + 0.25 / 0.04 * off)
     np.testing.assert_array_equal(new_known, known | seen[0])

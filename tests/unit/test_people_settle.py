@@ -66,6 +66,35 @@ def test_people_numbered_anew_in_every_frame_are_followed_and_partners() -> None
     assert len(people_in(kept, seen)) == 4
 
 
+@pytest.mark.parametrize("kind", ["half of the frames", "from the middle on", "not at all"])
+@pytest.mark.parametrize("every", [1, 3])
+def test_people_whom_a_source_takes_for_each_other_are_put_right(kind: str, every: int) -> None:
+    seen = dance(5.0)
+    seen = replace(seen.rows(seen.frame % every == 0), rate_hz=30.0 / every)
+    seen = replace(seen, frame=seen.frame // every)
+    middle = seen.frame.max() // 2
+    swapped = {
+        "half of the frames": np.random.default_rng(0).random(seen.frame.max() + 1)[seen.frame] < 0.5,
+        "from the middle on": seen.frame > middle,
+        "not at all": np.zeros(len(seen.frame), dtype=bool),
+    }[kind]
+    given = replace(seen, true_id=np.where(swapped, 1 - seen.true_id, seen.true_id))
+    settled = settle_people(rows_of(given, has_identities=True))
+    assert len(people_in(settled, seen)) == 2
+    renamed = settled.sequences[0].num_renamed_rows
+    assert renamed in (swapped.sum(), (~swapped).sum())
+    assert ("somebody else" in settled.sequences[0].in_words()) == (kind != "not at all")
+    kept = settle_people(rows_of(given, has_identities=True), PeopleSettings(identities="given"))
+    np.testing.assert_array_equal(kept.frames.person_id, kept.source_person_id)
+
+
+def test_a_person_who_comes_back_keeps_the_number_that_the_source_gives() -> None:
+    seen = dance()
+    away = (seen.true_id == 1) & (seen.frame > 30) & (seen.frame < 90)
+    settled = settle_people(rows_of(seen.rows(~away), has_identities=True))
+    np.testing.assert_array_equal(settled.frames.person_id, settled.source_person_id)
+
+
 def test_a_passer_by_is_nobodys_partner() -> None:
     seen = dance(num_people=3)
     seen = seen.rows((seen.true_id < 2) | ((seen.frame > 40) & (seen.frame <= 70)))

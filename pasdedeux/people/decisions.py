@@ -1,0 +1,151 @@
+"""What was decided of who is who, as a table that can be read, changed and given back.
+
+A row says who the person is, for some frames, that following found (or the source names) by a number::
+
+    sequence,first_frame,last_frame,person,is
+    clip1,0,299,0,0
+    clip1,0,119,1,1
+    clip1,120,299,1,2
+    clip1,40,61,3,nobody
+
+Both frames are included.  Two persons who are one get the same number in `is`, one who is two gets a row for each part,
+and `nobody` drops them.  Whom no row names stays who they are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.text import decode, parse_integer, shorten
+
+__all__ = ["COLUMNS", "Decision", "decide", "read_decisions", "spans_of", "write_decisions"]
+
+Integers = npt.NDArray[np.int64]
+
+COLUMNS = ("sequence", "first_frame", "last_frame", "person", "is")
+NOBODY = "nobody"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Who a person of a sequence is in the frames from `first_frame` to `last_frame`; -1 for nobody."""
+
+    sequence_id: str
+    first_frame: int
+    last_frame: int
+    person: int
+    is_person: int
+
+    @classmethod
+    def from_words(cls, row: str) -> Decision:
+        """Return the one that `in_words` gave."""
+        (one,) = read_decisions(f"{','.join(COLUMNS)}\n{row}")
+        return one
+
+    def in_words(self) -> str:
+        """Return it as its row says it."""
+        name = NOBODY if self.is_person < 0 else str(self.is_person)
+        return f"{self.sequence_id},{self.first_frame},{self.last_frame},{self.person},{name}"
+
+
+def read_decisions(data: bytes | str) -> list[Decision]:
+    """Read the table.
+
+    Raises:
+        FormatError: It has other columns, a value that is none, frames that end before they begin, or a person twice
+            in a frame; the line is named.
+    """
+    lines = decode(data, "table of people").splitlines()
+    try:
+        table = list(csv.reader(lines, strict=True))
+    except csv.Error as error:
+        raise FormatError(f"this table of people is not valid CSV: {error}") from None
+    if not table or [cell.strip().lower() for cell in table[0]] != list(COLUMNS):
+        raise FormatError(f"line 1: a table of people begins with the line {','.join(COLUMNS)}")
+    found: list[Decision] = []
+    for number, row in enumerate(table[1:], start=2):
+        cells = [cell.strip() for cell in row]
+        if not any(cells):
+            continue
+        if len(cells) != len(COLUMNS):
+            raise FormatError(f"line {number}: {len(cells)} values, the header has {len(COLUMNS)} columns")
+        first, last, person = (
+            parse_integer(cell, f"line {number}: {name}") for name, cell in zip(COLUMNS[1:4], cells[1:4], strict=True)
+        )
+        is_person = -1 if cells[4].lower() == NOBODY else parse_integer(cells[4], f"line {number}: is")
+        if min(first, person) < 0 or (is_person < 0 and cells[4].lower() != NOBODY):
+            raise FormatError(f"line {number}: frames and persons are whole numbers from 0, or '{NOBODY}' in 'is'")
+        if last < first:
+            raise FormatError(f"line {number}: frames {first} to {last} end before they begin")
+        one = Decision(cells[0], first, last, person, is_person)
+        for other in found:
+            is_same = (other.sequence_id, other.person) == (one.sequence_id, one.person)
+            if is_same and other.first_frame <= last and first <= other.last_frame:
+                raise FormatError(
+                    f"line {number}: person {person} of '{shorten(cells[0])}' is named twice in frame "
+                    f"{max(first, other.first_frame)}"
+                )
+        found.append(one)
+    return found
+
+
+def write_decisions(decisions: Iterable[Decision]) -> str:
+    """Return the table."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for one in decisions:
+        writer.writerow(one.in_words().rsplit(",", 4))
+    return out.getvalue()
+
+
+def decide(sequence_id: str, frame: Integers, person_id: Integers, decisions: Sequence[Decision]) -> Integers:
+    """Return who each row (row,) of a sequence is, -1 for nobody.
+
+    Raises:
+        InputError: A person or frames that the sequence does not have, or two who would be one in the same frame.
+    """
+    decided = person_id.copy()
+    people = [int(one) for one in np.unique(person_id)]
+    for one in decisions:
+        where = f"people of '{sequence_id}', row '{one.in_words()}'"
+        if one.person not in people:
+            raise InputError(f"{where}: there is no person {one.person}; persons: {', '.join(map(str, people))}")
+        is_meant = (frame >= one.first_frame) & (frame <= one.last_frame) & (person_id == one.person)
+        if not is_meant.any():
+            own = frame[person_id == one.person]
+            raise InputError(
+                f"{where}: person {one.person} is in none of these frames, but in {own.min()} to {own.max()}"
+            )
+        decided[is_meant] = one.is_person
+    order = np.lexsort([decided, frame])
+    order = order[decided[order] >= 0]
+    for before, after in pairwise(order):
+        if frame[before] == frame[after] and decided[before] == decided[after]:
+            raise InputError(
+                f"people of '{sequence_id}', frame {frame[after]}: persons {person_id[before]} and {person_id[after]} "
+                f"are both there and cannot both be {decided[after]}; say '{NOBODY}' of one of them in these frames"
+            )
+    return decided
+
+
+def spans_of(sequence_id: str, frame: Integers, person_id: Integers, is_person: Integers) -> list[Decision]:
+    """Return rows that say of every person (row,) who they are (row,), a row as long as that does not change."""
+    spans = []
+    for person in np.unique(person_id):
+        rows = np.flatnonzero(person_id == person)
+        rows = rows[np.argsort(frame[rows], kind="stable")]
+        cuts = np.flatnonzero(np.diff(is_person[rows])) + 1
+        for part in np.split(rows, cuts):
+            spans.append(
+                Decision(sequence_id, int(frame[part[0]]), int(frame[part[-1]]), int(person), int(is_person[part[0]]))
+            )
+    return spans

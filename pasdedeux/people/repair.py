@@ -1,0 +1,130 @@
+"""Repair of a detector's keypoints: what is found on the joints of op14 goes for the keypoints that move with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.people.faults import RepairedCrowd, repair_faults, track_size_px, wild_points
+from pasdedeux.skeletons import OP14
+from pasdedeux.skeletons.layouts import KeypointLayout
+from pasdedeux.skeletons.layouts.keypoints import Keypoints
+
+__all__ = ["RepairedRows", "repair_rows"]
+
+Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_MOVES_WITH = {
+    **dict.fromkeys(("big_toe", "small_toe", "heel"), "ankle"),
+    **dict.fromkeys(("pinky", "index", "thumb"), "wrist"),
+}
+"""Keypoints of hands and feet that are swapped and exchanged with a joint of op14."""
+
+
+@dataclass(frozen=True)
+class RepairedRows:
+    """Keypoints (row, K, 2) and confidences (row, K) after repair, their op14, and how many joints of it changed."""
+
+    keypoints_px: Array
+    confidence: Array
+    op14: Keypoints
+    num_touched: int
+
+
+def repair_rows(
+    frame: Integers,
+    person_id: Integers,
+    keypoints_px: Array,
+    confidence: Array,
+    op14: Keypoints,
+    layout: KeypointLayout,
+    *,
+    rate_hz: float,
+) -> RepairedRows:
+    """Return a video's rows with swapped sides and exchanged limbs put right and wild keypoints masked.
+
+    Somebody of whom nothing would be left stays as they were.
+
+    Args:
+        frame: (row,).
+        person_id: (row,), once a frame.
+        keypoints_px: (row, K, 2); NaN where not seen.
+        confidence: (row, K); 0 where not seen.
+        op14: Keypoints (row, 14, 2) derived from these.
+        layout: What the keypoints are.
+        rate_hz: Frames per second.
+    """
+    px, seen = keypoints_px.copy(), confidence.copy()
+    if not len(frame):
+        return RepairedRows(px, seen, op14, 0)
+    people, person = np.unique(person_id, return_inverse=True)
+    at = frame - int(frame.min())
+    shape = (len(people), int(at.max()) + 1, OP14.num_joints)
+    points, weight = np.full((*shape, 2), np.nan), np.zeros(shape)
+    points[person, at], weight[person, at] = op14.positions, op14.confidence
+    row_of = np.full(shape[:2], -1, dtype=np.int64)
+    row_of[person, at] = np.arange(len(at))
+    found = repair_faults(points, weight, rate_hz=rate_hz)
+    is_kept = np.array([(one > 0).any() for one in found.confidence], dtype=bool)[person]
+    source_row = row_of[found.source_person[person, at], at[:, None]]
+    for keypoint, (joint, mirror) in enumerate(_joints_of(layout)):
+        if joint < 0:
+            continue
+        source = np.where(found.source_joint[person, at, joint] == joint, keypoint, mirror)
+        change = is_kept & (source_row[:, joint] >= 0)
+        px[change, keypoint] = keypoints_px[source_row[change, joint], source[change]]
+        seen[change, keypoint] = confidence[source_row[change, joint], source[change]]
+        masked = is_kept & found.is_masked[person, at, joint]
+        px[masked, keypoint], seen[masked, keypoint] = np.nan, 0.0
+    for number in range(len(people)):
+        rows = np.flatnonzero(person == number)
+        _mask_others(px, seen, rows[np.argsort(at[rows])], at, found, number, layout, rate_hz)
+    repaired = Keypoints(
+        np.where(is_kept[:, None, None], found.keypoints_px[person, at], op14.positions),
+        np.where(is_kept[:, None], found.confidence[person, at], op14.confidence),
+    )
+    is_touched = found.is_touched[person, at] & (op14.confidence > 0) & is_kept[:, None]
+    return RepairedRows(px, seen, repaired, int(is_touched.sum()))
+
+
+def _mask_others(
+    px: Array,
+    seen: Array,
+    rows: Integers,
+    at: Integers,
+    found: RepairedCrowd,
+    number: int,
+    layout: KeypointLayout,
+    rate_hz: float,
+) -> None:
+    """Mask in place the wild ones of a person's keypoints that are no joint of op14; the rows in order of frames."""
+    own = _own_joints(layout)
+    others = np.array([point for point, name in enumerate(layout.keypoint_names) if name not in own], dtype=np.int64)
+    frames = at[rows] - at[rows[0]]
+    track, weight = np.full((frames[-1] + 1, len(others), 2), np.nan), np.zeros((frames[-1] + 1, len(others)))
+    there = np.ix_(rows, others)
+    track[frames], weight[frames] = px[there], seen[there]
+    size = np.full(len(track), float(track_size_px(found.keypoints_px[number])[0]))
+    is_wild = wild_points(track, weight, size, rate_hz=rate_hz)[frames]
+    px[there] = np.where(is_wild[..., None], np.nan, px[there])
+    seen[there] = np.where(is_wild, 0.0, seen[there])
+
+
+def _joints_of(layout: KeypointLayout) -> list[tuple[int, int]]:
+    """Return for each keypoint the joint of op14 that it moves with, -1 for none, and its mirrored keypoint."""
+    names, own = layout.keypoint_names, _own_joints(layout)
+    found = []
+    for keypoint, name in enumerate(names):
+        side, _, part = name.partition("_")
+        joint = own.get(name, f"{side}_{_MOVES_WITH[part]}" if part in _MOVES_WITH else "")
+        other = {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
+        found.append((OP14.index(joint) if joint else -1, names.index(other) if other in names else keypoint))
+    return found
+
+
+def _own_joints(layout: KeypointLayout) -> dict[str, str]:
+    """Return the joint of op14 that a keypoint is by itself, by the keypoint's name."""
+    return {next(iter(means[0])): joint for joint, means in layout.recipes[OP14.name].items() if len(means[0]) == 1}

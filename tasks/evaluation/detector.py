@@ -1,0 +1,82 @@
+"""Topic `detector`: what a simulated detector costs, beside the same video with the same noise alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
+from storage_schema import Store
+from tasks.evaluation.reconstruction import read_reconstructed
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, StageInputs
+
+__all__ = ["TOPIC"]
+
+_SUFFIX = ".detector"
+MAX_SWITCHES_PER_MINUTE = 1.0
+
+
+def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    """Plan one shard per reconstructed sequence of a detector, with that of the same video beside it."""
+    motions = {one.partition: one for one in inputs.of("motions") if one.tables["motions"].rows}
+    annotations = {name: one for one in inputs.of("annotations") for name in one.facts.get("sequence_ids", ())}
+    found = []
+    for name, detected in motions.items():
+        plain = motions.get(name.removesuffix(_SUFFIX))
+        if name.endswith(_SUFFIX) and plain is not None:
+            takes = [one for one in inputs.of("poses") if one.facts["take_id"] in detected.facts["sequence_takes"]]
+            sources = [annotations[one.partition] for one in (detected, plain)]
+            found.append(
+                TOPIC.shard(inputs, name, detected=[detected], plain=[plain], annotations=sources, takes=takes)
+            )
+    return found
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
+    """Score one sequence: who is who, and the error of each person by the last method."""
+    annotations, takes = shard.refs("annotations"), shard.refs("takes")
+    (settled,) = (one for one in store.manifest(annotations[0]).facts["detected"] if one["sequence_id"] == shard.name)
+    scores = []
+    for name in ("detected", "plain"):
+        for person in read_reconstructed(store, shard.ref(name), annotations, takes):
+            method, found = list(person.found_m.items())[-1]
+            error = root_centred_error_m(found, person.truth_m)
+            item = f"{shard.name.removesuffix(_SUFFIX)} person {person.person_id}"
+            is_plain = name == "plain"
+            split = method
+            label = "noise_alone" if is_plain else "detector"
+            scores.append(
+                Score("median_error", label, float(np.median(error)), "m", is_plain, split, item, count=len(error))
+            )
+    minutes = float(np.ptp(store.read(annotations[1], "annotations", columns=["time_s"])["time_s"])) / 60.0
+    figures = {
+        "identity_switches_per_minute": settled["num_identity_switches"] / minutes,
+        "extra_people": float(settled["num_people"] - settled["num_true_people"]),
+        "wrong_pairs": float(sum(pair != [0, 1] for pair in settled["couples"]) + ([0, 1] not in settled["couples"])),
+    }
+    scores += [Score(metric, "followed", value, item=shard.name) for metric, value in figures.items()]
+    return TopicResult(scores=scores)
+
+
+TOPIC = Topic(
+    name="detector",
+    heading="A simulated detector",
+    introduction="Virtual video as a detector sees it: joints missing, junk joints of low confidence, people in any "
+    "order in every frame, a third person walking through. Switches of identity a minute of video, people too "
+    "many, and pairs that are none. `median_error` is the median over the frames of the mean joint error (op14, "
+    "centred on the mid-hip) of each person of the take, beside that of the same video with the same noise alone.",
+    reads=("motions", "annotations", "cameras", "poses"),
+    plan=_plan,
+    run=_run,
+    yardsticks=(
+        Yardstick(
+            "identity_switches_per_minute",
+            "identity switches a minute",
+            methods=("followed",),
+            chance=MAX_SWITCHES_PER_MINUTE,
+            chance_name="allowed",
+        ),
+    ),
+)

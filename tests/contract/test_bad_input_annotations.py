@@ -189,3 +189,16 @@ def test_another_name_of_the_sequence_in_front_of_the_numbers_changes_nothing(fo
     for path in sorted((folder / "walk").iterdir()):
         path.rename(path.with_name(path.name.replace("walk_", "stroll_")))
     assert build_here(folder / "bad.toml", folder / "store") == {"ingest": 0}
+
+
+def test_two_cameras_of_a_folder_are_two_sequences_with_their_lens(folder: Path) -> None:
+    for frame in range(NUM_FRAMES):
+        path = folder / "walk" / name_of(frame)
+        path.with_name(path.name.replace("walk_", "side_")).write_text(openpose_text("coco18", people=2, seed=frame))
+    study = write_study(folder, ", image_size_px = [640, 480], fov_deg = 90.0, rate_hz = 20.0")
+    assert build_here(study, folder / "store") == {"ingest": 2}
+    rows = open_table("annotations:bad", folder / "store")
+    assert set(rows["sequence_id"]) == {"walk.side", "walk.walk"}
+    np.testing.assert_allclose(rows["focal_px"], 320.0)
+    assert max(rows["time_s"].tolist()) == pytest.approx((NUM_FRAMES - 1) / 20.0)
+    assert build_here(study, folder / "store") == {"ingest": 0}

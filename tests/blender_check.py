@@ -39,9 +39,8 @@ def check(path: Path) -> None:
     """Check one file beside its npz; an AssertionError says what is wrong."""
     made = np.load(path.with_suffix(".npz"))
     names, truth = made["joint_names"].tolist(), made["positions_m"]
-    metres = (
-        0.01 if "centimetres" in (path.parent / "README.txt").read_text(encoding="utf-8").split(" and ")[0] else 1.0
-    )
+    units = path.with_name(f"{path.stem.rpartition('_')[0]}_units.txt").read_text(encoding="utf-8")
+    metres = 0.01 if "centimetres" in units.split(" and ")[0] else 1.0
     rig, said = load(path, metres)
     assert "zero length" not in said, said
     roots = [bone.name for bone in rig.data.bones if bone.parent is None]

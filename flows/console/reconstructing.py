@@ -119,20 +119,27 @@ def reconstruct_video(path: Path, database: str, store: Path, whole: Whole) -> N
     source, refs = _projections(database, store)
     searchers, take_ids = _searchers(source, refs, whole.pitch_deg)
     pairs_m = read_pairs(source, refs, max_pairs=MAX_PAIRS)
-    found = []
+    found: list[tuple[SettledPeople, SequencePeople]] = []
+    failed: list[InputError] = []
     for one in sources:
         typer.echo(one.in_words(), err=True)
-        settled = one.settle()
-        found += [(settled, sequence) for sequence in settled.sequences]
-    num_failed = 0
+        try:
+            settled = one.settle()
+        except InputError as error:
+            failed.append(error)
+        else:
+            found += [(settled, sequence) for sequence in settled.sequences]
+    num_made = 0
     for settled, sequence in found:
         try:
             _reconstruct_sequence(settled, sequence, searchers, take_ids, pairs_m, whole)
+            num_made += 1
         except InputError as error:
-            num_failed += 1
-            if num_failed == len(found):
-                raise type(error)(f"{sequence.sequence_id}: {error}") from None
-            typer.echo(f"{sequence.sequence_id} was left out: {error}", err=True)
+            failed.append(type(error)(f"{sequence.sequence_id}: {error}"))
+    for reason in failed if num_made else failed[:-1]:
+        typer.echo(f"left out: {reason}", err=True)
+    if not num_made:
+        raise failed[-1]
 
 
 def _reconstruct_sequence(
@@ -147,6 +154,8 @@ def _reconstruct_sequence(
     if sequence.why_not_followed:
         raise InputError(sequence.why_not_followed)
     tracks = _tracks(settled, sequence.sequence_id, whole.person_ids)
+    if not tracks:
+        raise InputError("no frame shows enough joints of a person")
     found = reconstruct_people(
         searchers,
         tracks,
@@ -183,7 +192,7 @@ def _reconstruct_sequence(
             )
         )
     print_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1))
-    (target / "README.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
+    (target / f"{sequence.sequence_id}_units.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
     table = target / f"{sequence.sequence_id}_people.csv"
     table.write_text(write_decisions(sequence.decisions), encoding="utf-8")
     typer.echo(f"{table}: who is who; --people with a changed copy overrules it", err=True)

@@ -135,7 +135,7 @@ def test_files_that_lie_there_become_a_humanoid_a_person(
     out = tmp_path / "out"
     command = ["reconstruct", str(video), *reference(store), "--out", str(out), "--size", "1920x1080"]
     assert run_command_line([*command, *(["--units", "m"] if units == "m" else [])]) == 0
-    assert {"cm": "centimetres", "m": "are in metres"}[units] in (out / "README.txt").read_text()
+    assert {"cm": "centimetres", "m": "are in metres"}[units] in (out / f"{video.name}_units.txt").read_text()
     for person in (0, 1):
         source = read_bvh((out / f"{video.name}_{person}.bvh").read_bytes())
         assert (source.num_frames, source.rate_hz) == (FRAMES, pytest.approx(30.0))
@@ -469,13 +469,52 @@ def test_a_file_of_results_is_read_as_a_study_reads_it_and_what_was_assumed_is_s
 def test_two_cameras_of_a_folder_are_two_sequences(
     video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "README.txt").write_text("of somebody else")
     for camera in ("left", "right"):
         for number, path in list_frames(video)[: 20 if camera == "left" else FRAMES]:
             (tmp_path / f"{camera}_{number:06d}_keypoints.json").write_text(path.read_text())
     command = ["reconstruct", str(tmp_path), *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
     assert run_command_line(command) == 0
-    names = {file.name.removeprefix(tmp_path.name) for file in (tmp_path / "out").glob("*.bvh")}
+    out = tmp_path / "out"
+    names = {file.name.removeprefix(tmp_path.name) for file in out.glob("*.bvh")}
     assert names == {f".{camera}_{person}.bvh" for camera in ("left", "right") for person in (0, 1)}
+    said = [(out / f"{tmp_path.name}.{camera}_units.txt").read_text() for camera in ("left", "right")]
+    assert ["same 20 frames" in said[0], "same 40 frames" in said[1]] == [True, True]
+    assert (out / "README.txt").read_text() == "of somebody else"
+
+
+def test_a_camera_in_which_nobody_remains_is_said_and_the_others_are_made(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, two_joints = tmp_path / "both", np.zeros((1, 14, 2))
+    folder.mkdir()
+    two_joints[0, :2] = 100.0
+    for number, path in list_frames(video):
+        (folder / f"left_{number:06d}_keypoints.json").write_text(path.read_text())
+        (folder / f"right_{number:06d}_keypoints.json").write_text(openpose(two_joints))
+    command = ["reconstruct", *reference(store), "--pitch", "6", "--out", str(tmp_path / "out")]
+    assert run_command_line([*command, str(folder)]) == 0
+    assert {file.name for file in (tmp_path / "out").glob("*.bvh")} == {"both.left_0.bvh", "both.left_1.bvh"}
+    assert "left out: annotations both.right: no frame shows enough joints of a person" in capsys.readouterr().err
+    for path in folder.glob("left_*"):
+        path.unlink()
+    assert run_command_line([*command, str(folder)]) == 2
+    assert "no frame shows enough joints of a person" in capsys.readouterr().err
+
+
+def test_a_sequence_of_a_file_in_which_nobody_remains_is_said_and_the_others_are_made(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    items = [{key: item[key] for key in ("image_id", "keypoints")} for item in json.loads(results(video))]
+    left = [item | {"image_id": f"left_{item['image_id']}"} for item in items]
+    ghost = {"keypoints": [100.0, 100.0, 0.9] * 2 + [0.0] * 45}
+    right = [item | ghost | {"image_id": f"right_{item['image_id']}"} for item in items]
+    path, out = tmp_path / "clip.json", tmp_path / "out"
+    path.write_text(json.dumps(left + right))
+    assert run_command_line(["reconstruct", str(path), *reference(store), "--pitch", "6", "--out", str(out)]) == 0
+    assert {file.name for file in out.glob("*.bvh")} == {"clip.left_0.bvh", "clip.left_1.bvh"}
+    assert "left out: clip.right: no frame shows enough joints of a person" in capsys.readouterr().err
 
 
 def test_frame_numbers_that_jump_are_gaps_in_time_and_single_images_are_no_video(

@@ -18,17 +18,16 @@ import typer
 from flows.console.following import FollowedFile
 from pasdedeux.errors import InputError
 from pasdedeux.formats import OpenPoseFrame, check_anatomy, in_pixels, join_openpose_frames
+from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE
 from pasdedeux.formats.humanoid import AXES
 from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from tasks.ingest.parameters import AnnotationOptions
 
 __all__ = ["follow_lines", "lines_into", "told_to_stop"]
 
-_MIN_CONFIDENCE = float(AnnotationOptions.model_fields["min_confidence"].default)
 _DECIMALS = 7
 """Digits of metres and of rotations: bones do not change by more than 1e-6 m because of them."""
 
@@ -102,7 +101,7 @@ def follow_lines(
                 seen.append((file.number, frame))
                 if len(seen) == _CHECKED_ROWS:
                     check_anatomy(in_pixels(join_openpose_frames(seen, sequence_id="video")))
-            sure = np.where(frame.confidence < _MIN_CONFIDENCE, 0.0, frame.confidence)
+            sure = np.where(frame.confidence < MIN_CONFIDENCE, 0.0, frame.confidence)
             op14 = KEYPOINT_LAYOUTS[layout].derive("op14", frame.keypoints_px, sure)
             poses = people.push(file.number, op14.positions, op14.confidence)
         times.worked()

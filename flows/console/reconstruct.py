@@ -57,7 +57,7 @@ def reconstruct(
     ] = None,
     person: Annotated[list[int] | None, typer.Option(min=0, metavar="N", help="Only this person; repeatable.")] = None,
     min_confidence: Annotated[
-        float | None, typer.Option(min=0.0, max=1.0, help="Keypoints of less are missing; 0.2 by default.")
+        float | None, typer.Option(min=0.0, max=10.0, help="Keypoints of less are missing; by default 0.2.")
     ] = None,
     pitch: Annotated[
         float | None,

@@ -54,8 +54,11 @@ _SEGMENTS = {
     ("pelvis", "left_hip"): 0.35,
     ("pelvis", "right_hip"): 0.35,
 }
-USUAL_SCALE = (0.5, 1.5)
-"""95th percentile of the confidences of a source whose scale is taken as it is."""
+MIN_CONFIDENCE = 0.2
+"""Keypoints of less are doubtful in the usual scale, where 1 is plain to see."""
+USUAL_SCALE = (MIN_CONFIDENCE, 1.5)
+"""95th percentile of the confidences of a source whose scale is taken as it is: a bad video comes to 0.3 too, but
+below the first nothing would be left."""
 MAX_SHARE = 2.0
 MAX_NEGATIVE = 0.2
 """Shares of the image: greatest coordinate, and greatest part of the coordinates below 0 (3D ones come to a half)."""
@@ -167,15 +170,16 @@ def get_keypoint_layout(name: str) -> KeypointLayout:
     return KEYPOINT_LAYOUTS[name]
 
 
-def without_doubtful(frames: AnnotatedFrames, min_confidence: float) -> AnnotatedFrames:
+def without_doubtful(frames: AnnotatedFrames, min_confidence: float | None) -> AnnotatedFrames:
     """Return annotations without the keypoints that their detector doubts, and without people of whom none is left.
 
-    Detectors differ in what they call 1: softmax shares of Detectron2 come to 0.3 where a joint is plain to see, old
-    AlphaPose to 5.  Where the 95th percentile of a source is far from 1, confidences are divided by it first.
+    Detectors differ in what they call 1: old AlphaPose comes to 5 where a joint is plain to see, heat maps that sum to
+    1 to 0.1.  Where the 95th percentile of a source is outside `USUAL_SCALE`, confidences are divided by it; within,
+    low ones are taken for a bad video, because nothing tells it from a detector of a somewhat smaller scale.
 
     Args:
         frames: Annotations.
-        min_confidence: Keypoints of less are missing.
+        min_confidence: Keypoints of less, as the source has it, are missing; None for `MIN_CONFIDENCE` after that.
 
     Raises:
         InputError: Nothing is left.
@@ -183,10 +187,12 @@ def without_doubtful(frames: AnnotatedFrames, min_confidence: float) -> Annotate
     known = frames.confidence[frames.confidence > 0]
     scale = float(np.percentile(known, 95)) if len(known) else 1.0
     confidence = frames.confidence / (1.0 if USUAL_SCALE[0] <= scale <= USUAL_SCALE[1] else scale)
-    confidence = np.where(confidence < min_confidence, 0.0, confidence)
+    is_sure = confidence >= MIN_CONFIDENCE if min_confidence is None else frames.confidence >= min_confidence
+    confidence = np.where(is_sure, confidence, 0.0)
     is_somebody = np.asarray((confidence > 0).any(axis=1))
     if not is_somebody.any():
-        raise InputError(f"nobody is seen: no keypoint has a confidence of {min_confidence:g} (min_confidence) or more")
+        least = MIN_CONFIDENCE if min_confidence is None else min_confidence
+        raise InputError(f"nobody is seen: no keypoint has a confidence of {least:g} (min_confidence) or more")
     return replace(frames, confidence=confidence).rows(is_somebody)
 
 

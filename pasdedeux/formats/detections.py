@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -165,15 +166,21 @@ def number_in_name(name: str) -> tuple[str, int | None]:
 
 
 def places_of_names(names: Iterable[str]) -> dict[str, Place]:
-    """Return video and frame of each image by its name: `cam1_0012.jpg` is frame 12 of cam1.
+    """Return video and frame of each image by its name: `cam1_0012.jpg` and `cam1/0012.jpg` are frame 12 of cam1.
 
-    Where there is one video only, its name is left out.  Names of which one has no number, or whose videos would mostly
-    have one frame, are single images: frames of one sequence, in the order of the names.
+    Folders that all names share say nothing.  Where there is one video only, its name is left out.  Names of which one
+    has no number, or whose videos would mostly have one frame, are single images: frames of one sequence, in the order
+    of the names.
 
     Raises:
         FormatError: Two names are the same frame of the same video.
     """
-    told = {name: number_in_name(name) for name in dict.fromkeys(names)}
+    folders = {name: name.replace("\\", "/").split("/")[:-1] for name in dict.fromkeys(names)}
+    shared = len(list(takewhile(lambda parts: len(set(parts)) == 1, zip(*folders.values(), strict=False))))
+    told = {}
+    for name, parts in folders.items():
+        front, number = number_in_name(name)
+        told[name] = ("/".join(filter(None, [*parts[shared:], front])), number)
     fronts = {front for front, _ in told.values()}
     is_stills = any(number is None or number > MAX_FRAME for _, number in told.values())
     if is_stills or (len(fronts) > 1 and 2 * len(fronts) > len(told)):

@@ -106,7 +106,7 @@ def read_annotations(
     layout: str = "auto",
     told: Footage = UNKNOWN,
     beside: Footage = UNKNOWN,
-    min_confidence: float = 0.0,
+    min_confidence: float | None = 0.0,
     skip_unreadable: bool = False,
 ) -> AnnotatedFrames:
     """Read a source of 2D poses in pixels and check that they look like people; sequences are named after it.
@@ -118,7 +118,7 @@ def read_annotations(
         layout: Keypoint layout asked for, or "auto".
         told: What is known of the video; wins over what the files say.
         beside: What the video that lies beside the files says; taken where nobody else says it.
-        min_confidence: Keypoints of less are missing.
+        min_confidence: Keypoints of less are missing; None for the usual, see `without_doubtful`.
         skip_unreadable: Leave out frames whose file is damaged.
 
     Raises:

@@ -247,11 +247,12 @@ class _AnnotationCommon(PeopleSettings, Parameters):
     fov_deg: float | None = Field(
         default=None, gt=1, lt=179, description="Horizontal field of view, where the focal length is not known"
     )
-    min_confidence: float = Field(
-        default=0.2,
+    min_confidence: float | None = Field(
+        default=None,
         ge=0,
-        le=1,
-        description="Keypoints of less are missing; 1 is what the detector gives to joints that are plain to see",
+        le=10,
+        description="Keypoints of less are missing, in the detector's own values; by default 0.2, and of a detector "
+        "whose values are far from 0 to 1 as much of what it gives to joints that are plain to see",
     )
     on_unreadable: Literal["refuse", "skip"] = Field(
         default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"

@@ -146,3 +146,21 @@ def test_junk_of_low_confidence_is_nothing_whatever_the_scale_of_the_detector(tm
         assert np.nanmax(frames.keypoints_px) < 400
         if scale == 1.0:
             assert found_in(path, min_confidence=0.0)[0].read().num_rows == 24
+
+
+@pytest.mark.parametrize(
+    ("best", "told", "num_left"),
+    [(0.3, None, 9), (0.3, 0.05, 21), (0.3, 0.25, 5), (0.03, None, 21), (5.0, None, 21), (5.0, 0.5, 23)],
+)
+def test_a_bad_source_is_no_scale_and_an_own_minimum_counts_on_the_own_values(
+    tmp_path: Path, best: float, told: float | None, num_left: int
+) -> None:
+    confidence = np.linspace(0.0, best, 26)[1:]
+    items = [
+        {"image_id": frame, "keypoints": np.column_stack([person_px("body25", frame), confidence]).ravel().tolist()}
+        for frame in range(12)
+    ]
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(items))
+    frames = found_in(path, **({} if told is None else {"min_confidence": told}))[0].read()
+    assert (frames.confidence > 0).sum() == 12 * num_left

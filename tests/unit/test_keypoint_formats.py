@@ -145,6 +145,10 @@ def test_names_of_images_tell_cameras_and_frames() -> None:
     assert one_camera == {"cam/GX01_0010.jpg": ("", 10), "cam/GX01_0009.jpg": ("", 9)}
     names = [f"cam{camera}_{frame:04d}.png" for camera in (1, 2) for frame in range(3)]
     assert places_of_names(names)["cam2_0001.png"] == ("cam2", 1)
+    folders = [f"data/cam{camera}/{frame:05d}.jpg" for camera in (1, 2) for frame in (3, 4)]
+    assert [places_of_names(folders)[name] for name in folders] == [("cam1", 3), ("cam1", 4), ("cam2", 3), ("cam2", 4)]
+    deeper = [f"{day}/{camera}_{frame}.jpg" for day in ("mon", "tue") for camera in "ab" for frame in range(3)]
+    assert places_of_names(deeper)["tue/b_2.jpg"] == ("tue/b", 2)
     stills = places_of_names(["garden.jpg", "beach7.jpg", "hall3.jpg"])
     assert stills == {"beach7.jpg": ("", 0), "garden.jpg": ("", 1), "hall3.jpg": ("", 2)}
     with pytest.raises(FormatError, match=r"'a_1.jpg' and 'a_01.jpg' are both frame 1"):

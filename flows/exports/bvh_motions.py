@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,10 @@ from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.pair_file import write_pair_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion
+from pasdedeux.people.video import rate_from_times
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.reconstruction.body import body_from_joints
+from pasdedeux.reconstruction.people import motions_together
 from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Reference, Store, TableData
 
@@ -41,7 +44,12 @@ class BvhMotions(ExportFormat):
                 for name, pair in named_pairs(export)
                 for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
             ]
-        return [write_text(out / f"{name}.bvh", write_bvh(motion)) for name, motion in _motions(export)]
+        paths, names = [], Counter[str]()
+        for name, motion in _motions(export):
+            names[name] += 1  # take a_b, variant c and take a, variant b_c join to the same
+            again = f".{names[name]}" if names[name] > 1 else ""
+            paths.append(write_text(out / f"{name}{again}.bvh", write_bvh(motion)))
+        return paths
 
 
 FORMAT = BvhMotions()
@@ -56,20 +64,26 @@ def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
             continue
         rows = store.read(ref, table)
         if table == "variants":
-            for name, part in _groups(rows, "take_id", "variant_id"):
+            for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
                 for person, letter in enumerate("AB"):
                     positions = rows["body22_m"][part][:, person]
                     yield (
-                        f"{name}_{letter}",
+                        f"{take_id}_{variant_id}_{letter}",
                         exact_motion(BODY22, np.asarray(positions, dtype=float), _rate(rows["time_s"][part])),
                     )
             continue
         # From the axes of a camera that looks down to a world in which people stand upright.
         camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
-        for name, part in _groups(rows, "sequence_id", "person_id", "method"):
-            found = body_from_joints(rows["body22_m"][part], rows["body22_unitquat"][part])
-            upright = found.turned(camera.camera_from_upright_rotmat.T).standing()
-            yield name, humanoid_motion(upright.motion(_rate(rows["time_s"][part])))
+        for (sequence_id, method), part in _groups(rows, "sequence_id", "method"):
+            person_ids = np.unique(rows["person_id"][part])
+            people = []
+            for own in (part[rows["person_id"][part] == person_id] for person_id in person_ids):
+                found = body_from_joints(rows["body22_m"][own], rows["body22_unitquat"][own])
+                upright = found.turned(camera.camera_from_upright_rotmat.T)
+                people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
+            rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
+            for person_id, one in zip(person_ids, motions_together(people, rate_hz=rate_hz), strict=True):
+                yield f"{sequence_id}_{person_id}_{method}", humanoid_motion(one.motion)
 
 
 def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
@@ -98,8 +112,10 @@ def _rate(time_s: Any) -> float:
     return (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
 
 
-def _groups(rows: TableData, *columns: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Return which rows (rows,) have the same values in some columns, by these values, in the order they come."""
-    keys = np.array(["_".join(map(str, values)) for values in zip(*(rows[name] for name in columns), strict=True)])
-    for key in dict.fromkeys(keys.tolist()):
-        yield key, keys == key
+def _groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:
+    """Return which rows (n,) have the same values in some columns, by these values, in the order they come."""
+    places: dict[tuple[Any, ...], list[int]] = {}
+    for place, key in enumerate(zip(*(rows[name] for name in columns), strict=True)):
+        places.setdefault(key, []).append(place)
+    for key, part in places.items():
+        yield key, np.array(part)

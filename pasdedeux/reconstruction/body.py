@@ -296,10 +296,6 @@ class EmbodiedMotion:
         """Return it as a motion on body22."""
         return Motion(BODY22, self.body.offsets_m, self.pelvis_m, self.unitquat, rate_hz)
 
-    def standing(self) -> EmbodiedMotion:
-        """Return it raised from standing ankles at y = 0 to soles at y = 0."""
-        return replace(self, pelvis_m=self.pelvis_m + np.array([0.0, self.body.ankle_height_m, 0.0]))
-
     def turned(self, rotmat: Array) -> EmbodiedMotion:
         """Return it in other axes (3, 3)."""
         unitquat = np.array(self.unitquat)

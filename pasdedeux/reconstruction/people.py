@@ -30,7 +30,7 @@ from pasdedeux.reconstruction.reconstruct import (
 from pasdedeux.reconstruction.tracks import PersonTrack
 from pasdedeux.skeletons import OP14
 
-__all__ = ["MethodMotions", "ReconstructedTracks", "reconstruct_people"]
+__all__ = ["MethodMotions", "ReconstructedTracks", "motions_together", "reconstruct_people"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -145,19 +145,35 @@ def _embodied(made: MethodMotions, database: Database, options: ReconstructionOp
 
 
 def _motions(made: MethodMotions) -> dict[int, HumanoidMotion]:
-    """Return the motions by person id, soles at y = 0, all from the first frame with anybody to the last."""
-    first = min(person.first_frame for person, _ in made.people)
-    last = max(int(person.frames[-1]) for person, _ in made.people)
-    soles = np.mean([one.body.ankle_height_m for one in made.bodies])
-    motions = {}
-    for (person, found), body in zip(made.people, made.bodies, strict=True):
-        at = np.clip(np.arange(first, last + 1), person.first_frame, person.frames[-1])
-        is_there = np.arange(first, last + 1) == at
-        at -= person.first_frame
-        whole = replace(body, pelvis_m=body.pelvis_m[at] + [0.0, soles, 0.0], unitquat=body.unitquat[at])
-        motions[person.person_id] = HumanoidMotion(
-            whole.motion(person.track.rate_hz), first, is_there & ~found.is_bridged[at]
-        )
+    """Return the motions of a method by person id."""
+    found = motions_together(
+        [
+            (person.first_frame, body, found.is_bridged)
+            for (person, found), body in zip(made.people, made.bodies, strict=True)
+        ],
+        rate_hz=made.people[0][0].track.rate_hz,
+    )
+    return {person.person_id: one for (person, _), one in zip(made.people, found, strict=True)}
+
+
+def motions_together(
+    people: Sequence[tuple[int, EmbodiedMotion, npt.NDArray[np.bool_]]], *, rate_hz: float
+) -> list[HumanoidMotion]:
+    """Return people of one video with soles at y = 0, all from the first frame with anybody to the last.
+
+    Args:
+        people: Of each the first frame, the body in every frame from there on, upright, standing ankles at y = 0, and
+            which of these frames (frame,) are bridged.
+        rate_hz: Frames per second.
+    """
+    frames = np.arange(min(first for first, _, _ in people), max(first + len(one.pelvis_m) for first, one, _ in people))
+    soles = np.mean([one.body.ankle_height_m for _, one, _ in people])
+    motions = []
+    for first, one, is_bridged in people:
+        at = np.clip(frames - first, 0, len(is_bridged) - 1)
+        whole = replace(one, pelvis_m=one.pelvis_m[at] + [0.0, soles, 0.0], unitquat=one.unitquat[at])
+        is_seen = (frames - first == at) & ~is_bridged[at]
+        motions.append(HumanoidMotion(whole.motion(rate_hz), int(frames[0]), is_seen))
     return motions
 
 

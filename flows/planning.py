@@ -11,7 +11,7 @@ from typing import Any
 from flows.reasons import StageRecord, describe_inputs, why_not_fresh
 from flows.records import last_sections, read_last_run
 from flows.study import Study
-from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from pasdedeux.verdict import Verdict, summarise_verdicts
 from storage_schema import Manifest, Store
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
@@ -275,10 +275,9 @@ def what_is_missing(plan: StagePlan, found: Sequence[Manifest]) -> str:
     """
     if plan.is_pending or not plan.is_selected or any(part.rows for one in found for part in one.tables.values()):
         return ""
-    verdict = stage_verdict(found)
-    has_failed = verdict is not None and verdict.level is Level.FAIL
-    if (plan.shards and len(found) < len(plan.shards)) or not (plan.is_asked or has_failed):
+    if (plan.shards and len(found) < len(plan.shards)) or not plan.is_asked:
         return ""
+    verdict = stage_verdict(found)
     reason = f"{verdict.reason}; " if verdict is not None and verdict.reason else ""
     return f"nothing was made by {plan.stage.name}: {reason}it needs {plan.stage.needs}"
 
@@ -313,7 +312,7 @@ def _plan_stage(
     stage: Stage, study: Study, inputs: StageInputs, store: Store, last: StageRecord, *, is_forced: bool
 ) -> StagePlan:
     parameters = study.parameters[stage.name]
-    section: dict[str, Any] = parameters.model_dump(mode="json")
+    sections = study.sections_of(stage.name)
     described = describe_inputs([m for artifacts in inputs.manifests.values() for m in artifacts])
     shards: list[ShardPlan] = []
     seen: dict[str, Shard] = {}
@@ -329,7 +328,7 @@ def _plan_stage(
         elif manifest is not None:
             shards.append(ShardPlan(shard, State.STALE, "forced", manifest))
         else:
-            is_stale, reason = why_not_fresh(stage, section, shard, described, last)
+            is_stale, reason = why_not_fresh(stage, sections, shard, described, last)
             shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))
     absent = tuple(table for table in stage.reads if not inputs.of(table))
     return StagePlan(stage=stage, is_selected=True, shards=tuple(shards), absent_tables=absent)
@@ -345,4 +344,4 @@ def _last_records(store: Store, study: str) -> Callable[[str], StageRecord]:
     """Return what gives every stage, by name, as the last run of a study recorded it."""
     last = read_last_run(store, study)
     stages, sections = last.stages if last else {}, last_sections(store, last)
-    return lambda stage: StageRecord(stages.get(stage), sections.get(stage, {}))
+    return lambda stage: StageRecord(stages.get(stage), sections)

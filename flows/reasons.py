@@ -19,10 +19,10 @@ _MAX_CHARACTERS = 40  # of a value that is shown
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage as the last run recorded it: its shards (None when it never ran) and its section of the study then."""
+    """A stage as the last run recorded it: its shards (None when it never ran), and the sections of the study then."""
 
     shards: Sequence[ShardRecord] | None
-    section: Mapping[str, Any]
+    sections: Mapping[str, Any]
 
 
 def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
@@ -37,7 +37,7 @@ def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecor
 
 def why_not_fresh(
     stage: Stage,
-    section: Mapping[str, Any],
+    sections: Mapping[str, Mapping[str, Any]],
     shard: Shard,
     inputs: Mapping[str, tuple[InputRecord, str]],
     last: StageRecord,
@@ -46,14 +46,15 @@ def why_not_fresh(
 
     Args:
         stage: The shard's stage.
-        section: The stage's parameters now, as JSON values.
+        sections: What the study says of the stage now, as JSON values, by section: its own and those it shares.
         shard: The shard that has no valid artifact.
         inputs: What `describe_inputs` says of everything the stage may read.
         last: The stage in the last run.
     """
     if last.shards is None:
         return False, "never built"
-    settings = _changes(stage.name, last.section, section) if last.section else []
+    known = {name: values for name, values in sections.items() if last.sections.get(name)}
+    settings = [word for name, values in known.items() for word in _changes(name, last.sections[name], values)]
     old = next((r for r in last.shards if (r.partition, r.name) == (shard.partition, shard.name)), None)
     if old is None:
         return False, f"new: {_listed(settings)}" if settings else "new"

@@ -69,11 +69,18 @@ class Study(BaseModel):
 
     def resolved(self) -> dict[str, Any]:
         """Return the whole study as JSON values, as it could have been written in its file."""
-        models = [type(section) for section in self.shared.values()]
         sections = {name: section.model_dump(mode="json") for name, section in self.shared.items()}
-        for name, own in self.parameters.items():
-            sections[name] = own.model_dump(mode="json", exclude=shared_keys(type(own), models))
+        for name in self.parameters:
+            sections |= self.sections_of(name)
         return {HEAD: self.head.model_dump(mode="json"), **sections}
+
+    def sections_of(self, stage: str) -> dict[str, dict[str, Any]]:
+        """Return what the study says of a stage as JSON values, by section: its own and those that it shares."""
+        own = self.parameters[stage]
+        shared = {name: section for name, section in self.shared.items() if isinstance(own, type(section))}
+        sections = {name: section.model_dump(mode="json") for name, section in shared.items()}
+        keys = shared_keys(type(own), map(type, shared.values()))
+        return {stage: own.model_dump(mode="json", exclude=keys), **sections}
 
 
 def load_study(

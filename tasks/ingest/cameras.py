@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from pasdedeux.errors import InputError
 from pasdedeux.formats import ANNOTATION_FORMATS, Footage, find_format
 from pasdedeux.formats.detections import number_in_name, places_of_names
@@ -148,6 +146,8 @@ def _is_named_after(name: str, stem: str) -> bool:
 
 def read_header(video: Path) -> Footage:
     """Return image size and rate that a video's header states; nothing of one that cannot be opened."""
+    import cv2  # here: a quarter of a second that planning does not need
+
     capture = cv2.VideoCapture(str(video))
     try:
         width, height = (int(capture.get(one)) for one in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))

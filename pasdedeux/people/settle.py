@@ -16,7 +16,7 @@ from pasdedeux.people.decisions import Decision, decide, spans_of
 from pasdedeux.people.identity import IdentityOptions, follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs
 from pasdedeux.people.repair import repair_rows
-from pasdedeux.people.video import why_no_video
+from pasdedeux.people.video import MAX_REPAIR_GAP_S, typical_gap_s, why_no_video, why_not_followed
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, KeypointLayout
@@ -43,10 +43,12 @@ class PeopleSettings(Settings):
         "auto",
         description="Who is who: followed by pose and motion, as given, or followed where people are numbered anew in "
         "every frame (OpenPose, COCO without track_id) and checked by pose and motion where they are not.  Single "
-        "images are never followed",
+        "images are never followed: numbers far apart, or nobody near anybody of the image before",
     )
     has_repair: bool = Field(
-        True, description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or left out"
+        True,
+        description="Swapped sides, exchanged limbs and wild keypoints of a video are put right or left out; not where "
+        "its frames are typically more than half a second apart",
     )
 
 
@@ -227,7 +229,10 @@ def settle_sequence(
     """
     settings = settings or PeopleSettings()
     is_followed = settings.identities == "follow" or (settings.identities == "auto" and not has_identities)
+    seen = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
     reason = why_no_video(rows.frame)
+    if not reason and (is_followed or not has_identities):
+        reason = why_not_followed(rows.frame, seen.positions, seen.confidence, rate_hz=rate_hz)
     merged = ghosts = repaired = renamed = 0
     if is_followed and not reason:
         rows, merged, ghosts = _followed(rows, layout, rate_hz)
@@ -241,7 +246,7 @@ def settle_sequence(
     rows = replace(rows, person_id=decided).chosen(decided >= 0)
     rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))
     op14 = layout.derive(OP14.name, rows.keypoints_px, rows.confidence)
-    if settings.has_repair and not reason:
+    if settings.has_repair and not reason and typical_gap_s(rows.frame, rate_hz) <= MAX_REPAIR_GAP_S:
         mended = repair_rows(
             rows.frame, rows.person_id, rows.keypoints_px, rows.confidence, op14, layout, rate_hz=rate_hz
         )

@@ -6,8 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.people.identity import IdentityOptions, body_size_px
+from pasdedeux.spread import evenly_spread
 
-__all__ = ["rate_from_times", "why_no_video"]
+__all__ = ["MAX_REPAIR_GAP_S", "rate_from_times", "typical_gap_s", "why_no_video", "why_not_followed"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -16,6 +18,14 @@ _SHORT_SPAN = 1000
 """Up to so many frames gaps cost nothing, so any are bridged."""
 _MIN_SHARE_SEEN = 0.05
 """Of a longer sequence at least this share of the frames has people in it, or it is no video."""
+
+MAX_REPAIR_GAP_S = 0.5
+"""Of frames that are typically farther apart nothing is repaired: motion between them looks like a fault."""
+_MAX_STEP = 0.15
+"""Typical distance of the nearest people of successive frames, a share of their size: of salsa 0.02 at 30 Hz, up
+to 0.13 in frames half a second apart; of photos of a couple in nearly the same place 0.17, of others over 0.2."""
+_MAX_STEPS = 2000
+"""Steps that are looked at."""
 
 
 def why_no_video(frame: Integers) -> str:
@@ -28,6 +38,56 @@ def why_no_video(frame: Integers) -> str:
     if span <= _SHORT_SPAN or len(numbers) >= _MIN_SHARE_SEEN * span:
         return ""
     return f"{len(numbers):,} frames spread over {span:,} are single images, not a video"
+
+
+def why_not_followed(frame: Integers, keypoints_px: Array, confidence: Array, *, rate_hz: float) -> str:
+    """Say why nobody can be followed though the frame numbers may be a video's: single images; else nothing.
+
+    The frames are typically farther apart than anybody is followed, or the nearest people of one and the next are not.
+    False detections and wild joints do not matter: the nearest two people count, by the median over their joints.
+    Frames without people are passed over.
+
+    Args:
+        frame: Frame number of each row (row,).
+        keypoints_px: op14 keypoints (row, 14, 2), pixels; NaN where not seen.
+        confidence: (row, 14), 0 where not seen.
+        rate_hz: Frames per second.
+    """
+    options = IdentityOptions()
+    is_seen = (confidence > 0) & np.isfinite(keypoints_px).all(axis=-1)
+    size = body_size_px(keypoints_px, confidence)
+    is_person = (is_seen.sum(axis=1) >= options.min_joints) & (size > 0)
+    gap_s = typical_gap_s(frame[is_person], rate_hz)
+    if gap_s > options.max_absent_s:
+        return (
+            f"the frames are typically {gap_s:.1f} s apart and nobody is followed for more than "
+            f"{options.max_absent_s:g} s: they are single images, not a video"
+        )
+    people = np.flatnonzero(is_person)
+    people = people[np.argsort(frame[people], kind="stable")]
+    by_frame = np.split(people, np.flatnonzero(np.diff(frame[people])) + 1)
+    steps = []
+    for step in evenly_spread(len(by_frame) - 1, _MAX_STEPS).tolist():
+        one, other = by_frame[step][:, None], by_frame[step + 1][None]
+        both = is_seen[one] & is_seen[other]
+        apart = np.linalg.norm(keypoints_px[one] - keypoints_px[other], axis=-1)
+        count = both.sum(axis=-1)
+        share = np.sort(np.where(both, apart, np.inf), axis=-1) / np.maximum(size[one], size[other])[..., None]
+        middle = np.take_along_axis(share, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)[..., 0]
+        if (count >= options.min_joints).any():
+            steps.append(float(middle[count >= options.min_joints].min()))
+    if not steps or (typical := float(np.median(steps))) <= _MAX_STEP:
+        return ""
+    return (
+        f"the nearest people of successive frames are typically {typical:.0%} of their height apart: they are single "
+        "images, not a video"
+    )
+
+
+def typical_gap_s(frame: Integers, rate_hz: float) -> float:
+    """Return the median time between frames; 0 of fewer than two."""
+    numbers = np.unique(frame)
+    return float(np.median(np.diff(numbers))) / rate_hz if len(numbers) > 1 else 0.0
 
 
 def rate_from_times(frame: Integers, time_s: Array) -> float:

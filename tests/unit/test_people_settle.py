@@ -155,6 +155,66 @@ def test_single_images_are_not_followed_and_paired_one_by_one() -> None:
         assert np.count_nonzero(settled.partner_id[rows] >= 0) == 2
 
 
+@pytest.mark.parametrize("num_images", [2, 3, 7, 40])
+def test_stills_numbered_one_by_one_lose_nobody(num_images: int) -> None:
+    images = photos(num_images)
+    for settings in (PeopleSettings(), PeopleSettings(identities="given")):
+        settled = settle_people(images, settings)
+        np.testing.assert_array_equal(settled.frames.person_id, images.person_id)
+        np.testing.assert_array_equal(settled.frames.keypoints_px, images.keypoints_px)
+        np.testing.assert_array_equal(settled.partner_id, 1 - images.person_id)
+        assert "single images, not a video" in settled.sequences[0].why_not_followed
+
+
+@pytest.mark.parametrize("has_identities", [False, True])
+def test_key_frames_farther_apart_than_anybody_is_followed_lose_nobody(has_identities: bool) -> None:
+    couple = duet_couple("hug", duration_s=30.0)
+    seen = film(np.random.default_rng(1), couple, noise_px=2.0)
+    keys = rows_of(seen.rows(seen.frame % 72 == 0), has_identities=has_identities)
+    settled = settle_people(keys)
+    assert ("single images" in settled.sequences[0].why_not_followed) is not has_identities
+    assert settled.sequences[0].num_repaired_joints == 0
+    np.testing.assert_array_equal(settled.frames.keypoints_px, keys.keypoints_px)
+
+
+def test_a_video_full_of_false_detections_is_a_video() -> None:
+    seen = dance()
+    rng = np.random.default_rng(5)
+    false = np.repeat(np.unique(seen.frame), 4)
+    at = rng.integers(len(seen.frame), size=len(false))
+    spread = seen.keypoints_px[at] * rng.uniform(0.3, 0.9, (len(at), 1, 1)) + rng.uniform(0, 1500, (len(at), 1, 2))
+    full = replace(
+        seen,
+        frame=np.concatenate([seen.frame, false]),
+        true_id=np.concatenate([seen.true_id, np.full(len(false), 9)]),
+        keypoints_px=np.concatenate([seen.keypoints_px, spread]),
+        confidence=np.concatenate([seen.confidence, seen.confidence[at]]),
+    )
+    settled = settle_people(rows_of(full))
+    assert settled.sequences[0].why_not_followed == ""
+    assert settled.sequences[0].num_ghost_rows > 3 * len(np.unique(false))
+
+
+def photos(num_images: int) -> AnnotatedFrames:
+    """Return couples of single images, numbered 0, 1, 2 ...: other poses, sizes and places in each."""
+    seen, rng = dance(), np.random.default_rng(3)
+    chosen = rng.choice(np.unique(seen.frame), num_images, replace=False)
+    parts = []
+    for number, frame in enumerate(chosen):
+        part = seen.rows(seen.frame == frame)
+        px = part.keypoints_px * rng.uniform(0.4, 1.2) + rng.uniform(0.0, 500.0, 2)
+        parts.append(replace(part, frame=np.full(len(part.frame), number), keypoints_px=px))
+    return rows_of(
+        replace(
+            seen,
+            **{
+                name: np.concatenate([getattr(one, name) for one in parts])
+                for name in ("frame", "true_id", "keypoints_px", "confidence")
+            },
+        )
+    )
+
+
 def test_of_three_the_two_nearest_are_partners_and_nobody_is_who_is_far_away() -> None:
     person = np.full((10, 14, 2), np.nan)
     person[:, :4] = [[0.0, 0.0], [0.0, 100.0], [30.0, 50.0], [-30.0, 50.0]]

@@ -60,7 +60,8 @@ class Yardstick:
         baselines = [name for name in self.baselines if name in found]
         if not methods or not (baselines or math.isfinite(self.chance)):
             return None
-        places = set.intersection(*(set(found[name]) for name in [*methods, *baselines]))
+        # Sorted: the mean of a set would depend on the order of its hashes.
+        places = sorted(set.intersection(*(set(found[name]) for name in [*methods, *baselines])))
         if not places:
             return None
         sign = -1.0 if self.is_larger_better else 1.0

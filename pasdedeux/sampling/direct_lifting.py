@@ -1,10 +1,11 @@
 """Pairs lifted from 2D alone: seeds for sampling where nothing in 3D is known of the takes.
 
-Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some.  The
-torso is lifted with the torso basis; what remains is discrete: either twin of each torso, towards or away from the
-camera for each limb bone, and the relative depth of the people.  Joint limits choose among the 256 poses of a person's
-limbs, the estimated view and penetration among twins and depths.  Joints that are not seen are guessed in the image
-first: those of the torso where the lifted one has them, those of limbs by what is seen of the limb.  A lifted pair is
+Bone lengths are read off the annotations: over many views each bone shows itself nearly unforeshortened in some; one
+that none shows has its usual proportion.  The torso is lifted with the torso basis; what remains is discrete: either
+twin of each torso, towards or away from the camera for each limb bone, and the relative depth of the people.  Joint
+limits choose among the 256 poses of a person's limbs, the estimated view and penetration among twins and depths.
+Joints that are not seen are guessed in the image first: those of the torso where the lifted one has them, those of
+limbs by what is seen of the limb.  A lifted pair is
 right to 8-11 cm on captured dancers; growth (`growth.grow`) then finds what the others have in common.
 """
 
@@ -27,6 +28,7 @@ from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.skeletons.humanoid import t_pose
 from pasdedeux.spread import evenly_spread
 
 __all__ = ["LiftedSeeds", "apparent_bone_lengths", "lift_pair", "lift_seeds"]
@@ -46,6 +48,17 @@ PENETRATION_SHARE = 0.05
 TIGHTNESS = 0.16
 """Weight of a squared error in depth against one in the image when bones are placed."""
 
+_BODY22_NAMES = {"spine": "spine1", "chest": "spine3"}
+
+
+def _usual_lengths() -> Array:
+    """Return bone lengths (17,) of an average body, fractions of its height (T-pose of `body22`)."""
+    places = np.array([t_pose(_BODY22_NAMES.get(name, name)) for name in PAIR17.joint_names])
+    lengths = np.linalg.norm(places - places[_PARENTS], axis=-1)
+    lengths[PAIR17.root] = 0.0
+    return np.asarray(lengths)
+
+
 _DEPTHS_M = np.linspace(-0.9, 0.9, 19)
 _NUM_WEIGHED = 12
 _NUM_TRIES = 8
@@ -53,6 +66,7 @@ _ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
 _LIMBS = PAIR17.limbs
 _PELVIS, _SPINE, _CHEST, _NECK, _HEAD = PAIR17.indices(("pelvis", "spine", "chest", "neck", "head"))
 _DOWN = np.array([1.0, -1.0])
+_USUAL_LENGTHS = _usual_lengths()
 _SIGNS = np.array(list(itertools.product((1.0, -1.0), repeat=2 * len(_LIMBS))))
 
 
@@ -75,20 +89,25 @@ def apparent_bone_lengths(points_m: Array) -> Array:
     """Return bone lengths (person=2, joint=17), metres, from images (n, person=2, joint=17, 2), metres, of many views.
 
     Left and right get the mean of the two; a root's length is 0.  A bone counts in the images that show both its ends
-    (NaN where a joint is not seen).
+    (NaN where a joint is not seen).  A bone that no image shows, on neither side of the body, has its usual proportion
+    to those of the person that are seen: a close-up has no lower legs.
 
     Raises:
-        InputError: No image shows a bone of a person, on neither side of the body; names it.
+        InputError: No image shows any bone of a person; names the person.
     """
     flat = np.linalg.norm(points_m - points_m[:, :, _PARENTS], axis=-1)
     flat[..., PAIR17.root] = 0.0
     either = np.concatenate([flat, flat[..., list(PAIR17.mirror)]])
-    if (is_unknown := ~np.isfinite(either).any(axis=0)).any():
-        person, joint = np.argwhere(is_unknown)[0]
-        name = PAIR17.joint_names[joint]
-        raise InputError(f"no annotation shows the bone to '{name}' of person {'AB'[person]}: its length is not known")
+    is_known = np.isfinite(either).any(axis=0)
     is_seen = np.isfinite(flat).any(axis=0)
-    lengths = np.nanpercentile(np.where(is_seen, flat, either[len(flat) :]), LENGTH_PERCENTILE, axis=0)
+    shown = np.where(is_seen, flat, either[len(flat) :])
+    lengths = np.nanpercentile(np.where(is_known, shown, 0.0), LENGTH_PERCENTILE, axis=0)
+    for person in range(2):
+        seen = is_known[person] & (_USUAL_LENGTHS > 0)
+        if not seen.any():
+            raise InputError(f"no annotation shows a bone of person {'AB'[person]}: its size is not known")
+        scale = lengths[person, seen].sum() / _USUAL_LENGTHS[seen].sum()
+        lengths[person, ~is_known[person]] = scale * _USUAL_LENGTHS[~is_known[person]]
     lengths = 0.5 * (lengths + lengths[:, list(PAIR17.mirror)])
     return np.asarray(lengths)
 

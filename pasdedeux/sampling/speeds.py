@@ -39,8 +39,8 @@ class Speeds:
 
     Args:
         turn: Of each block's rotation (entry, 34), squared radians: for a root that of the backbone, for a bone that
-            against its parent bone.
-        shift: Of each root along one axis (entry, person=2), squared metres.
+            against its parent bone; NaN where it is not known.
+        shift: Of each root along one axis (entry, person=2), squared metres; NaN where it is not known.
     """
 
     turn: Array
@@ -51,18 +51,19 @@ class Speeds:
         count = len(self.turn)
         if self.turn.shape != (count, NUM_BLOCKS) or self.shift.shape != (count, 2):
             raise InputError(f"speeds have shapes {self.turn.shape} and {self.shift.shape}: expected (n, 34), (n, 2)")
-        if not (np.isfinite(self.turn).all() and np.isfinite(self.shift).all()):
+        if np.isinf(self.turn).any() or np.isinf(self.shift).any():
             raise InputError("a squared speed is not finite")
 
     def mean(self, entries: Indices) -> tuple[Array, Array]:
         """Return the mean squared speeds, (34,) and (2,), over a set of entries; negative ones are nobody.
 
-        This is the second term of eq. 12: an annotation that is nearest under several views counts once.
+        This is the second term of eq. 12: an annotation that is nearest under several views counts once.  Each speed is
+        the mean over the entries that show it; 0 where none does.
         """
         own = np.unique(entries[entries >= 0])
         if not len(own):
             return np.zeros(NUM_BLOCKS), np.zeros(2)
-        return self.turn[own].mean(axis=0), self.shift[own].mean(axis=0)
+        return _mean_known(self.turn[own]), _mean_known(self.shift[own])
 
 
 def annotation_speeds(tracks_m: Array) -> Speeds:
@@ -73,8 +74,8 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
             annotation itself in the middle; NaN where a frame or a joint is missing.
 
     Returns:
-        Squared speeds by the least-squares slope over the frames there are; 0 where a joint of the two bones concerned
-        is there in fewer than two frames.
+        Squared speeds by the least-squares slope over the frames there are; NaN where a joint of the two bones
+        concerned is not in the annotation, or is there in fewer than two frames.
     """
     num_frames = tracks_m.shape[1]
     time = np.arange(num_frames) - (num_frames - 1) / 2
@@ -91,8 +92,8 @@ def annotation_speeds(tracks_m: Array) -> Speeds:
     centre = np.where(is_known, drift, 0.0).sum(axis=(1, 2)) / np.maximum(is_known.sum(axis=(1, 2)), 1)
     shift = drift[:, :, _PELVIS] - centre[:, None]
     return Speeds(
-        turn=np.nan_to_num(turn.reshape(-1, NUM_BLOCKS), nan=0.0) ** 2,
-        shift=np.nan_to_num(0.5 * (shift**2).sum(axis=-1), nan=0.0),
+        turn=turn.reshape(-1, NUM_BLOCKS) ** 2,
+        shift=0.5 * (shift**2).sum(axis=-1),
     )
 
 
@@ -118,6 +119,12 @@ def undo_swaps(tracks_m: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
             was_swapped |= is_swapped
             before = np.where(np.isfinite(tracks[:, frame]), tracks[:, frame], before)
     return tracks, was_swapped
+
+
+def _mean_known(squares: Array) -> Array:
+    """Return the mean (n,) over the rows that are known; 0 where none is."""
+    is_known = np.isfinite(squares)
+    return np.asarray(np.where(is_known, squares, 0.0).sum(axis=0) / np.maximum(is_known.sum(axis=0), 1))
 
 
 def _gap(points: Array, others: Array) -> Array:

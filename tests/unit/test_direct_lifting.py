@@ -98,10 +98,28 @@ def test_hidden_joints_leave_seeds_nearly_as_close() -> None:
     seeds = lift_seeds(part, LIMITS, BASIS, num_seeds=8)
     truth = pairs[part.annotation_index[seeds.entry]]
     assert np.median(cartesian_dissimilarity(seeds.pairs_m.reshape(-1, 34, 3), truth.reshape(-1, 34, 3))) < 0.15
-    blind = points[enough].copy()
-    blind[:, 1, PAIR17.indices(("left_wrist", "right_wrist"))] = np.nan
-    with pytest.raises(InputError, match="no annotation shows the bone to 'left_wrist' of person B"):
-        apparent_bone_lengths(blind)
+
+
+def test_a_close_up_without_lower_legs_is_lifted_with_their_usual_proportion() -> None:
+    pairs, entries = annotated(150)
+    points = entries.points_m.copy()
+    hidden = list(PAIR17.indices(("left_ankle", "right_ankle")))
+    points[:, :, hidden] = np.nan
+    assert shows_enough(points).all()
+    lengths, whole = apparent_bone_lengths(points), apparent_bone_lengths(entries.points_m)
+    np.testing.assert_allclose(lengths[:, hidden], whole[:, hidden], rtol=0.15)
+    np.testing.assert_array_equal(np.delete(lengths, hidden, axis=1), np.delete(whole, hidden, axis=1))
+    np.testing.assert_allclose(apparent_bone_lengths(2.0 * points), 2.0 * lengths)
+    seeds = lift_seeds(AnnotatedPairs(points, entries.directions, entries.annotation_index), LIMITS, BASIS, num_seeds=4)
+    seen = [joint for joint in range(17) if joint not in hidden]
+    error = cartesian_dissimilarity(
+        seeds.pairs_m[:, :, seen].reshape(len(seeds.pairs_m), -1, 3),
+        pairs[seeds.entry][:, :, seen].reshape(len(seeds.pairs_m), -1, 3),
+    )
+    assert np.median(error) < 0.15
+    points[:, 1] = np.nan
+    with pytest.raises(InputError, match="no annotation shows a bone of person B"):
+        apparent_bone_lengths(points)
 
 
 def test_lifting_says_what_it_cannot_do() -> None:

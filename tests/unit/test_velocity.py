@@ -67,13 +67,28 @@ def test_roots_are_displaced_against_the_centre_of_the_pair() -> None:
     np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
 
 
-def test_identical_frames_and_lone_annotations_have_no_speed() -> None:
+def test_identical_frames_have_no_speed_and_that_of_lone_annotations_is_not_known() -> None:
     still = annotation_speeds(tracks_of(np.zeros(STILL.shape)))
+    np.testing.assert_allclose(still.turn, 0.0, atol=1e-20)
+    np.testing.assert_allclose(still.shift, 0.0, atol=1e-20)
     alone = tracks_of(np.full(STILL.shape, 0.1))
     alone[:, [0, 1, 3, 4]] = np.nan
-    for speeds in (still, annotation_speeds(alone)):
-        np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
-        np.testing.assert_allclose(speeds.shift, 0.0, atol=1e-20)
+    speeds = annotation_speeds(alone)
+    assert np.isnan(speeds.turn).all()
+    assert np.isnan(speeds.shift).all()
+    for mean in speeds.mean(np.array([0])):
+        np.testing.assert_array_equal(mean, 0.0)
+
+
+def test_an_annotation_that_does_not_show_a_bone_is_left_out_of_its_mean_speed() -> None:
+    change = np.zeros(STILL.shape)
+    change[0, WRIST] = [0.01, 0.02]
+    both = np.concatenate([tracks_of(change)] * 2)
+    hidden = both.copy()
+    hidden[1, :, 0, WRIST] = np.nan
+    entries = np.array([0, 1])
+    turn, _ = annotation_speeds(hidden).mean(entries)
+    assert turn[WRIST] == annotation_speeds(both).turn[0, WRIST] > 0.0
 
 
 def test_missing_neighbours_do_not_change_a_steady_speed() -> None:
@@ -86,8 +101,7 @@ def test_missing_neighbours_do_not_change_a_steady_speed() -> None:
     np.testing.assert_allclose(other.shift, one.shift, rtol=1e-12)
     part[:, :, 1, WRIST] = np.nan
     missing = annotation_speeds(part)
-    assert np.isfinite(missing.turn).all()
-    assert missing.turn[0, NUM_JOINTS + WRIST] == 0.0
+    assert np.flatnonzero(np.isnan(missing.turn[0])).tolist() == [NUM_JOINTS + WRIST]
 
 
 def test_a_joint_that_is_never_seen_leaves_the_speed_of_the_others() -> None:
@@ -97,7 +111,7 @@ def test_a_joint_that_is_never_seen_leaves_the_speed_of_the_others() -> None:
     part[:, :, :, WRIST] = np.nan
     speeds = annotation_speeds(part)
     np.testing.assert_allclose(speeds.shift[0], 0.5 * 0.025**2, rtol=1e-9)
-    np.testing.assert_allclose(speeds.turn, 0.0, atol=1e-20)
+    np.testing.assert_allclose(np.nan_to_num(speeds.turn), 0.0, atol=1e-20)
 
 
 def test_people_swapped_between_frames_are_put_back() -> None:
@@ -121,7 +135,7 @@ def test_an_annotation_that_is_nearest_under_several_views_counts_once() -> None
     assert shift.tolist() == [2.0, 3.0]
     np.testing.assert_array_equal(speeds.mean(np.array([-1, -1]))[0], 0.0)
     with pytest.raises(InputError, match="not finite"):
-        Speeds(np.full((1, NUM_BLOCKS), np.nan), np.zeros((1, 2)))
+        Speeds(np.full((1, NUM_BLOCKS), np.inf), np.zeros((1, 2)))
 
 
 # The first call compiles.

@@ -9,14 +9,10 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
 import tasks
-from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.settings import Settings
 from tasks.stage import Stage
 
 __all__ = ["Graph", "GraphError", "load_graph"]
-
-SHARED_SECTIONS: dict[str, type[Settings]] = {"physical_prior": PriorSettings}
-"""Sections of a study that are no stage's own: every stage whose parameters have these settings gets what it says."""
 
 _NOT_STAGES = frozenset({"stage", "graph", "shards"})
 
@@ -70,10 +66,16 @@ class Graph:
 
     @property
     def shared(self) -> dict[str, type[Settings]]:
-        """Return the models of the sections that stages of this graph share, by name."""
+        """Return the models of the sections that stages of this graph share, by name.
+
+        Such a section is no stage's own: every stage whose parameters have its settings gets what it says.
+        """
+        from pasdedeux.sampling.prior import PriorSettings  # here: compiled kernels that --help need not wait for
+
+        sections: dict[str, type[Settings]] = {"physical_prior": PriorSettings}
         return {
             name: model
-            for name, model in SHARED_SECTIONS.items()
+            for name, model in sections.items()
             if any(issubclass(stage.parameters, model) for stage in self.stages)
         }
 

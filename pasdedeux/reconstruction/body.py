@@ -11,35 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.kinematics import Motion, bone_lengths, local_rotations
-from pasdedeux.kinematics.rotation_kernels import (
-    conjugate,
-    cross,
-    dot,
-    length,
-    mix,
-    multiply,
-    normalise,
-    rotate,
-    row_of,
-    scale,
-    subtract,
-    swing_between,
-    unitquat_from_rotvec,
-)
-from pasdedeux.kinematics.rotations import conjugate as conjugate_rotations
-from pasdedeux.kinematics.rotations import multiply as multiply_rotations
-from pasdedeux.kinematics.rotations import normalise as normalise_vectors
-from pasdedeux.kinematics.rotations import rotate as rotate_vectors
-from pasdedeux.kinematics.rotations import unitquat_from_rotmat
+from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, unitquat_from_rotmat
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, REFERENCE_STATURE_M, mid_hip
-from pasdedeux.reconstruction.bones import REST_DIRECTIONS, bone_rotations
-from pasdedeux.reconstruction.cleanup import bend_one_leg
+from pasdedeux.reconstruction.body_kernels import held_hips, pose_bodies
+from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.smoothing import bridge_gaps, smooth_savitzky_golay
 from pasdedeux.skeletons import BODY22, OP14
@@ -57,7 +37,6 @@ __all__ = [
     "body_of",
     "body_through",
     "embody",
-    "held_hips",
     "hold_hips",
     "pose_body",
     "rotations_from_t_pose",
@@ -67,20 +46,9 @@ Array = npt.NDArray[np.float64]
 
 _NECK, _NOSE = OP14.root, OP14.index("head")
 _HIPS = OP14.indices(["left_hip", "right_hip"])
-_SHOULDERS = OP14.indices(["left_shoulder", "right_shoulder"])
-_HIPS_AT, _SHOULDERS_AT = np.array(_HIPS), np.array(_SHOULDERS)
 _PARENTS = np.array(BODY22.parents)
-_ORDER = np.array(BODY22.order[1:])
-_PELVIS, _SPINE1, _SPINE2, _SPINE3, _NECK22, _HEAD22 = BODY22.indices(
-    ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
-)
-_COLLARS = np.array(BODY22.indices(["left_collar", "right_collar"]))
-_ARMS = np.array(BODY22.arms)
+_PELVIS, _NECK22, _HEAD22 = BODY22.indices(["pelvis", "neck", "head"])
 _LEGS = np.array(BODY22.legs)
-_TOES = np.array(BODY22.indices(["left_toe", "right_toe"]))
-_OP14_ARMS = np.array(OP14.arms)
-_OP14_LEGS = np.array(OP14.legs)
-_REST_NOSE = tuple(REST_DIRECTIONS[_NOSE].tolist())
 SHARED = [name for name in OP14.joint_names if name in BODY22.joint_names and name not in ("neck", "head")]
 """Joints that op14 and body22 have in common; neck and head are other points."""
 
@@ -90,15 +58,6 @@ _SHOULDER_LINE = t_pose("left_shoulder")[1] - t_pose("left_hip")[1]
 """Heights over the floor, and of the shoulders over the hips, of who stands in the T-pose; fractions of stature."""
 _COLLAR = (0.018, 0.812, 0.016)
 """Where the collar bones begin (left, up, forward), before the shoulders: so they can rise, sink and close in."""
-
-_LEAST_WIDTH_M = 1e-3
-_MAX_ROUNDS = 30
-_CLOSED_M = 1e-10
-_MAX_STEP = 0.5
-"""Radians, all joints together, of one step; further the tangent says nothing."""
-_DAMPING = 1e-9
-_GIVES = np.array([0.7, 1.0, 1.0, 1.0, 1.0, 1.0])
-"""How much pelvis tilt, three spine joints and two collars give, against each other, when the chain is closed."""
 
 
 def _rest(lengths_m: Array, hip_width_m: float) -> Array:
@@ -188,7 +147,7 @@ def rotations_from_t_pose(
         # How the source's rest pose comes from the T-pose.
         local = local_rotations(BODY22, REFERENCE_REST_M, source_rest_m)
         rest = Motion(BODY22, np.zeros((BODY22.num_joints, 3)), np.zeros((1, 3)), local[None], 1.0).world()[1][0]
-        twisted = multiply_rotations(world_unitquat, np.broadcast_to(rest, world_unitquat.shape))
+        twisted = multiply(world_unitquat, np.broadcast_to(rest, world_unitquat.shape))
     return local_rotations(BODY22, REFERENCE_REST_M, body22_m, twisted)
 
 
@@ -201,39 +160,6 @@ def hold_hips(found: Reconstruction) -> Reconstruction:
 
 def _hip_width(positions_m: Array) -> float:
     return float(np.median(np.linalg.norm(positions_m[:, _HIPS[0]] - positions_m[:, _HIPS[1]], axis=-1)))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def held_hips(positions: Array, lengths: Array, width: float) -> Array:
-    """Return op14 positions (frame, 14, 3) of bones (14,) whose hips are `width` apart under the neck; the ankles stay.
-
-    The two bones from the neck to the hips of op14 turn on their own, so that hips come apart and close in.
-    """
-    held = positions.copy()
-    left, right = lengths[_HIPS_AT[0]], lengths[_HIPS_AT[1]]
-    width = min(max(width, abs(left - right) + _LEAST_WIDTH_M), left + right - _LEAST_WIDTH_M)
-    out = (left * left - right * right + width * width) / (2.0 * width)
-    drop = np.sqrt(left * left - out * out)
-    for at in range(positions.shape[0]):
-        pose = held[at]
-        neck, first, second = row_of(pose, _NECK), row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
-        across = normalise(subtract(first, second))
-        if dot(across, across) == 0.0:
-            across = (1.0, 0.0, 0.0)
-        down = subtract(mix(0.5, first, 0.5, second), neck)
-        down = normalise(subtract(down, scale(dot(down, across), across)))
-        ahead = cross(down, across)
-        facing = np.array([ahead[0], ahead[1], ahead[2]])
-        for side in range(2):
-            hip, knee, ankle = _OP14_LEGS[side, 0], _OP14_LEGS[side, 1], _OP14_LEGS[side, 2]
-            aside = out if side == 0 else out - width
-            place, end = np.empty(3), pose[ankle].copy()
-            for axis in range(3):
-                place[axis] = neck[axis] + drop * down[axis] + aside * across[axis]
-            shift = place - pose[hip]
-            pose[knee], pose[ankle] = bend_one_leg(place, pose[knee] + shift, end + shift, end, facing)
-            pose[hip] = place
-    return held
 
 
 @dataclass(frozen=True)
@@ -264,7 +190,7 @@ def bends_of(database: Database, rows: npt.ArrayLike) -> Bends:
         return Bends.none(len(rows))
     bones = bone_rotations(database.poses_m[rows])
     unitquat = database.body22_unitquat[rows].astype(np.float64)
-    unitquat[:, _PELVIS] = multiply_rotations(conjugate_rotations(bones[:, _NECK]), unitquat[:, _PELVIS])
+    unitquat[:, _PELVIS] = multiply(conjugate(bones[:, _NECK]), unitquat[:, _PELVIS])
     return Bends(unitquat, bones[:, _NOSE])
 
 
@@ -272,7 +198,7 @@ def _bends_of_track(database: Database, found: Reconstruction, window: int) -> B
     """Return what the matches of a track say, bridged as its poses are, and smooth over a window of frames."""
     bends = bends_of(database, np.maximum(found.row, 0))
     both = np.concatenate([bends.unitquat, bends.nose_unitquat[:, None]], axis=1)
-    both = normalise_vectors(bridge_gaps(both, ~found.is_bridged))
+    both = normalise(bridge_gaps(both, ~found.is_bridged))
     if window > 2:
         both = smooth_savitzky_golay(both, num_frames=window)
     return Bends(both[:, :-1], both[:, -1])
@@ -299,19 +225,19 @@ class EmbodiedMotion:
     def turned(self, rotmat: Array) -> EmbodiedMotion:
         """Return it in other axes (3, 3)."""
         unitquat = np.array(self.unitquat)
-        unitquat[:, _PELVIS] = multiply_rotations(unitquat_from_rotmat(rotmat)[None], unitquat[:, _PELVIS])
+        unitquat[:, _PELVIS] = multiply(unitquat_from_rotmat(rotmat)[None], unitquat[:, _PELVIS])
         return replace(self, pelvis_m=self.pelvis_m @ rotmat.T, unitquat=unitquat)
 
 
 def body_from_joints(body22_m: Array, unitquat: Array) -> EmbodiedMotion:
     """Return the motion of joints (frame, 22, 3) and local rotations (frame, 22, 4) as `motions` has them."""
-    joints, local = np.asarray(body22_m, dtype=np.float64), normalise_vectors(np.asarray(unitquat, dtype=np.float64))
+    joints, local = np.asarray(body22_m, dtype=np.float64), normalise(np.asarray(unitquat, dtype=np.float64))
     still = np.zeros((BODY22.num_joints, 3))
     world = Motion(BODY22, still, joints[:, _PELVIS], local, 1.0).world()[1]
     rest = np.zeros((BODY22.num_joints, 3))
-    for joint in _ORDER:
+    for joint in BODY22.order[1:]:
         parent = _PARENTS[joint]
-        bones = rotate_vectors(conjugate_rotations(world[:, parent]), joints[:, joint] - joints[:, parent])
+        bones = rotate(conjugate(world[:, parent]), joints[:, joint] - joints[:, parent])
         rest[joint] = rest[parent] + np.median(bones, axis=0)
     rest -= 0.5 * (rest[_LEGS[0, 0]] + rest[_LEGS[1, 0]])
     knee, ankle = (np.mean([np.linalg.norm(rest[leg[at]] - rest[leg[at - 1]]) for leg in _LEGS]) for at in (1, 2))
@@ -357,206 +283,4 @@ def pose_body(
     bends = bends or Bends.none(len(poses))
     bent = np.ascontiguousarray(bends.unitquat)
     nose = np.ascontiguousarray(bends.nose_unitquat)
-    return _pose_bodies(poses, trunk, bent, nose, body.offsets_m, body.rest_m, floor_m + body.toe_height_m)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _pose_bodies(
-    poses: Array, trunk: Array, bent: Array, nose: Array, offsets: Array, rest: Array, least_toe: float
-) -> tuple[Array, Array]:
-    """Do `pose_body`; `rest` has the mid-hip at the origin, `least_toe` is the least height of the toes."""
-    count = poses.shape[0]
-    local, pelvis = np.empty((count, offsets.shape[0], 4)), np.empty((count, 3))
-    world, points = np.empty((offsets.shape[0], 4)), np.empty((offsets.shape[0], 3))
-    for at in range(count):
-        pose = poses[at]
-        _put(world, _PELVIS, multiply(_of(trunk, at), _of(bent[at], _PELVIS)))
-        _hang_on_hips(pose, world, points, rest)
-        _bend(bent[at], world, points, offsets, _SPINE1)
-        _close_spine(pose, bent[at], world, points, offsets, rest)
-        _face(pose, bent[at], _of(trunk, at), rotate(_of(nose, at), _REST_NOSE), world, points, offsets)
-        for side in range(2):
-            _reach(pose, _OP14_ARMS[side], bent[at], _ARMS[side], world, points, offsets, _COLLARS[side])
-            _reach(pose, _OP14_LEGS[side], bent[at], _LEGS[side], world, points, offsets, _PELVIS)
-            _put_down(_LEGS[side, 2], _TOES[side], bent[at], world, points, offsets, least_toe)
-        for axis in range(3):
-            pelvis[at, axis] = points[_PELVIS, axis]
-        _put(local[at], _PELVIS, _of(world, _PELVIS))
-        for joint in _ORDER:
-            _put(local[at], joint, multiply(conjugate(_of(world, _PARENTS[joint])), _of(world, joint)))
-    return pelvis, local
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None:
-    """Turn the pelvis so that the line of its hips is that of the pose, and put it there."""
-    left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
-    turn = _of(world, _PELVIS)
-    across = rotate(turn, subtract(row_of(rest, _LEGS[0, 0]), row_of(rest, _LEGS[1, 0])))
-    _put(world, _PELVIS, _unit(multiply(swing_between(across, subtract(left, right)), turn)))
-    _place_pelvis(mix(0.5, left, 0.5, right), world, points, rest)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _place_pelvis(middle: tuple[float, float, float], world: Array, points: Array, rest: Array) -> None:
-    """Put the pelvis where its hips have this middle."""
-    up = rotate(_of(world, _PELVIS), row_of(rest, _PELVIS))
-    for axis in range(3):
-        points[_PELVIS, axis] = middle[axis] + up[axis]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) -> None:
-    """Turn and place the trunk from a joint on as the match has it: spine, and collars with the shoulders."""
-    if first == _SPINE1:
-        for joint in (_SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1]):
-            _put(world, joint, multiply(_of(world, _PARENTS[joint]), _of(bent, joint)))
-    for joint in (_SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1], _ARMS[0, 0], _ARMS[1, 0]):
-        _place(joint, world, points, offsets)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
-    parent = _PARENTS[joint]
-    bone = rotate(_of(world, parent), row_of(offsets, joint))
-    for axis in range(3):
-        points[joint, axis] = points[parent, axis] + bone[axis]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets: Array, rest: Array) -> None:
-    """Turn pelvis, spine and collars until the shoulders are where they are: Newton steps of least weighted turning."""
-    left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
-    middle, hinge = mix(0.5, left, 0.5, right), normalise(subtract(left, right))
-    turning = (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _COLLARS[0], _COLLARS[1])
-    jacobian, error = np.empty((6, 18)), np.empty(6)
-    for _ in range(_MAX_ROUNDS):
-        worst = 0.0
-        for side in range(2):
-            for axis in range(3):
-                error[3 * side + axis] = pose[_SHOULDERS_AT[side], axis] - points[_ARMS[side, 0], axis]
-                worst = max(worst, abs(error[3 * side + axis]))
-        if worst < _CLOSED_M:
-            break
-        jacobian[:] = 0.0
-        for number in range(6):
-            joint = turning[number]
-            for side in range(2):
-                if number >= 4 and number - 4 != side:
-                    continue
-                shoulder = row_of(points, _ARMS[side, 0])
-                arm = subtract(shoulder, middle if number == 0 else row_of(points, joint))
-                if number == 0:
-                    moved = cross(hinge, arm)
-                    for axis in range(3):
-                        jacobian[3 * side + axis, 0] = _GIVES[0] * moved[axis]
-                    continue
-                # Turning by w moves the shoulder by w x arm.
-                for axis in range(3):
-                    ahead, behind = (axis + 1) % 3, (axis + 2) % 3
-                    jacobian[3 * side + axis, 3 * number + ahead] = _GIVES[number] * arm[behind]
-                    jacobian[3 * side + axis, 3 * number + behind] = -_GIVES[number] * arm[ahead]
-        normal = jacobian @ jacobian.T
-        for row in range(6):
-            normal[row, row] += _DAMPING
-        turns = jacobian.T @ np.linalg.solve(normal, error)
-        largest = np.sqrt((turns**2).sum())
-        if largest > _MAX_STEP:
-            turns *= _MAX_STEP / largest
-        for number in range(6):
-            joint, give = turning[number], _GIVES[number]
-            if number == 0:
-                turn = scale(give * turns[0], hinge)
-            else:
-                turn = (give * turns[3 * number], give * turns[3 * number + 1], give * turns[3 * number + 2])
-            # What a joint turns by carries all that hangs on it.
-            for carried in range(number, 6 if number < 4 else number + 1):
-                turned = multiply(unitquat_from_rotvec(turn), _of(world, turning[carried]))
-                _put(world, turning[carried], _unit(turned))
-        _place_pelvis(middle, world, points, rest)
-        _bend(bent, world, points, offsets, _PELVIS)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _face(
-    pose: Array,
-    bent: Array,
-    trunk: tuple[float, float, float, float],
-    nose: tuple[float, float, float],
-    world: Array,
-    points: Array,
-    offsets: Array,
-) -> None:
-    """Hold the head to the trunk as the match does, turned by what the nose is away from where the match has it."""
-    turn = swing_between(rotate(trunk, nose), subtract(row_of(pose, _NOSE), row_of(pose, _NECK)))
-    held = multiply(turn, trunk)
-    for joint in (_PELVIS, _SPINE1, _SPINE2, _SPINE3, _NECK22, _HEAD22):
-        held = multiply(held, _of(bent, joint))
-        if joint in (_NECK22, _HEAD22):
-            _put(world, joint, _unit(held))
-            _place(joint, world, points, offsets)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _reach(
-    pose: Array,
-    wanted: npt.NDArray[np.int64],
-    bent: Array,
-    limb: npt.NDArray[np.int64],
-    world: Array,
-    points: Array,
-    offsets: Array,
-    above: int,
-) -> None:
-    """Turn a limb (its joint, hinge and end) that hangs on `above` until it is where the pose has it."""
-    start, hinge, end = limb
-    _place(start, world, points, offsets)
-    first, second = pose[wanted[1]].copy(), pose[wanted[2]].copy()
-    away = 0.0
-    for axis in range(3):
-        away = max(away, abs(points[start, axis] - pose[wanted[0], axis]))
-    if away > _CLOSED_M:
-        shift = points[start] - pose[wanted[0]]
-        aside = rotate(_of(world, above), (0.0, 0.0, 1.0))
-        first, second = bend_one_leg(
-            points[start].copy(), first + shift, second + shift, second, np.array([aside[0], aside[1], aside[2]])
-        )
-    for joint, child, target in ((start, hinge, first), (hinge, end, second)):
-        turn = multiply(_of(world, _PARENTS[joint]), _of(bent, joint))
-        bone = rotate(turn, row_of(offsets, child))
-        aim = (target[0] - points[joint, 0], target[1] - points[joint, 1], target[2] - points[joint, 2])
-        _put(world, joint, _unit(multiply(swing_between(bone, aim), turn)))
-        _place(child, world, points, offsets)
-    _put(world, end, multiply(_of(world, hinge), _of(bent, end)))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, offsets: Array, least_toe: float) -> None:
-    """Tilt the foot until its ball is not below `least_toe`."""
-    _place(toe, world, points, offsets)
-    if points[toe, 1] < least_toe:
-        foot = subtract(row_of(points, toe), row_of(points, ankle))
-        size = length(foot)
-        rise = min(max(least_toe - points[ankle, 1], -size), size)
-        level = np.sqrt(max(size * size - rise * rise, 0.0))
-        ahead = normalise((foot[0], 0.0, foot[2]))
-        aim = (level * ahead[0], rise, level * ahead[2])
-        _put(world, ankle, _unit(multiply(swing_between(foot, aim), _of(world, ankle))))
-        _place(toe, world, points, offsets)
-    _put(world, toe, multiply(_of(world, ankle), _of(bent, toe)))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
-    return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
-    rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _unit(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    norm = 1.0 / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    return q[0] * norm, q[1] * norm, q[2] * norm, q[3] * norm
+    return pose_bodies(poses, trunk, bent, nose, body.offsets_m, body.rest_m, floor_m + body.toe_height_m)

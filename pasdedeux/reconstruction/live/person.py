@@ -20,7 +20,8 @@ from pasdedeux.kinematics.rotations import multiply, rotate
 from pasdedeux.people.identity import IdentityOptions
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, mid_hip
 from pasdedeux.projections.scale import match_scale, place_track
-from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, held_hips, pose_body
+from pasdedeux.reconstruction.body import REFERENCE_HIP_WIDTH_M, Bends, Body, bends_of, body_of, pose_body
+from pasdedeux.reconstruction.body_kernels import held_hips
 from pasdedeux.reconstruction.bones import bone_rotations, place_bone_rotations
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp, LiveCleanUpOptions, LiveFloor
 from pasdedeux.reconstruction.live.window_fit import WindowFit, WindowFitOptions

@@ -24,7 +24,7 @@ from pasdedeux.formats.detections import (
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart
 from pasdedeux.formats.text import parse_json, parse_triples
 
-__all__ = ["Coco", "read_coco"]
+__all__ = ["Coco", "keypoint_table", "person_number", "read_coco"]
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Coco(AnnotationFormat):
     """COCO keypoints: they may state the size of the images, seldom the rate."""
 
     name = "coco"
-    recognised_by = "JSON with 'annotations', 'images', 'keypoints' or 'instances'"
+    recognised_by = "JSON with 'annotations', 'images', 'image_id' or 'instances'"
     suffixes = (".json",)
 
     def recognises(self, start: FileStart) -> bool:
@@ -47,7 +47,7 @@ class Coco(AnnotationFormat):
         others = ('"people"', '"landmarks"', '"pose_landmarks"')
         if not start.is_json or any(key in start.text for key in others) or re.search(r'"x"\s*:\s*-?\d', start.text):
             return False
-        keys = ('"keypoints"', '"annotations"', '"images"', '"instances"', '"instance_info"')
+        keys = ('"image_id"', '"annotations"', '"images"', '"instances"')
         return any(key in start.text for key in keys) or start.text.split() in (["[]"], ["[", "]"])
 
     def read(
@@ -103,12 +103,12 @@ def read_coco(data: bytes | str, *, sequence_id: str, layout: str = "auto") -> A
         [
             Detection(
                 place=places[item.image],
-                person_id=_person_id(item.content),
+                person_id=person_number(item.content),
                 table=_visibilities(table, item.where) if is_annotations else table,
                 where=item.where,
             )
             for item in items
-            for table in (_table(item.content, item.where),)
+            for table in (keypoint_table(item.content, item.where),)
         ],
         sequence_id=sequence_id,
         layout=layout,
@@ -155,9 +155,18 @@ def _checked_image(value: object, where: str, key: str) -> int | str:
     return int(str(value))
 
 
-def _table(content: dict[str, Any], where: str) -> Array:
-    """Return the keypoints (K, 3) of a person: triples end to end, or points with their scores apart."""
+def keypoint_table(content: dict[str, Any], where: str) -> Array:
+    """Return the keypoints (K, 3) of a person: triples end to end, or points or lists x and y with scores apart.
+
+    Raises:
+        FormatError: Neither of these, or a value that is no number; `where` is put in front.
+    """
     numbers, scores = content["keypoints"], content.get("keypoint_scores")
+    if isinstance(numbers, dict):
+        x, y, scores = (numbers.get(key) for key in ("x", "y", "visible"))
+        if not isinstance(x, list) or not isinstance(y, list) or len(x) != len(y):
+            raise FormatError(f"{where}: 'keypoints' have no lists 'x' and 'y' of one length")
+        numbers, scores = [list(point) for point in zip(x, y, strict=True)], scores or [1.0] * len(x)
     if all(isinstance(point, list) for point in numbers):
         if not isinstance(scores, list) or len(scores) != len(numbers) or any(len(point) < 2 for point in numbers):
             raise FormatError(f"{where}: 'keypoints' are points, which need as many 'keypoint_scores'")
@@ -173,7 +182,7 @@ def _visibilities(table: Array, where: str) -> Array:
     return np.concatenate([table[:, :2], _CONFIDENCE_OF_VISIBILITY[table[:, 2].astype(int)][:, None]], axis=1)
 
 
-def _person_id(content: dict[str, Any]) -> int | None:
+def person_number(content: dict[str, Any]) -> int | None:
     """Return the number of a person; AlphaPose's may be a list, or a whole number written as 1.0."""
     value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
     while isinstance(value, list):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
-from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name, places_of_names
-from pasdedeux.formats.file_format import AnnotationFormat, FileStart
+from pasdedeux.formats.detections import MAX_FRAME, Detection, Place, join_detections, number_in_name
+from pasdedeux.formats.file_format import FileStart
+from pasdedeux.formats.frame_files import FrameFiles
 from pasdedeux.formats.text import parse_json, parse_triples
 from pasdedeux.skeletons.layouts import LAYOUT_OF_COUNT
 
@@ -40,44 +41,40 @@ class OpenPoseFrame:
     confidence: Array
 
 
-class OpenPose(AnnotationFormat):
-    """A folder of OpenPose files, one for each frame, which its name tells; they state no image size and no rate.
-
-    Pose2Sim, RTMPose's and other tools write the same files with layouts of their own, told by the number of keypoints.
-    """
+class OpenPose(FrameFiles):
+    """OpenPose's files; Pose2Sim, RTMPose's and other tools write the same, with layouts told by their size."""
 
     name = "openpose"
     recognised_by = "JSON with 'people'"
-    suffixes = (".json",)
-    is_file_per_frame = True
 
     def recognises(self, start: FileStart) -> bool:
         """Tell whether the file is JSON with a list of people."""
         return start.is_json and '"people"' in start.text
 
-    def frame_numbers(self, names: Sequence[str]) -> list[int]:
-        """Return the frame that each file of a camera is of, by its name."""
-        places = places_of_names(names)
-        return [places[name][1] for name in names]
-
-    def read(
-        self, files: Mapping[str, bytes], *, sequence_id: str, layout: str = "auto", skip_unreadable: bool = False
-    ) -> AnnotatedFrames:
-        """Read the files of all frames; the one that is damaged is named.
-
-        The last file may be cut off, because its writer was stopped: it is left out like one that may be skipped.
-        """
-        detections: list[Detection] = []
-        skipped: list[str] = []
-        numbers = self.frame_numbers(list(files))
-        for number, (name, data) in zip(numbers, files.items(), strict=True):
-            try:
-                detections += _detections(data, ("", number), name)
-            except FormatError as error:
-                if not skip_unreadable and (number < max(numbers) or len(files) == 1):
-                    raise FormatError(f'{name}: {error} (set on_unreadable = "skip" to go on without it)') from None
-                skipped.append(name)
-        return join_detections(detections, sequence_id=sequence_id, layout=layout, skipped=skipped)
+    def detections(self, data: bytes | str, place: Place, name: str) -> list[Detection]:
+        """Return the people of one frame, versions 1.0 to 1.7."""
+        content = parse_json(data, "OpenPose file", has_nan=True)
+        people = content.get("people") if isinstance(content, dict) else None
+        if not isinstance(people, list):
+            raise FormatError("this is not an OpenPose file: it has no list 'people'")
+        if len(people) > MAX_PEOPLE:
+            raise FormatError(f"{len(people)} people in one frame; at most {MAX_PEOPLE} are allowed")
+        found = []
+        for index, person in enumerate(people):
+            where = f"person {index}"
+            numbers = (
+                person.get("pose_keypoints_2d", person.get("pose_keypoints")) if isinstance(person, dict) else None
+            )
+            if not isinstance(numbers, list):
+                raise FormatError(f"{where} has no list 'pose_keypoints_2d'")
+            if not numbers:
+                continue
+            if len(numbers) % 3 or len(numbers) // 3 not in LAYOUT_OF_COUNT:
+                counts = ", ".join(f"{3 * count} ({layout.name})" for count, layout in sorted(LAYOUT_OF_COUNT.items()))
+                raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
+            table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
+            found.append(Detection(place, _person_id(person, index), table, f"{name}: {where}" if name else where))
+        return found
 
 
 def openpose_frame_number(file_name: str) -> int | None:
@@ -92,7 +89,7 @@ def read_openpose_frame(data: bytes | str) -> OpenPoseFrame:
     Raises:
         FormatError: Not JSON, not OpenPose, a number of keypoints that no layout has, or a value that is no number.
     """
-    detections = _detections(data, ("", 0), "")
+    detections = OpenPose().detections(data, ("", 0), "")
     if not detections:
         return OpenPoseFrame(
             layout=None, person_id=np.zeros(0, np.int64), keypoints_px=np.zeros((0, 0, 2)), confidence=np.zeros((0, 0))
@@ -116,30 +113,6 @@ def join_openpose_frames(frames: Sequence[tuple[int, OpenPoseFrame]], *, sequenc
         ],
         sequence_id=sequence_id,
     )
-
-
-def _detections(data: bytes | str, place: Place, name: str) -> list[Detection]:
-    """Return the people of one frame's file; those without any keypoint are left out."""
-    content = parse_json(data, "OpenPose file", has_nan=True)
-    people = content.get("people") if isinstance(content, dict) else None
-    if not isinstance(people, list):
-        raise FormatError("this is not an OpenPose file: it has no list 'people'")
-    if len(people) > MAX_PEOPLE:
-        raise FormatError(f"{len(people)} people in one frame; at most {MAX_PEOPLE} are allowed")
-    found = []
-    for index, person in enumerate(people):
-        where = f"person {index}"
-        numbers = person.get("pose_keypoints_2d", person.get("pose_keypoints")) if isinstance(person, dict) else None
-        if not isinstance(numbers, list):
-            raise FormatError(f"{where} has no list 'pose_keypoints_2d'")
-        if not numbers:
-            continue
-        if len(numbers) % 3 or len(numbers) // 3 not in LAYOUT_OF_COUNT:
-            counts = ", ".join(f"{3 * count} ({layout.name})" for count, layout in sorted(LAYOUT_OF_COUNT.items()))
-            raise FormatError(f"{where} has {len(numbers)} values in 'pose_keypoints_2d'; allowed: {counts}")
-        table = parse_triples(numbers, f"{where}: 'pose_keypoints_2d'")
-        found.append(Detection(place, _person_id(person, index), table, f"{name}: {where}" if name else where))
-    return found
 
 
 def _person_id(person: dict[str, Any], index: int) -> int | None:

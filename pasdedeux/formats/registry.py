@@ -16,6 +16,7 @@ from pasdedeux.formats.bvh import Bvh
 from pasdedeux.formats.coco import Coco
 from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.file_format import AnnotationFormat, FileStart, MotionFormat
+from pasdedeux.formats.image_results import ImageResults
 from pasdedeux.formats.mediapipe import MediaPipe
 from pasdedeux.formats.openpose import OpenPose
 from pasdedeux.formats.positions_npz import PositionsNpz
@@ -46,6 +47,7 @@ ANNOTATION_FORMATS: Mapping[str, AnnotationFormat] = {
     for known in (
         OpenPose(),
         Coco(),
+        ImageResults(),
         MediaPipe(),
         AnnotationCsv(),
         AnnotationNpz(),

@@ -17,6 +17,8 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".m
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
 _SUFFIXES = frozenset(end for kind in ANNOTATION_FORMATS.values() for end in kind.suffixes)
 _SEPARATORS = "_-. "
+_EMPTY_LIST = 4
+"""Bytes of an image's file in which nobody is: `[]`, which tells nothing of the format."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ def _cameras_in(folder: Path, format_name: str) -> list[CameraFiles]:
     numbered = [item for item in paths if item.suffix.lower() == ".json" and number_in_name(item.name)[1] is not None]
     if not paths:
         return []
-    first = (numbered or paths)[0]
+    candidates = numbered or paths
+    first = next((item for item in candidates if item.stat().st_size > _EMPTY_LIST), candidates[0])
     name = _frames_format(first, format_name)
     if name is None:
         return [CameraFiles(one.stem, _format_of(one, format_name), (one,)) for one in paths]

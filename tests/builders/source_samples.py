@@ -269,6 +269,22 @@ def result_texts(num_frames: int = 6, people: int = 2) -> dict[str, str]:
     }
 
 
+def image_text(tool: str, *, people: int = 2, seed: int = 0) -> str:
+    """Return the people of one image as a tool writes a file for each: mmpose, mmpose demo, or ultralytics."""
+    tables = [person_px("coco17", seed=seed) + np.array([300.0 * person, 0.0]) for person in range(people)]
+    if tool == "ultralytics":
+        box = {"x1": 50.0, "y1": 30.0, "x2": 160.0, "y2": 320.0}
+        found = [
+            {"name": "person", "class": 0, "confidence": 0.9, "box": box, "track_id": 1 + person}
+            | {"keypoints": {"x": px[:, 0].tolist(), "y": px[:, 1].tolist(), "visible": [0.9] * len(px)}}
+            for person, px in enumerate(tables)
+        ]
+        return json.dumps(found, indent=2)
+    instances = [{"keypoints": px.tolist(), "keypoint_scores": [0.9] * len(px), "bbox_score": 0.9} for px in tables]
+    meta = {"dataset_name": "coco", "num_keypoints": 17, "keypoint_id2name": {"0": "nose"}}
+    return json.dumps({"meta_info": meta, "instance_info": instances} if tool == "mmpose demo" else instances)
+
+
 def landmark_texts(num_frames: int = 6, people: int = 1, side_px: int = 400) -> dict[str, str]:
     """Return people in MediaPipe's landmarks, shares of a square image, in the forms in which programs export them."""
     names = [name.replace("big_toe", "foot_index") for name in KEYPOINT_LAYOUTS["mediapipe33"].keypoint_names]
@@ -358,6 +374,7 @@ GOOD_MOTIONS: dict[str, tuple[bytes, bytes]] = {
 GOOD_ANNOTATIONS: dict[str, dict[str, bytes]] = {
     "openpose": {f"w_{frame}_keypoints.json": openpose_text(people=2, seed=frame).encode() for frame in range(3)},
     "coco": {"c.json": coco_text().encode()},
+    "image_results": {f"w_{frame}.json": image_text("mmpose", seed=frame).encode() for frame in range(3)},
     "mediapipe": {"m.json": landmark_texts()["frames"].encode()},
     "annotation_csv": {"t.csv": csv_text().encode()},
     "annotation_npz": {"a.npz": write_annotation_npz(read_annotation_csv(csv_text()))},

@@ -21,7 +21,14 @@ from pasdedeux.formats import (
     read_bvh_header,
     recognise_format,
 )
-from tests.builders.source_samples import BVH_SMALL, GOOD_ANNOTATIONS, GOOD_MOTIONS, landmark_texts, result_texts
+from tests.builders.source_samples import (
+    BVH_SMALL,
+    GOOD_ANNOTATIONS,
+    GOOD_MOTIONS,
+    image_text,
+    landmark_texts,
+    result_texts,
+)
 
 
 def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
@@ -44,6 +51,10 @@ def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
             ),
         )
     forms = {"coco": ("mmpose demo", "alphapose"), "mediapipe": ("by name", "rows", "columns by name")}
+    readers["image_results, ultralytics"] = (
+        image_text("ultralytics").encode(),
+        lambda data: ANNOTATION_FORMATS["image_results"].read({"w_1.json": data}, sequence_id="s"),
+    )
     texts = result_texts() | landmark_texts()
     for name, wanted in forms.items():
         for form in wanted:

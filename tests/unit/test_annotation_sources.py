@@ -13,7 +13,7 @@ import pytest
 from pasdedeux.errors import InputError
 from tasks.ingest.annotations import FoundAnnotations, find_annotations
 from tasks.ingest.parameters import AnnotationOptions
-from tests.builders.source_samples import coco_text, csv_text, openpose_text, person_px, result_texts
+from tests.builders.source_samples import coco_text, csv_text, image_text, openpose_text, person_px, result_texts
 
 
 def found_in(path: Path, **options: Any) -> list[FoundAnnotations]:
@@ -52,6 +52,24 @@ def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path)
     assert [one.parameters.id for one in found] == ["clip.cam1", "clip.cam2"]
     assert [one.read().layout for one in found] == ["halpe26"] * 2
     assert [one.read().rate_hz for one in found] == pytest.approx([15.0, 13.0])
+
+
+@pytest.mark.parametrize("tool", ["mmpose", "mmpose demo", "ultralytics"])
+def test_a_file_for_each_image_is_a_frame_of_one_sequence_even_where_nobody_is_in_the_first(
+    tmp_path: Path, tool: str
+) -> None:
+    (tmp_path / "img_0007.json").write_text("[]")
+    for frame in (8, 9, 12):
+        (tmp_path / f"img_{frame:04d}.json").write_text(image_text(tool, seed=frame))
+    (one,) = found_in(tmp_path)
+    assert (one.parameters.format, one.parameters.id) == ("image_results", "clip")
+    frames = one.read()
+    assert sorted(frames.frame.tolist()) == [8, 8, 9, 9, 12, 12]
+    shift = np.tile([[[0.0, 0.0]], [[300.0, 0.0]]], (3, 1, 1))
+    expected = np.array([person_px("coco17", seed=frame) for frame in (8, 8, 9, 9, 12, 12)]) + shift
+    order = np.lexsort((frames.keypoints_px[:, 0, 0], frames.frame))
+    np.testing.assert_allclose(frames.keypoints_px[order], expected)
+    np.testing.assert_allclose(frames.confidence, 0.9)
 
 
 def test_files_of_whole_videos_in_a_folder_are_a_sequence_each(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs
-from pasdedeux.sampling.growth_kernels import fill_residuals, keep_nearest, place_bones
+from pasdedeux.sampling.growth_kernels import LANES, fill_residuals, keep_nearest, place_bones
 from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.seeds import seed_quality
@@ -147,7 +147,13 @@ class ViewedImages:
     """
 
     def __init__(self, images: Array, is_seen: npt.NDArray[np.bool_], directions: Array) -> None:
-        self._images, self._directions = np.ascontiguousarray(images), np.ascontiguousarray(directions)
+        blocks = np.zeros((-(-len(images) // LANES) * LANES, *images.shape[1:]))
+        blocks[: len(images)] = images
+        blocks = blocks.reshape(-1, LANES, *images.shape[1:])
+        self._images, self._directions = (
+            np.ascontiguousarray(np.moveaxis(blocks, 1, -1)),
+            np.ascontiguousarray(directions),
+        )
         self._squares = (images**2).sum(axis=(1, 2))
         self._num_missing = (~is_seen).sum(axis=1)
         self._missing = np.argsort(is_seen, axis=1, kind="stable")[:, : self._num_missing.max(initial=0)]
@@ -160,7 +166,7 @@ class ViewedImages:
         points = pair_m.reshape(_NUM_POINTS, 3)
         points = np.ascontiguousarray((points - points.mean(axis=0)).T)
         axes = np.ascontiguousarray(pair_frame(pair_m).axes)
-        residual = np.empty(len(self._images))
+        residual = np.empty(len(self._directions))
         images = (self._directions, self._images, self._squares, self._missing, self._num_missing)
         fill_residuals(points, points @ points.T, axes, *images, residual)
         return residual

@@ -8,7 +8,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["fill_residuals", "keep_nearest", "place_bones"]
+__all__ = ["LANES", "fill_residuals", "keep_nearest", "place_bones"]
+
+LANES = 64
+"""Entries that lie side by side in memory; arithmetic runs over them, so that no sum is ever put in another order."""
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -69,7 +72,7 @@ def place_bones(
             out[person, j, 2] = out[person, p, 2] + scale * z
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_residuals(
     points: Array,
     spread: Array,
@@ -88,13 +91,17 @@ def fill_residuals(
         spread: points points', (3, 3).
         axes: Columns i, j, k of the pair's local frame, (3, 3).
         directions: Views (entry, 3) in that frame.
-        images: Centred images (entry, 2, n), metres; 0 where a joint is not seen.
+        images: Centred images in blocks of entries, (block, 2, n, LANES), metres; 0 where a joint is not seen.
         squares: Sum of squares of each image, (entry,).
         missing: Joints that an image does not show, (entry, most).
         num_missing: Their number, (entry,).
         residual: Result (entry,), metres.
     """
-    for entry in range(images.shape[0]):
+    sums = np.empty((2, 3, LANES))
+    for entry in range(residual.shape[0]):
+        lane = entry % LANES
+        if lane == 0:
+            _covariances(points, images[entry // LANES], sums)
         # The pair's own spread, and its mean, over the joints that are seen.
         num_points = points.shape[1] - num_missing[entry]
         xx, yy, zz, xy, xz, yz = spread[0, 0], spread[1, 1], spread[2, 2], spread[0, 1], spread[0, 2], spread[1, 2]
@@ -113,22 +120,28 @@ def fill_residuals(
         z = axes[2, 0] * a + axes[2, 1] * b + axes[2, 2] * c
         length = max(math.sqrt(x * x + y * y + z * z), 1e-300)
         x, y, z = x / length, y / length, z / length
-        ux = uy = uz = vx = vy = vz = 0.0
-        for k in range(points.shape[1]):
-            u, v = images[entry, 0, k], images[entry, 1, k]
-            px, py, pz = points[0, k], points[1, k], points[2, k]
-            ux += u * px
-            uy += u * py
-            uz += u * pz
-            vx += v * px
-            vy += v * py
-            vz += v * pz
+        ux, uy, uz = sums[0, 0, lane], sums[0, 1, lane], sums[0, 2, lane]
+        vx, vy, vz = sums[1, 0, lane], sums[1, 1, lane], sums[1, 2, lane]
         best = ux * ux + uy * uy + uz * uz - (ux * x + uy * y + uz * z) ** 2
         best += vx * vx + vy * vy + vz * vz - (vx * x + vy * y + vz * z) ** 2
         best += 2.0 * (x * (uy * vz - uz * vy) + y * (uz * vx - ux * vz) + z * (ux * vy - uy * vx))
         sx, sy, sz = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
         squared = xx + yy + zz - (x * sx + y * sy + z * sz) + squares[entry] - 2.0 * math.sqrt(max(best, 0.0))
         residual[entry] = math.sqrt(max(squared, 0.0) / num_points)
+
+
+@numba.njit(cache=True, nogil=True)
+def _covariances(points: Array, images: Array, sums: Array) -> None:
+    """Write the sums over the joints (2, 3, LANES) of the images (2, n, LANES) times the pair (3, n); n is even."""
+    sums[:] = 0.0
+    for axis in range(2):
+        for other in range(3):
+            total = sums[axis, other]
+            for k in range(0, points.shape[1], 2):
+                row, weight = images[axis, k], points[other, k]
+                next_row, next_weight = images[axis, k + 1], points[other, k + 1]
+                for lane in range(LANES):
+                    total[lane] += row[lane] * weight + next_row[lane] * next_weight
 
 
 @numba.njit(cache=True, nogil=True)

@@ -18,7 +18,10 @@ __all__ = ["estimate_proportions", "retarget_image"]
 Array = npt.NDArray[np.float64]
 
 _ORDER, _PARENTS = np.array(OP14.order[1:]), np.array(OP14.parents)
+_LENGTHS_M = REFERENCE_LENGTHS_M
 _NECK, _LEFT_HIP, _RIGHT_HIP = OP14.root, OP14.index("left_hip"), OP14.index("right_hip")
+_IS_HIP = np.isin(np.arange(OP14.num_joints), (_LEFT_HIP, _RIGHT_HIP))
+_LEFT_SHOULDER, _RIGHT_SHOULDER = OP14.index("left_shoulder"), OP14.index("right_shoulder")
 
 _MIN_IN_IMAGE = 0.6
 """Bones are measured in frames where the match shows at least this part of their length."""
@@ -64,8 +67,9 @@ def estimate_proportions(observed_m: Array, weights: Array, matched_m: Array) ->
 def retarget_image(points: Array, ratio: Array) -> Array:
     """Return images (*batch, 14, 2) with every bone divided by its ratio (14,), centred on the mid-hip.
 
-    A joint whose parent was not seen hangs on its nearest seen ancestor, divided by its own ratio.  Without both hips
-    the image is kept where the neck, or failing that nothing, puts it.  NaN stays NaN.
+    A joint whose parent was not seen hangs on its nearest seen ancestor, divided by the mean ratio of the bones between
+    by their lengths.  A neck that was not seen is taken to be between the shoulders; without those the joints below it
+    hang on the mid-hip, which is where both hips are, else at the origin of `points`.  NaN stays NaN.
     """
     flat = np.array(points, dtype=np.float64, order="C").reshape(-1, OP14.num_joints, 2)
     return _retarget_images(flat, ratio).reshape(points.shape)
@@ -81,20 +85,38 @@ def _retarget_images(images: Array, ratio: Array) -> Array:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def _is_seen(point: Array) -> bool:
+    return np.isfinite(point[0]) and np.isfinite(point[1])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _retarget(points: Array, ratio: Array, moved: Array) -> None:
-    for joint in _ORDER:
-        ancestor = _PARENTS[joint]
-        while ancestor >= 0 and not (np.isfinite(points[ancestor, 0]) and np.isfinite(points[ancestor, 1])):
-            ancestor = _PARENTS[ancestor]
+    neck = points[_NECK].copy()
+    if not _is_seen(neck):
         for axis in range(2):
-            old = points[ancestor, axis] if ancestor >= 0 else 0.0
-            new = moved[ancestor, axis] if ancestor >= 0 else 0.0
-            moved[joint, axis] = new + (points[joint, axis] - old) / ratio[joint]
+            neck[axis] = 0.5 * (points[_LEFT_SHOULDER, axis] + points[_RIGHT_SHOULDER, axis])
+    has_neck = _is_seen(neck)
+    for joint in _ORDER:
+        length, own = _LENGTHS_M[joint], _LENGTHS_M[joint] * ratio[joint]
+        ancestor, top = _PARENTS[joint], joint
+        while ancestor != _NECK and not _is_seen(points[ancestor]):
+            length += _LENGTHS_M[ancestor]
+            own += _LENGTHS_M[ancestor] * ratio[ancestor]
+            ancestor, top = _PARENTS[ancestor], ancestor
+        is_of_leg = _IS_HIP[top]
+        if ancestor == _NECK and not has_neck and not (is_of_leg and top == joint):
+            # From the mid-hip legs are nearer than from the neck, and all else is farther, by the torso.
+            sign = -1.0 if is_of_leg else 1.0
+            length += sign * _LENGTHS_M[_LEFT_HIP]
+            own += sign * _LENGTHS_M[_LEFT_HIP] * ratio[_LEFT_HIP]
+        for axis in range(2):
+            old, new = points[ancestor, axis], moved[ancestor, axis]
+            if ancestor == _NECK:
+                old = new = neck[axis] if has_neck else 0.0
+            moved[joint, axis] = new + (points[joint, axis] - old) / (own / length)
     for axis in range(2):
         shift = 0.5 * (moved[_LEFT_HIP, axis] + moved[_RIGHT_HIP, axis])
         if not np.isfinite(shift):
-            shift = moved[_NECK, axis] * (1.0 - 1.0 / ratio[_LEFT_HIP])
-            if not np.isfinite(shift):
-                shift = 0.0
+            shift = neck[axis] * (1.0 - 1.0 / ratio[_LEFT_HIP]) if has_neck else 0.0
         for joint in range(points.shape[0]):
             moved[joint, axis] -= shift

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
@@ -157,15 +159,28 @@ def test_proportions_are_found_up_to_size_and_images_move_back_and_forth() -> No
     np.testing.assert_allclose(nothing, 1.0)
 
 
-def test_retargeting_an_image_skips_joints_that_are_missing() -> None:
-    pose = random_poses(np.random.default_rng(0), 1)[0, :, :2]
-    pose[OP14.index("left_elbow")] = np.nan
-    ratio = np.full(14, 1.1)
-    moved = retarget_image(pose, ratio)
-    assert np.isnan(moved).all(axis=-1).tolist() == np.isnan(pose).all(axis=-1).tolist()
-    wrist, shoulder = OP14.index("left_wrist"), OP14.index("left_shoulder")
-    np.testing.assert_allclose(moved[wrist] - moved[shoulder], (pose[wrist] - pose[shoulder]) / 1.1)
-    assert np.isnan(retarget_image(np.full((14, 2), np.nan), ratio)).all()
+@given(st.lists(st.integers(0, 13), max_size=14, unique=True), st.floats(0.7, 1.4))
+def test_retargeting_by_one_ratio_is_a_scale_whatever_is_missing(missing: list[int], ratio: float) -> None:
+    pose = random_poses(np.random.default_rng(0), 1)[0]
+    pose = (pose - mid_hip(pose))[:, :2]
+    pose[missing] = np.nan
+    np.testing.assert_allclose(retarget_image(pose, np.full(14, ratio)), pose / ratio, atol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.5])
+def test_joints_that_are_missing_move_the_others_of_an_image_little(share: float) -> None:
+    poses = walk(100)
+    ratio = np.ones(14)
+    for name, value in (("knee", 1.2), ("ankle", 1.1), ("elbow", 0.85), ("hip", 0.95), ("shoulder", 0.8)):
+        ratio[OP14.indices([f"left_{name}", f"right_{name}"])] = value
+    own = retarget_proportions(poses, REFERENCE_LENGTHS_M * ratio)
+    own = (own - mid_hip(own)[:, None])[..., :2]
+    whole = retarget_image(own, ratio)
+    own[np.random.default_rng(0).random(own.shape[:2]) < share] = np.nan
+    moved = np.linalg.norm(retarget_image(own, ratio) - whole, axis=-1)
+    assert np.array_equal(np.isnan(moved), np.isnan(own[..., 0]))
+    assert np.nanmax(moved) < 0.06
+    assert np.nanmean(moved) < 0.012
 
 
 def test_a_person_of_other_proportions_seen_by_a_pinhole_is_fitted_up_to_size(searcher: Searcher) -> None:

@@ -227,6 +227,7 @@ def _decisions(settled: SettledPeople) -> dict[str, Any]:
             for one in settled.sequences
             for pair in one.pairs
         ][:MAX_NAMED_FILES],
+        "why_no_video": {one.sequence_id: one.why_not_followed for one in settled.sequences if one.why_not_followed},
         "num_merged_rows": sum(one.num_merged_rows for one in settled.sequences),
         "num_ghost_rows": sum(one.num_ghost_rows for one in settled.sequences),
         "num_repaired_joints": sum(one.num_repaired_joints for one in settled.sequences),

@@ -68,8 +68,8 @@ class ProjectionsParameters(Parameters):
     )
     pitches_deg: tuple[float, ...] = Field(
         (0.0, 20.0, 30.0, 45.0),
-        description="Pitches of the camera, which looks at the mid-hip; of these and the heights the one that matches "
-        "a sequence best is taken",
+        description="Pitches of the camera, which looks at the mid-hip; that of a sequence is found between these and "
+        "those of the heights",
     )
     heights_m: tuple[float, ...] = Field(
         (1.5,),

@@ -33,7 +33,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 13
+VERSION = 14
 
 
 MAX_PAIRS = 30_000
@@ -164,7 +164,9 @@ def _read_tracks(store: Store, ref: ArtifactRef, parameters: SequenceShard, fact
         return []
     is_unknown = table.is_null("image_width_px")[rows[0]] or table.is_null("image_height_px")[rows[0]]
     frame, time_s = np.asarray(table["frame"])[rows], np.asarray(table["time_s"])[rows]
-    reason = why_no_video(frame)
+    # What ingest decided counts: stills numbered one by one look like a video by their numbers alone.
+    decided = store.manifest(ref).facts.get("why_no_video", {})
+    reason = decided.get(sequence_id) or why_no_video(frame)
     if reason:
         facts["skipped"].append(f"{sequence_id}: {reason}")
         return []
@@ -201,7 +203,8 @@ def _reconstruct(
     views = read_views([store.manifest(ref) for ref in database_refs])
     level, take_ids, frames = read_database(store, database_refs)
     databases = [replace(level, camera=camera) for camera in views.cameras]
-    suited = databases[choose_camera(databases, [person.track for person in people], options)]
+    pitch = choose_camera(databases, [person.track for person in people], options)
+    suited = replace(level, camera=replace(level.camera, pitch_rad=pitch.pitch_rad))
     chosen = Searcher.of(suited, exact_up_to=parameters.exact_up_to)
     is_paired = parameters.has_pairs and len(people) > 1
     found = reconstruct_people(
@@ -219,7 +222,8 @@ def _reconstruct(
     ]
     facts["camera"] = views.camera
     pitches = [camera.pitch_rad for camera in views.cameras]
-    facts["pitch_deg"] = float(np.rad2deg(suited.camera.pitch_rad))
+    facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
+    facts["pitch_deviation_deg"] = float(np.rad2deg(pitch.deviation_rad))
     facts["num_projections"] = chosen.database.num_projections
     facts["search_slack"] = chosen.index.slack
     rng = stream(seed, "reconstruction", "recall", sequence_id)
@@ -233,7 +237,7 @@ def _reconstruct(
     ]
     rng = stream(seed, "reconstruction", "left_out", sequence_id)
     left_out_m = left_out_misfit_m(chosen.database, chosen.index, take_ids, rng)
-    doubts = camera_doubt(pitches, suited.camera.pitch_rad)
+    doubts = camera_doubt(pitches, pitch)
     judged = {
         f"person {person.person_id}": judge_person(one, left_out_m, doubts=doubts).verdict
         for person, one in (found.methods[-1].people if found.methods else ())

@@ -169,10 +169,8 @@ def _reconstruct_sequence(
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
-    searcher = searchers[found.searcher_index]
-    camera = searcher.database.camera
-    left_out_m = left_out_misfit_m(searcher.database, searcher.index, take_ids, np.random.default_rng(0))
-    doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], camera.pitch_rad)
+    left_out_m = left_out_misfit_m(found.searcher.database, found.searcher.index, take_ids, np.random.default_rng(0))
+    doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
     rows = []
     for tracked, made in found.methods[-1].people:
         path, motion = target / f"{sequence.sequence_id}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
@@ -198,7 +196,7 @@ def _reconstruct_sequence(
     typer.echo(f"{table}: who is who; --people with a changed copy overrules it", err=True)
     for person_id, reason in found.skipped.items():
         typer.echo(f"person {person_id} was left out: {reason}", err=True)
-    typer.echo(f"camera pitch {math.degrees(camera.pitch_rad):.3g} degrees; {sequence.in_words()}", err=True)
+    typer.echo(f"{found.pitch.in_words()}; {sequence.in_words()}", err=True)
 
 
 def _tracks(settled: SettledPeople, sequence_id: str, person_ids: tuple[int, ...]) -> list[PersonTrack]:

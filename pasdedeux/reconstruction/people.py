@@ -16,7 +16,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.couples import PairSearcher, Placing, place_couple
-from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset, sized_by_height
+from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
     Method,
@@ -61,14 +61,16 @@ class ReconstructedTracks:
         methods: In the order asked for; the clean-up of the last one comes last.  None when nobody could be searched.
         motions: Motions of the last by person id, upright, floor at 0: all have the same frames.
         skipped: Why the others could not be reconstructed, by person id.
-        searcher_index: Which of the databases' cameras suited best.
+        searcher: The database as the camera of the sequence sees it.
+        pitch: The pitch of that camera.
         placings: What was done to two people who were placed by pairs, by their person ids.
     """
 
     methods: tuple[MethodMotions, ...]
     motions: dict[int, HumanoidMotion]
     skipped: dict[int, str]
-    searcher_index: int
+    searcher: Searcher
+    pitch: PitchEstimate
     placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
 
 
@@ -89,7 +91,7 @@ def reconstruct_people(
     leaves everybody where their own size puts them.
 
     Args:
-        searchers: Databases made ready, one per camera; the one that suits best is used.
+        searchers: Databases made ready, one per camera; from several the pitch that suits best is found.
         people: Tracks of people whose identities are settled.
         methods: Methods; the last one is cleaned up and gives the motions.
         options: How.
@@ -100,8 +102,11 @@ def reconstruct_people(
     """
     statures_m = statures_m or {}
     options = options or ReconstructionOptions()
-    chosen = choose_pitch(searchers, [one.track for one in people], options) if len(searchers) > 1 else 0
-    searcher, camera = searchers[chosen], searchers[chosen].database.camera
+    searcher, pitch = searchers[0], PitchEstimate(0, searchers[0].database.camera.pitch_rad)
+    if len(searchers) > 1:
+        pitch = choose_pitch(searchers, [one.track for one in people], options)
+        searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
+    camera = searcher.database.camera
     skipped: dict[int, str] = {}
     matched = []
     for person in people:
@@ -131,7 +136,8 @@ def reconstruct_people(
         people_clean = tuple((person, one) for (person, _), one in zip(last.people, cleaned, strict=True))
         made.append(MethodMotions(f"{last.name}_clean", people_clean, last.origin_m))
     made = [_embodied(one, searcher.database, options) for one in made]
-    return ReconstructedTracks(tuple(made), _motions(made[-1]) if made else {}, skipped, chosen, placings or {})
+    motions = _motions(made[-1]) if made else {}
+    return ReconstructedTracks(tuple(made), motions, skipped, searcher, pitch, placings or {})
 
 
 def _embodied(made: MethodMotions, database: Database, options: ReconstructionOptions) -> MethodMotions:

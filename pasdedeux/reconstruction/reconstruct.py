@@ -115,6 +115,14 @@ class Searcher:
         """Build index and scale reference; the search of more than `exact_up_to` projections has a slack."""
         return cls(database, build_index(database, exact_up_to=exact_up_to), ScaleReference.of(database))
 
+    def pitched(self, pitch_rad: float) -> Searcher:
+        """Return the same poses before a camera of this pitch, searched exactly where they are."""
+        camera = replace(self.database.camera, pitch_rad=pitch_rad)
+        if camera == self.database.camera:
+            return self
+        exact_up_to = self.database.num_projections if self.index.slack == 0 else 0
+        return Searcher.of(replace(self.database, camera=camera), exact_up_to=exact_up_to)
+
 
 @dataclass(frozen=True)
 class Matches:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import ProjectionIndex
+from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import MEAN_OF_RAYLEIGH, Reconstruction
 from pasdedeux.skeletons import OP14
 from pasdedeux.verdict import Level, Verdict
@@ -33,6 +34,8 @@ hidden.  On 152 clips of eleven other takes it tells errors over 10 cm from othe
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.10, 0.20
 POOR_SHARE_SEEN, USELESS_SHARE_SEEN = 0.7, 0.4
 """Share of the 14 joints that are seen: below the first a person is doubted, below the second useless."""
+DOUBTFUL_PITCH_RAD = float(np.deg2rad(5.0))
+"""A pitch of a larger standard deviation is doubted: it leans people and tilts the floor."""
 MAX_BRIDGED = 0.2
 """A motion of which more is interpolated deserves a warning."""
 LEFT_OUT_PERCENTILE = 95.0
@@ -137,15 +140,16 @@ def left_out_misfit_m(
     return float(np.percentile(np.minimum(nearest, reached), LEFT_OUT_PERCENTILE))
 
 
-def camera_doubt(pitches_rad: Sequence[float], chosen_rad: float) -> tuple[str, ...]:
-    """Say whether the camera's pitch was found at the edge of those that were tried; nothing where it lies inside.
+def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[str, ...]:
+    """Say whether the camera's pitch was found at the edge of those that were tried, or is badly known.
 
     A level camera is no edge: few look up at people.
     """
-    if len(pitches_rad) < 2 or chosen_rad < max(pitches_rad):
+    if len(pitches_rad) < 2:
         return ()
-    degrees = np.rad2deg(chosen_rad)
-    return (f"the camera's pitch is {degrees:.3g} degrees, the edge of what was tried: it may be more, or wrong",)
+    if pitch.pitch_rad >= max(pitches_rad):
+        return (f"{pitch.in_words()}, at the edge of what was tried: it may be more, or wrong",)
+    return (f"{pitch.in_words()}",) if pitch.deviation_rad > DOUBTFUL_PITCH_RAD else ()
 
 
 def _mean(values: npt.ArrayLike) -> float:

@@ -11,6 +11,7 @@ from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
+from pasdedeux.reconstruction.pitch import PitchEstimate
 from pasdedeux.reconstruction.reconstruct import Method, Reconstruction, Searcher, reconstruct_track
 from pasdedeux.reconstruction.reliability import Reliability, camera_doubt, judge_person, left_out_misfit_m
 from pasdedeux.reconstruction.tracks import Lens, Track
@@ -88,11 +89,15 @@ def test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion(walkers:
     assert np.isnan(left_out_misfit_m(alone.database, alone.index, one_name, rng))
 
 
-def test_a_pitch_at_the_edge_of_what_was_tried_is_a_doubt() -> None:
+def test_a_pitch_at_the_edge_of_what_was_tried_or_badly_known_is_a_doubt() -> None:
     pitches = np.deg2rad([0.0, 20.0, 45.0])
-    (doubt,) = camera_doubt(pitches, pitches[2])
-    assert "45 degrees, the edge of what was tried" in doubt
-    assert camera_doubt(pitches, pitches[0]) == camera_doubt(pitches, pitches[1]) == camera_doubt([0.8], 0.8) == ()
+    well, badly = np.deg2rad([2.0, 7.0])
+    (doubt,) = camera_doubt(pitches, PitchEstimate(2, pitches[2], well))
+    assert "45 +- 2.0 degrees, at the edge of what was tried" in doubt
+    assert camera_doubt(pitches, PitchEstimate(1, pitches[1], badly)) == ("camera pitch 20 +- 7.0 degrees",)
+    for index in (0, 1):
+        assert camera_doubt(pitches, PitchEstimate(index, pitches[index], well)) == ()
+    assert camera_doubt([0.8], PitchEstimate(0, 0.8)) == ()
     good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
     assert good.verdict.level is Level.PASS
     assert replace(good, doubts=(doubt,)).verdict.level is Level.WARN

@@ -23,7 +23,9 @@ from tasks.graph import load_graph
 from tasks.shards import (
     ClusterSettings,
     ShardError,
+    Stopped,
     connect,
+    joined,
     peak_memory_bytes,
     run_on_cluster,
     run_serially,
@@ -78,7 +80,7 @@ def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
 
     Raises:
         ServerError, ClusterError: Prefect's server or the Dask cluster cannot be used.
-        ShardError: A shard failed; what was committed before stays.
+        ShardError: Shards failed; everything that needs none of them is committed.
     """
     with _prefect_server(run) as await_server, _workers(run, settings) as workers, await_server():
         outcome = _graph_flow(run, plan, workers)
@@ -121,9 +123,9 @@ def _graph_flow(run: Run, plan: Plan, workers: Workers) -> Outcome:
 
 
 def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None:
-    """Run one stage as a flow with a task per partition, on threads of this process."""
+    """Run one stage as a flow with a task per partition, on threads of this process; others outlive one that fails."""
     partitions = partitions_to_run(plan)
-    failures: list[ShardError] = []
+    failures: dict[str, Exception] = {}
     is_serial = workers.client is None
     runner: Any = ThreadPoolTaskRunner(max_workers=1 if is_serial else min(len(partitions), _MAX_PARTITIONS_AT_ONCE))
 
@@ -137,9 +139,10 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
     def build_partition(name: str) -> None:
         try:
             workers.run(run, plan, by_name[name])
-        except ShardError as error:
-            failures.append(error)
-            workers.stop.set()
+        except Exception as error:
+            failures[name] = error
+            if not isinstance(error, ShardError) or error.is_fatal:
+                workers.stop.set()
             raise
 
     @flow(
@@ -151,27 +154,32 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
     )
     def build_stage(study: str, run_id: str) -> None:
         if is_serial:
+            behind: set[str] = set()
             for partition in partitions:
-                build_partition(partition.name)
-            return
-        futures: dict[str, Any] = {}
-        try:
-            for partition in partitions:
-                waits = [futures[name] for name in partition.needs]
-                futures[partition.name] = build_partition.submit(partition.name, wait_for=waits, return_state=False)
-            for future in futures.values():
-                future.result()
-        except BaseException:
-            workers.stop.set()
-            raise
+                if behind.isdisjoint(partition.needs):
+                    build_partition(partition.name, return_state=True)
+                if partition.name in failures or not behind.isdisjoint(partition.needs):
+                    behind.add(partition.name)
+        else:
+            futures: dict[str, Any] = {}
+            try:
+                for partition in partitions:
+                    waits = [futures[name] for name in partition.needs]
+                    futures[partition.name] = build_partition.submit(partition.name, wait_for=waits, return_state=False)
+                for future in futures.values():
+                    future.wait()
+            except BaseException:
+                workers.stop.set()
+                raise
+        shard_errors = [error for error in failures.values() if isinstance(error, ShardError)]
+        for error in failures.values():
+            if not (isinstance(error, ShardError) or (shard_errors and isinstance(error, Stopped))):
+                raise error
+        if shard_errors:
+            raise joined(shard_errors)
 
     by_name = {partition.name: partition for partition in partitions}
-    try:
-        build_stage(study=run.study.name, run_id=run_id)
-    except Exception:
-        if failures:
-            raise failures[0] from None
-        raise
+    build_stage(study=run.study.name, run_id=run_id)
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from graphlib import TopologicalSorter
@@ -14,9 +14,11 @@ from flows.listener import Listener
 from flows.planning import Plan, Selection, StagePlan, plan_stage, stage_inputs, stage_verdict, what_is_missing
 from flows.records import begin_record, copy_report, end_record, read_last_run, record_stage, report_folder
 from flows.study import Study
+from pasdedeux.errors import InputError
 from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactRef, Manifest, MissingArtifact, RunFolder, StorageError, Store, new_run
 from tasks.graph import Graph
+from tasks.shards import ShardError, joined
 from tasks.stage import Shard
 
 __all__ = [
@@ -133,17 +135,35 @@ def execute(run: Run, folder: RunFolder, plan: Plan, run_stage: StageRunner) -> 
         folder: Where the run is recorded, from `begin`.
         plan: The plan made beforehand.
         run_stage: Runs the shards of one stage.
+
+    Raises:
+        ShardError, InputError: A stage failed; those that need nothing of it are up to date.
     """
     status = "failed"
     outcomes: list[StageOutcome] = []
     try:
         manifests: dict[str, Sequence[Manifest]] = {}
+        failures: dict[str, ShardError | InputError] = {}
+        left_out: list[str] = []
         for first in plan.stages:
             name = first.stage.name
             manifests[name] = first.manifests
-            if first.is_selected:
+            if not first.is_selected:
+                continue
+            if {*failures, *left_out}.intersection(run.graph.upstream[name]):
+                left_out.append(name)
+                continue
+            try:
                 outcome, manifests[name] = _bring_up_to_date(run, folder.run_id, first, manifests, run_stage)
                 outcomes.append(outcome)
+            except (ShardError, InputError) as error:
+                failures[name] = error
+                if isinstance(error, ShardError) and error.is_fatal:
+                    break
+        if failures:
+            if left_out:
+                run.listener.note(f"not run, as they need what failed: {', '.join(left_out)}")
+            raise _as_one(failures)
         status = "finished"
     except KeyboardInterrupt:
         status = "interrupted"
@@ -222,6 +242,18 @@ def _bring_up_to_date(
     outcome = StageOutcome.of(plan, found, seconds)
     run.listener.stage_finished(plan, seconds, outcome.verdict)
     return outcome, tuple(found)
+
+
+def _as_one(failures: Mapping[str, ShardError | InputError]) -> Exception:
+    """Return one error for what failed, stage by stage."""
+    if len(failures) == 1:
+        return next(iter(failures.values()))
+    return joined(
+        [
+            error if isinstance(error, ShardError) else ShardError(f"stage {name}", type(error).__name__, str(error))
+            for name, error in failures.items()
+        ]
+    )
 
 
 def _no_work(run: Run, plan: StagePlan) -> None:

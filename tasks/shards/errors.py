@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-__all__ = ["ClusterError", "ShardError", "Stopped", "in_one_line"]
+from collections.abc import Sequence
+
+__all__ = ["ClusterError", "ShardError", "Stopped", "in_one_line", "joined"]
+
+_NAMED = 5
+"""Failed shards that a message names."""
 
 
 class ShardError(Exception):
@@ -13,18 +18,36 @@ class ShardError(Exception):
         kind: Name of the original error's type.
         reason: The original error's message.
         trace: The original traceback as text, for `--debug`.
+        others: Shards that failed as well, while those that need none of them were computed.
     """
 
-    def __init__(self, where: str, kind: str, reason: str, trace: str = "") -> None:
-        super().__init__(where, kind, reason, trace)
+    def __init__(
+        self, where: str, kind: str, reason: str, trace: str = "", others: tuple[ShardError, ...] = ()
+    ) -> None:
+        super().__init__(where, kind, reason, trace, others)
         self.where = where
         self.kind = kind
         self.reason = reason
         self.trace = trace
+        self.others = others
+
+    @property
+    def is_fatal(self) -> bool:
+        """Whether no other shard can do better: the disk is full."""
+        return any(one.kind == "FullDisk" for one in (self, *self.others))
 
     def __str__(self) -> str:
-        """Return the one sentence a person needs."""
-        return f"{self.where}: {self.reason or self.kind}"
+        """Return a sentence for each failed shard, of the first few."""
+        sentences = [f"{one.where}: {one.reason or one.kind}" for one in (self, *self.others[: _NAMED - 1])]
+        left = 1 + len(self.others) - len(sentences)
+        return "; ".join(sentences + ([f"{left} more failed"] if left > 0 else []))
+
+
+def joined(failures: Sequence[ShardError]) -> ShardError:
+    """Return one error that names all failed shards; there is at least one."""
+    every = [one for failure in failures for one in (failure, *failure.others)]
+    first = every[0]
+    return ShardError(first.where, first.kind, first.reason, first.trace, tuple(every[1:]))
 
 
 class ClusterError(Exception):

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from storage_schema import ArtifactRef, Store
 from tasks.shards.cluster import DEATHS_ALLOWED
-from tasks.shards.errors import ShardError, Stopped, in_one_line
+from tasks.shards.errors import ShardError, Stopped, in_one_line, joined
 from tasks.stage import Shard
 
 if TYPE_CHECKING:
@@ -67,15 +67,28 @@ def run_serially(
     on_done: Callable[[ShardDone], None] | None = None,
     stop: threading.Event | None = None,
 ) -> list[ArtifactRef]:
-    """Run shards one after the other in this process, each after those it depends on; artifacts in the order given."""
+    """Run shards one after the other in this process, each after those it depends on; artifacts in the order given.
+
+    Raises:
+        ShardError: Shards failed; those that need none of them are committed.
+        Stopped: `stop` was set from elsewhere.
+    """
     done: dict[str, ArtifactRef] = {}
+    failed = _Failures()
     for shard in _dependency_order(shards):
         if stop is not None and stop.is_set():
             raise Stopped("given up")
-        ref, seconds = run(run_shard, shard, store_root)
+        if failed.is_behind(shard):
+            continue
+        try:
+            ref, seconds = run(run_shard, shard, store_root)
+        except ShardError as error:
+            failed.add(shard, error)
+            continue
         done[shard.key] = ref
         if on_done is not None:
             on_done(ShardDone(shard, ref, seconds))
+    failed.raise_any()
     return [done[shard.key] for shard in shards]
 
 
@@ -95,12 +108,13 @@ def run_on_cluster(
     sent again by the scheduler; one that kills several workers is a ShardError that names it.
 
     Raises:
-        ShardError: A shard failed; no further shard is submitted and those still waiting are cancelled.
+        ShardError: Shards failed; those that need none of them are committed, unless nothing more can be written.
         Stopped: `stop` was set from elsewhere.
     """
     here = {shard.key for shard in shards}
     waiting = list(_dependency_order(shards))
     done: dict[str, ArtifactRef] = {}
+    failed = _Failures()
     flying: dict[Any, Shard] = {}
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
@@ -108,6 +122,9 @@ def run_on_cluster(
         for shard in list(waiting):
             if len(flying) >= max_in_flight:
                 return
+            if failed.is_behind(shard):
+                waiting.remove(shard)
+                continue
             if any(key in here and key not in done for key in shard.after):
                 continue
             waiting.remove(shard)
@@ -126,16 +143,48 @@ def run_on_cluster(
             except queue.Empty:
                 continue
             shard = flying.pop(future)
-            ref, seconds = _result(future, shard, stop)
+            try:
+                ref, seconds = _result(future, shard, stop)
+            except ShardError as error:
+                failed.add(shard, error)
+            else:
+                done[shard.key] = ref
+                if on_done is not None:
+                    on_done(ShardDone(shard, ref, seconds))
             future.release()
-            done[shard.key] = ref
-            if on_done is not None:
-                on_done(ShardDone(shard, ref, seconds))
             submit_ready()
     finally:
         if flying:
             client.cancel(list(flying), force=True)
+    failed.raise_any()
     return [done[shard.key] for shard in shards]
+
+
+class _Failures:
+    """What failed, and so cannot be read by what comes after it."""
+
+    def __init__(self) -> None:
+        self._keys: set[str] = set()
+        self._errors: list[ShardError] = []
+
+    def add(self, shard: Shard, error: ShardError) -> None:
+        """Note a failure; one after which no other shard can do better is raised."""
+        self._keys.add(shard.key)
+        self._errors.append(error)
+        if error.is_fatal:
+            raise joined(self._errors)
+
+    def is_behind(self, shard: Shard) -> bool:
+        """Tell whether a shard comes after one that failed; what comes after it then is behind as well."""
+        if self._keys.isdisjoint(shard.after):
+            return False
+        self._keys.add(shard.key)
+        return True
+
+    def raise_any(self) -> None:
+        """Raise what failed, if anything did."""
+        if self._errors:
+            raise joined(self._errors)
 
 
 def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[ArtifactRef, float]:

@@ -148,3 +148,30 @@ def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be
     fault.unlink()
     assert start("--workers", "0").finish()[0] == 0
     assert digests(tmp_path / "store") == undisturbed
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_shards_and_stages_that_need_nothing_of_what_failed_are_finished(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], workers: str
+) -> None:
+    (tmp_path / "gates").mkdir()
+    faults = [tmp_path / "gates" / f"fail-grow-{name}" for name in ("t0-s1", "t1-s2")]
+    for fault in faults:
+        fault.touch()
+    first = start("--workers", workers)
+    code, _, err = first.finish()
+    assert code == 1
+    last = err.strip().splitlines()[-1]
+    assert "stage grow, t0, shard s1: [Errno 28]" in last
+    assert "stage grow, t1, shard s2: [Errno 28]" in last
+    assert "not run, as they need what failed: bend, judge" in err
+    begun = first.ran()
+    assert set(begun) == {f"grow-{name}" for name in ("t0-s0", "t0-s1", "t1-s0", "t1-s1", "t1-s2")} | {
+        "aside-aside-all"
+    }
+    for fault in faults:
+        fault.unlink()
+    second = start("--workers", "0")
+    assert second.finish()[0] == 0
+    assert len(second.ran()) - len(begun) == EVERYTHING - 4
+    assert digests(tmp_path / "store") == undisturbed

@@ -6,12 +6,14 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 from distributed import Client, Future
 
 from storage_schema import ArtifactRef, Store
+from storage_schema.errors import FullDisk
 from tasks.shards import (
     ClusterError,
     ClusterSettings,
@@ -39,6 +41,16 @@ def shards(num_takes: int = 2, num_segments: int = 3) -> list[Shard]:
 
 def fail_with_a_message(shard: Shard, store: Store) -> ArtifactRef:
     raise ValueError("the 3rd joint is missing")
+
+
+def fail_in_the_middle(shard: Shard, store: Store) -> ArtifactRef:
+    if shard.name == "s1" and shard.partition != "t1":
+        raise ValueError("broken")
+    return run_grow(shard, store)
+
+
+def find_no_room(shard: Shard, store: Store) -> ArtifactRef:
+    raise FullDisk("no room")
 
 
 class UnpicklableError(Exception):
@@ -90,6 +102,30 @@ def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Pat
         run_on_cluster(client, fail_with_a_message, shards(1, 3), str(tmp_path))
     assert caught.value.kind == "ValueError"
     assert "fail_with_a_message" in caught.value.trace
+
+
+def test_shards_that_need_none_of_those_that_failed_are_committed_and_all_failures_named(
+    client: Client, tmp_path: Path
+) -> None:
+    asked = shards(3, 3)
+    for root, run_all in ((tmp_path / "here", run_serially), (tmp_path / "there", partial(run_on_cluster, client))):
+        with pytest.raises(ShardError, match=r"t0, shard s1: broken; .*t2, shard s1: broken") as caught:
+            run_all(fail_in_the_middle, asked, str(root))
+        assert {caught.value.where, *(one.where for one in caught.value.others)} == {
+            "stage grow, t0, shard s1",
+            "stage grow, t2, shard s1",
+        }
+        there = [shard for shard in asked if Store(root).find("grow", shard.key) is not None]
+        assert {(s.partition, s.name) for s in there} == {("t1", f"s{i}") for i in range(3)} | {
+            ("t0", "s0"),
+            ("t2", "s0"),
+        }
+
+
+def test_a_full_disk_ends_the_work_at_once(tmp_path: Path) -> None:
+    with pytest.raises(ShardError, match="t0, shard s0") as caught:
+        run_serially(find_no_room, shards(3, 3), str(tmp_path))
+    assert caught.value.others == ()
 
 
 def test_an_error_that_cannot_be_pickled_keeps_its_message(client: Client, tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ __all__ = [
     "describe_runs",
     "end_record",
     "last_sections",
+    "mixture",
     "read_last_run",
     "record_stage",
     "report_folder",
@@ -86,15 +87,35 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
     """Return the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
     found = []
     for folder in list_runs(store):
-        try:
-            record = json.loads(folder.read(_RUN))
-        except (MissingArtifact, ValueError):
+        record = _record_of(store, folder.run_id)
+        if not record:
             continue
         status = record["status"]
         if status == "running" and record["host"] == platform.node() and not _is_alive(record["pid"]):
             status = "killed"
         found.append({"run_id": folder.run_id, "study": record["study"], "status": status})
     return found
+
+
+def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
+    """Say why what is on record of these stages is not of one run; empty where it is.
+
+    It is one, whoever computed it, where everything that was read is on record too, and where what the last run
+    changed was followed to its end.
+    """
+    known = {(ref.stage, ref.content_digest) for stage in last.stages for ref in last.refs(stage)}
+    record = _record_of(store, last.run_id)
+    if record.get("status", "finished") != "finished":
+        return f"its last run, {last.run_id}, did not finish"
+    done = {entry["stage"]: entry["num_computed"] for entry in record.get("stages", [])}
+    for stage in stages:
+        read = {(one.stage, one.content_digest) for shard in last.stages[stage] for one in shard.inputs}
+        changed = {other for other, _ in read if stage not in done and done.get(other)} | {
+            other for other, digest in read if (other, digest) not in known
+        }
+        if changed:
+            return f"stage {stage} was computed before {', '.join(sorted(changed))} changed"
+    return ""
 
 
 def report_folder(store: Store, run_id: str) -> Path | None:
@@ -115,6 +136,15 @@ def copy_report(store: Store, folder: RunFolder, refs: Sequence[ArtifactRef]) ->
 
 def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
     return {"study": study, "run_id": folder.run_id, "pid": os.getpid(), "host": platform.node()}
+
+
+def _record_of(store: Store, run_id: str) -> dict[str, Any]:
+    """Return how a run ended and what it did; empty where that is gone."""
+    try:
+        record: dict[str, Any] = json.loads(open_run(store, run_id).read(_RUN))
+    except (MissingArtifact, ValueError):
+        return {}
+    return record
 
 
 def _environment() -> dict[str, Any]:

@@ -10,7 +10,7 @@ import typer
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import counted
 from flows.planning import PlanError
-from flows.records import read_last_run, report_folder
+from flows.records import mixture, read_last_run, report_folder
 from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
 
 __all__ = ["app"]
@@ -78,6 +78,11 @@ def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRe
     unknown = [stage for stage in stages if stage not in last.stages]
     if unknown:
         raise PlanError(f"study '{study}' has no stage '{unknown[0]}'; it has: {', '.join(last.stages)}")
+    reason = mixture(store, last, stages or list(last.stages))
+    if reason:
+        raise PlanError(
+            f"study '{study}' is a mixture of runs in the store {store.root}: {reason}; run it to its end first"
+        )
     refs = [ref for stage in last.stages if not stages or stage in stages for ref in last.refs(stage)]
     report = report_folder(store, last.run_id)
     card = None if report is None else report / "card.md"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from flows.planning import Selection
 from flows.renamed import RENAMED_COMMANDS
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
@@ -210,6 +212,22 @@ def test_a_dataset_is_made_once_and_named_again(built: tuple[str, str], capsys: 
     assert call("dataset", "list", "--store", store) == 0
     assert "first@1  14 artifacts" in capsys.readouterr().out
     assert call("dataset", "create", "second", "--study", "unbuilt", "--store", store) == 2
+
+
+def test_a_mixture_of_runs_is_no_dataset(
+    built: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = built[0], str(tmp_path / "store")
+    shutil.copytree(built[1], store)
+    create = ("dataset", "create", "d", "--study", "toy", "--store", store)
+    for change in ("grow.scale=2", "grow.num_takes=3"):
+        run_toys(Path(study), Path(store), change, selection=Selection(until="grow"))
+        assert call(*create) == 2
+        assert "is a mixture of runs" in capsys.readouterr().err
+        assert call(*create, "--stage", "grow") == 0
+        run_toys(Path(study), Path(store), change)
+        assert call(*create) == 0
+    assert "d@" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

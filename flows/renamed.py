@@ -14,6 +14,11 @@ __all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
 
 RENAMED_KEYS: dict[str, str] = {
     "augmentation.solver=descent": "say polished, which comes to the same energy in a third of the time",
+    "augmentation.contact_m": "contacts are between surfaces of bodies now: say touch_m, their distance",
+    "augmentation.weights.contact_extremity": "it is now called contact_hand",
+    "augmentation.weights.contact_mixed": "it is now called contact_hand, as for two hands",
+    "augmentation.weights.contact_limb": "it is now called contact_body, as for torsos",
+    "augmentation.weights.contact_torso": "it is now called contact_body",
     "augmentation.grid": "list the scales under augmentation.scales",
     "projections.least_cluster_change": "it is now called projections.min_cluster_change",
     "views.least_weight": "it is now called views.min_weight",

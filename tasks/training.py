@@ -150,11 +150,10 @@ def _judge(trained: Mapping[str, VariantModel], items: Iterator[TrainingItem]) -
     """
     errors: dict[str, list[float]] = {name: [] for name in trained}
     copied: list[float] = []
-    none = np.zeros((0, 2), np.int64)
     for item in items:
-        copied.append(model_errors(item.request.source.positions_m, item.motion_m, none)["E_r"])
+        copied.append(model_errors(item.request.source.positions_m, item.motion_m)["E_r"])
         for name, model in trained.items():
-            errors[name].append(model_errors(model.predict(item.request), item.motion_m, none)["E_r"])
+            errors[name].append(model_errors(model.predict(item.request), item.motion_m)["E_r"])
     means = {name: float(np.mean(found)) for name, found in errors.items()}
     learned = [name for name in means if name not in BASELINES]
     best = min(learned or means, key=lambda name: means[name])

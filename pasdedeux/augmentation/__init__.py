@@ -1,10 +1,10 @@
 """Augmentation: a pair's motion for other body proportions, contacts kept and bone lengths exact."""
 
 from pasdedeux.augmentation.augment import Augmenter, Variant
-from pasdedeux.augmentation.contacts import UserContact
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion, variant_rotations
 from pasdedeux.augmentation.variations import LIMB_GROUPS, VariationSettings, make_variations, uniform_variations
+from pasdedeux.interaction.contacts import UserContact
 
 __all__ = [
     "LIMB_GROUPS",

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import project_to_bones
-from pasdedeux.augmentation.contacts import UserContact, check_contacts
+from pasdedeux.augmentation.contacts import check_contacts
 from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
@@ -23,6 +23,7 @@ from pasdedeux.augmentation.source import (
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, SolvedWindow, WindowSolver
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
+from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
@@ -97,7 +98,13 @@ class Augmenter:
         check_contacts(source, user_contacts)
         self._user_contacts = user_contacts
         joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
-        self._meter = QualityMeter(source, girth=self.settings.girth, joint_limits=joint_limits)
+        self._meter = QualityMeter(
+            source,
+            girth=self.settings.girth,
+            touch_m=self.settings.touch_m,
+            user_contacts=user_contacts,
+            joint_limits=joint_limits,
+        )
         self._ready: dict[int, WindowSolver] = {}
 
     def solve(self, variations: Sequence[Variation]) -> list[Variant]:
@@ -132,6 +139,7 @@ class Augmenter:
             measured = self._meter.measure(
                 points,
                 reference=points_of(reference_motion(self.source, bone_scale[index : index + 1]))[0],
+                bone_scale=bone_scale[index],
                 lengths_m=lengths[index],
                 squared_residual=laplacian,
             )

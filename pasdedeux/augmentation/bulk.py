@@ -20,10 +20,10 @@ from pasdedeux.augmentation.bulk_kernels import (
     project_edges,
     project_near,
 )
+from pasdedeux.augmentation.contacts import aim_contacts
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS, points_of
-from pasdedeux.augmentation.spans import aim_spans, span_vectors
 from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.kinematics import bone_directions, place_bones
 from pasdedeux.skeletons import BODY22
@@ -94,9 +94,9 @@ class BulkSolver:
         self._normals: AnyFloat = near.normals.astype(dtype)
         self._near_penalties: AnyFloat = near_penalties.astype(dtype)
         self._constants: AnyFloat = np.array([_RELAXATION, _CLEARANCE_PENALTY]).astype(dtype)
-        self._span_lengths: AnyFloat = problem.spans.lengths_m.astype(dtype)
-        self._span_shares: AnyFloat = problem.spans.shares.astype(dtype)
-        self._span_weights: AnyFloat = problem.spans.weights.astype(dtype)
+        self._contact_shares: AnyFloat = problem.contacts.shares.astype(dtype)
+        self._contact_weights: AnyFloat = problem.contact_weights.astype(dtype)
+        self._direction: AnyFloat = np.array([problem.weights.contact_direction]).astype(dtype)
         self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
         self._dtype = dtype
 
@@ -114,11 +114,12 @@ class BulkSolver:
         lengths = np.empty((frames, len(_EDGES), count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
-        spans = problem.spans
+        touching = problem.contacts.points
         between: AnyFloat = np.ascontiguousarray(
-            np.transpose(span_vectors(spans, targets.reference), (3, 1, 2, 0)), dtype
+            np.transpose(problem.contacts.vectors(targets.reference), (3, 1, 2, 0)), dtype
         )
-        span_aim: AnyFloat = np.subtract(np.moveaxis(spans.vectors_m, -1, 0)[..., None], between, dtype=dtype)
+        kept: AnyFloat = np.ascontiguousarray(np.transpose(targets.contact_m, (3, 1, 2, 0)), dtype)
+        contact_aim = kept - between
         state = _Iteration(
             offsets=np.zeros(shape, dtype),
             linear=linear,
@@ -134,10 +135,13 @@ class BulkSolver:
         self._project(state, squared, is_first=True)
         for iteration in range(problem.settings.num_iterations):
             if iteration > 0:
-                aim_spans(state.offsets, between, spans.points, self._span_lengths, self._span_weights, span_aim)
+                aim_contacts(
+                    *(state.offsets, between, touching, self._contact_shares, kept),
+                    *(self._contact_weights, self._direction, contact_aim),
+                )
             assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
             assemble_pairs(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
-            assemble_pairs(span_aim, spans.points, self._span_shares, self._span_weights, state.offsets)
+            assemble_pairs(contact_aim, touching, self._contact_shares, self._contact_weights, state.offsets)
             for group, axes in enumerate(_AXES):
                 solve(self._factors[group], state.offsets.reshape(3, blocks, 2 * NUM_POINTS, count), axes)
             self._project(state, squared, is_first=False)
@@ -202,6 +206,8 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
 
 def _penalties(problem: Problem) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
-    contact = np.concatenate([problem.contact.sum(axis=2), problem.contact.sum(axis=1)], axis=1)
+    contact = np.zeros((problem.num_frames, NUM_POINTS))
+    pull = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
+    np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), pull)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
     return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)

@@ -1,110 +1,36 @@
-"""Contacts, stance feet and joints near the floor, found in the source; every weight fades, nothing switches."""
+"""Contacts in the energy: two points keep the distance of their surfaces, and a little of their direction.
+
+When bodies of other sizes touch, points can stay as far apart as they were though their vectors must turn: a hug of a
+smaller body has the same distances in other directions.  With z the vector of a contact, v the source's, stretched to
+the wanted length D, and k the share of the direction,
+
+    k |z - v|^2 + (1 - k) (|z| - D)^2 = min over unit vectors u of |z - (k v + (1 - k) D u)|^2 + const,
+
+so the bulk solver takes u from where the contact points now; z is linear in the positions, and the matrix is fixed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
+from dataclasses import dataclass
 
+import numba
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator, model_validator
-from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import joint_pair_distances
-from pasdedeux.plausibility import body_height_m, capsule_model
-from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22
+from pasdedeux.fitting import Term
+from pasdedeux.fitting.terms import Normal
+from pasdedeux.interaction.contacts import Contacts, UserContact
 
-__all__ = [
-    "FEET",
-    "BodyPart",
-    "UserContact",
-    "added_by_girth",
-    "body_parts",
-    "check_contacts",
-    "contact_class",
-    "contact_weights",
-    "fade",
-    "floor_weights",
-    "joint_radii_m",
-    "stance_weights",
-]
+__all__ = ["ContactTerm", "aim_contacts", "check_contacts"]
 
 Array = npt.NDArray[np.float64]
+AnyFloat = npt.NDArray[np.floating]
+Indices = npt.NDArray[np.int64]
 
-FEET = BODY22.indices(["left_ankle", "left_toe", "right_ankle", "right_toe"])
-"""Joints of the feet of one person."""
-
-
-class BodyPart(IntEnum):
-    """How exactly a joint's contacts are felt: hands and feet most, the torso least."""
-
-    TORSO = 0
-    LIMB = 1
-    EXTREMITY = 2
-
-
-_EXTREMITIES = BODY22.indices(["left_wrist", "right_wrist", *(BODY22.joint_names[i] for i in FEET)])
-_LIMBS = [limb[1] for limb in BODY22.limbs]
-
-
-_STANCE_SPEED_M_S = (0.15, 0.45)
-_STANCE_HEIGHT_M = (0.05, 0.12)
-_FLOOR_HEIGHT_M = (0.04, 0.15)
-"""Fades: a foot slower and lower than the first stands, one beyond the second does not; likewise for the floor."""
-_SMOOTHING_S = 0.3
-"""Standard deviation of the averaging of all weights over time."""
-
-
-class UserContact(Settings):
-    """A contact stated by the user, which replaces what is found."""
-
-    joint_a: str = Field(description="Joint of person A, by its name in body22")
-    joint_b: str = Field(description="Joint of person B")
-    start_frame: int = Field(0, ge=0, description="First frame")
-    stop_frame: int = Field(description="Frame after the last")
-    weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
-
-    @field_validator("joint_a", "joint_b")
-    @classmethod
-    def _is_a_joint(cls, joint: str) -> str:
-        if joint not in BODY22.joint_names:
-            raise ValueError(f"joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}")
-        return joint
-
-    @model_validator(mode="after")
-    def _has_frames(self) -> UserContact:
-        if self.stop_frame <= self.start_frame:
-            raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
-        return self
-
-    def within(self, start: int, stop: int) -> UserContact | None:
-        """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
-        first, last = max(self.start_frame, start), min(self.stop_frame, stop)
-        changed = {"start_frame": first - start, "stop_frame": last - start}
-        return self.model_copy(update=changed) if first < last else None
-
-
-def fade(value: Array, full: float, none: float) -> Array:
-    """Return 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
-    t = np.clip((none - value) / (none - full), 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
-
-
-def body_parts() -> npt.NDArray[np.int64]:
-    """Return the body part (22,) of each joint of body22."""
-    parts = np.full(BODY22.num_joints, int(BodyPart.TORSO))
-    parts[_LIMBS] = int(BodyPart.LIMB)
-    parts[_EXTREMITIES] = int(BodyPart.EXTREMITY)
-    return parts
-
-
-def contact_class() -> npt.NDArray[np.int64]:
-    """Return the class of each joint pair (22, 22): 2 both are hands or feet, 1 one of them is, 0 body on body."""
-    is_extremity = body_parts() == BodyPart.EXTREMITY
-    return np.asarray(is_extremity[:, None].astype(np.int64) + is_extremity[None, :])
+_SHORTEST_M = 1e-6
 
 
 def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
@@ -121,61 +47,93 @@ def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
             )
 
 
-def contact_weights(source: Source, contact_m: tuple[float, float], user: Sequence[UserContact] = ()) -> Array:
-    """Return how much each pair of joints is in contact (frame, 22 of A, 22 of B), from 0 to 1 before grading.
+@dataclass(frozen=True)
+class ContactTerm(Term):
+    """sum w (|z| - D)^2 over the contacts of each frame.
 
     Args:
-        source: The template.
-        contact_m: Distance of joints: full weight up to the first, none from the second on, metres.
-        user: Contacts that replace what is found.
+        contacts: The points.
+        weights: w (T, M).
+        lengths_m: D (T, M).
     """
-    weights = fade(joint_pair_distances(source.positions_m), *contact_m)
-    for contact in user:
-        at = (BODY22.index(contact.joint_a), BODY22.index(contact.joint_b))
-        weights[contact.start_frame : contact.stop_frame, *at] = contact.weight
-    return _smooth(weights, source)
+
+    contacts: Contacts
+    weights: Array
+    lengths_m: Array
+
+    is_quadratic = False
+
+    def _units(self, positions_m: Array) -> tuple[Array, Array]:
+        vectors = self.contacts.vectors(positions_m)
+        lengths = np.linalg.norm(vectors, axis=-1)
+        return vectors / np.maximum(lengths, _SHORTEST_M)[..., None], lengths
+
+    def energy(self, positions_m: Array) -> float:
+        """Return E."""
+        _, lengths = self._units(positions_m)
+        return float((self.weights * (lengths - self.lengths_m) ** 2).sum())
+
+    def add_gradient(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the gradient."""
+        units, lengths = self._units(positions_m)
+        normal.gradient += self.contacts.spread(
+            (self.weights * (lengths - self.lengths_m))[..., None] * units, positions_m.shape[1]
+        )
+
+    def add_curvature(self, positions_m: Array, normal: Normal) -> None:
+        """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
+        units, _ = self._units(positions_m)
+        normal.stencils.append((self.contacts.points, self.contacts.shares, self.weights, units))
 
 
-def joint_radii_m(source: Source) -> Array:
-    """Return how thick each person is at each joint (2, 22), metres: radius of the thickest capsule that ends there."""
-    model = capsule_model(BODY22)
-    bones = model.radii_m(body_height_m(BODY22, source.lengths_m))
-    radii = np.array(bones)
-    for parent, child in BODY22.bones:
-        radii[:, parent] = np.maximum(radii[:, parent], bones[:, child])
-    return radii
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def aim_contacts(
+    offsets: AnyFloat,
+    reference: AnyFloat,
+    points: Indices,
+    shares: AnyFloat,
+    vectors: AnyFloat,
+    weights: AnyFloat,
+    direction: AnyFloat,
+    aim: AnyFloat,
+) -> None:
+    """Leave k v + (1 - k) D u less r's vector in `aim` (3, T, M, variant), u where each contact points now.
 
-
-def added_by_girth(source: Source, girth: tuple[float, float]) -> Array:
-    """Return what the new girth adds to the distance of each joint pair (22, 22), metres."""
-    radii = joint_radii_m(source) * (np.array(girth)[:, None] - 1.0)
-    return np.asarray(radii[0, :, None] + radii[1, None, :])
-
-
-def stance_weights(source: Source) -> Array:
-    """Return how much each joint of the feet stands (frame, 2, 4), 1 standing: slow and low in the source."""
-    feet = source.positions_m[:, :, FEET]
-    velocity = np.gradient(feet, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(feet.shape)
-    speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
-    standing = fade(speed, *_STANCE_SPEED_M_S) * fade(_height(source)[:, :, FEET], *_STANCE_HEIGHT_M)
-    return _smooth(standing, source)
-
-
-def floor_weights(source: Source) -> Array:
-    """Return how near the floor each joint is in the source (frame, 2, 22), 1 on it."""
-    return _smooth(fade(_height(source), *_FLOOR_HEIGHT_M), source)
-
-
-def _height(source: Source) -> Array:
-    """Height above the floor (frame, 2, 22); an ankle's is taken above its own height when standing flat."""
-    height = source.positions_m[..., 1] - source.floor_m[:, None]
-    ankles = BODY22.indices(["left_ankle", "right_ankle"])
-    height[:, :, ankles] -= source.flat_ankle_m[:, None]
-    return np.asarray(height)
-
-
-def _smooth(weights: Array, source: Source) -> Array:
-    if source.num_frames < 2:
-        return weights
-    sigma = _SMOOTHING_S * source.rate_hz
-    return np.asarray(gaussian_filter1d(weights, sigma, axis=0, mode="nearest", truncate=3.0))
+    Args:
+        offsets: x (3, T, 44, variant).
+        reference: r's vectors (3, T, M, variant).
+        points: Ends of the bones (T, M, 4).
+        shares: What they contribute (T, M, 4).
+        vectors: v (3, T, M, variant).
+        weights: 0 for places that are not used (T, M).
+        direction: k (1,).
+        aim: Written here.
+    """
+    frames, num_contacts, count = aim.shape[1:]
+    squared, wanted = np.empty(count, aim.dtype), np.empty(count, aim.dtype)
+    smallest, keep = aim.dtype.type(_SHORTEST_M), direction[0]
+    free = aim.dtype.type(1.0) - keep
+    for t in range(frames):
+        for e in range(num_contacts):
+            if weights[t, e] <= 0:
+                continue
+            a, b, c, d = points[t, e, 0], points[t, e, 1], points[t, e, 2], points[t, e, 3]
+            sa, sb, sc, sd = shares[t, e, 0], shares[t, e, 1], shares[t, e, 2], shares[t, e, 3]
+            squared[:] = 0
+            wanted[:] = 0
+            for axis in range(3):
+                given, kept, aims = reference[axis, t, e], vectors[axis, t, e], aim[axis, t, e]
+                one, two = offsets[axis, t, a], offsets[axis, t, b]
+                three, four = offsets[axis, t, c], offsets[axis, t, d]
+                for v in range(count):
+                    aims[v] = ((sa * one[v] + sb * two[v]) + (sc * three[v] + sd * four[v])) + given[v]
+                for v in range(count):
+                    squared[v] += aims[v] * aims[v]
+                for v in range(count):
+                    wanted[v] += kept[v] * kept[v]
+            for v in range(count):
+                wanted[v] = free * np.sqrt(wanted[v]) / max(np.sqrt(squared[v]), smallest)
+            for axis in range(3):
+                given, kept, aims = reference[axis, t, e], vectors[axis, t, e], aim[axis, t, e]
+                for v in range(count):
+                    aims[v] = (keep * kept[v] + wanted[v] * aims[v]) - given[v]

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.contacts import ContactTerm
 from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
-from pasdedeux.augmentation.spans import SpanTerm
+from pasdedeux.augmentation.source import NUM_POINTS
 from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.fitting import (
     BoneForest,
@@ -31,22 +32,25 @@ Array = npt.NDArray[np.float64]
 
 
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
-    """Return L x - L_c d (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
+    """Return L x - L_c (s q - r) (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
-    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.difference))
+    return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.across))
 
 
 def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     """State the energy of one variant as terms of a fit."""
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
+    direction, contacts = problem.weights.contact_direction, problem.contacts
+    missed = one.contact_m[0] - contacts.vectors(one.reference[0])
+    kept = direction * problem.contact_weights[..., None] * missed
     quadratic = QuadraticTerm(
         origin_m=one.reference[0],
-        matrix=problem.axis_matrix,
+        matrix=problem.free_matrix,
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
-        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1),
-        constant=_constant(problem, one),
+        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1) + contacts.spread(kept, NUM_POINTS),
+        constant=_constant(problem, one) + float((kept * missed).sum()),
     )
     girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
     near = problem.clearance
@@ -58,22 +62,18 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
         limits_m=one.clearance_m[0],
         weights=near.weights,
     )
-    return [quadratic, girdle, clearance, SpanTerm(problem.spans)]
+    lengths = np.linalg.norm(one.contact_m[0], axis=-1)
+    return [quadratic, girdle, clearance, ContactTerm(contacts, (1.0 - direction) * problem.contact_weights, lengths)]
 
 
 def _constant(problem: Problem, one: Targets) -> float:
     """Return what the quadratic terms weigh at x = 0, where nothing is left of them but their targets."""
     difference = one.difference[0]
-    frame, first, second = problem.touching
-    gaps = difference[frame, first] - difference[frame, second + BODY22.num_joints]
-    if problem.contact_shift is not None:
-        gaps = gaps + problem.contact_shift
     parts = (
         problem.weights.laplacian * laplacian_residual(problem, one, np.zeros((1, *difference.shape))) ** 2,
         problem.floor * one.height[0] ** 2,
         problem.stance[..., None] * np.diff(difference, axis=0)[..., [0, 2]] ** 2,
         (problem.anchor - problem.weights.reference)[:, None] * difference**2,
-        problem.directed[frame, first, second, None] * gaps**2,
     )
     return float(sum(part.sum() for part in parts))
 

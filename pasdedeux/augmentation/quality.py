@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.contacts import FEET, added_by_girth, contact_class, stance_weights
-from pasdedeux.augmentation.source import NUM_POINTS, Source
-from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
+from pasdedeux.augmentation.source import NUM_POINTS, Girths, Source, widened_m
+from pasdedeux.augmentation.support import FEET, stance_weights
+from pasdedeux.interaction.contacts import TOUCH_M, UserContact
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.plausibility import JointLimits, body_height_m, capsule_model
+from pasdedeux.plausibility import JointLimits, capsule_model
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, PAIR17, JointMap
 from pasdedeux.verdict import Level, Verdict
@@ -87,9 +87,8 @@ class FrameLimits(Settings):
 class Quality:
     """Figures of one variant; columns of `variant_quality` bear the same names.
 
-    Contact drifts are means of the change of distance over joint pairs closer than 0.2 m in the source: over all of
-    them (NaN without any), over pairs of two hands or feet, over pairs of one, and over body on body; None where there
-    is no such pair.
+    Contact drifts are means of the change of distance of the surfaces over contacts of the source: over all of them
+    (NaN without any), over those of two hands or feet, of one, and of body on body; None where there is no such one.
     `invalid_angles` counts joint angles of a frame that are out of range and beyond what the source does, in the mean;
     None where no ranges were asked for.
     """
@@ -117,7 +116,7 @@ class Quality:
         """
         level, reasons = Level.PASS, []
         if not self.num_contact_pairs:
-            level, reasons = Level.WARN, ["no joints are in contact in the source, so contact drift is not known"]
+            level, reasons = Level.WARN, ["nothing is in contact in the source, so contact drift is not known"]
         for name, (warn, fail) in limits:
             value = getattr(self, name)
             if value is None or value <= warn:
@@ -140,7 +139,7 @@ class Quality:
 class FrameQuality:
     """Figures of each frame of one variant, arrays (T,); columns of `variant_frames` bear and explain the same names.
 
-    Contact drift is over the frame's joint pairs closer than 0.2 m in the source; NaN where there are none.
+    Contact drift is over the frame's contacts in the source; NaN where there are none.
     """
 
     num_contact_pairs: npt.NDArray[np.int64]
@@ -178,19 +177,20 @@ class QualityMeter:
         self,
         source: Source,
         *,
-        girth: tuple[float, float] = (1.0, 1.0),
+        girth: Girths = (1.0, 1.0),
+        touch_m: tuple[float, float] = TOUCH_M,
+        user_contacts: Sequence[UserContact] = (),
         joint_limits: JointLimits | None = None,
     ) -> None:
         points = source.positions_m.reshape(-1, NUM_POINTS, 3)
         half = BODY22.num_joints
         self._num_frames = len(points)
-        distances = joint_pair_distances(source.positions_m)
-        self._frames, self._first, self._second = np.nonzero(distances < CONTACT_M)
-        self._class = contact_class()[self._first, self._second]
-        self._distance = distances[self._frames, self._first, self._second]
-        if girth != (1.0, 1.0):
-            # Surfaces stay as far apart as they were.
-            self._distance += added_by_girth(source, girth)[self._first, self._second]
+        self._source, self._girth = source, girth
+        self._contacts = source.contacts(touch_m, user_contacts)
+        self._held = np.nonzero(self._contacts.is_held)
+        self._frames = self._held[0]
+        self._class = self._contacts.num_hands[self._held]
+        self._distance = self._contact_distances(points)
         self._jerk, self._frame_jerk = _jerk(points)
         self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
         standing = stance_weights(source)
@@ -200,32 +200,36 @@ class QualityMeter:
         self._floor = floor
         self._below = np.maximum(floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)
-        self._radii = self._model.radii_m(body_height_m(BODY22, source.lengths_m))
-        self._penetration = self._penetrate(points)
-        self._radii = self._radii * np.array(girth)[:, None]
+        self._penetration = self._penetrate(points, self._radii(np.ones((2, half))))
         self._limits = joint_limits and joint_limits.widened(
             _LIMITED.positions(source.positions_m, BODY22.joint_names), name=source.name, percentile=0.0
         )
         self._bends = _spine_bends(points)
 
-    def measure(self, points: Array, *, reference: Array, lengths_m: Array, squared_residual: Array) -> Measured:
+    def measure(
+        self, points: Array, *, reference: Array, bone_scale: Array, lengths_m: Array, squared_residual: Array
+    ) -> Measured:
         """Measure a variant.
 
         Args:
             points: Positions (T, 44, 3), metres.
             reference: Plain forward kinematics (T, 44, 3), metres.
+            bone_scale: Scales (2, 22).
             lengths_m: Bone lengths (44,), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
         """
-        drift = np.abs(self._contact_distances(points) - self._distance)
-        drift_fk = np.abs(self._contact_distances(reference) - self._distance)
+        bones = self._contacts.bones()[self._held]
+        wanted = widened_m(self._distance, bones, self._source, self._girth, bone_scale[None])[0]
+        drift = np.abs(self._contact_distances(points) - wanted)
+        drift_fk = np.abs(self._contact_distances(reference) - wanted)
         pair = points.reshape(-1, 2, BODY22.num_joints, 3)
         bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max(axis=(1, 2))
         slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)
         below = np.maximum(self._floor - points[..., 1], 0.0)
-        depths = self._penetrate(points)
+        radii = self._radii(bone_scale)
+        depths = self._penetrate(points, radii)
         extra = np.maximum(depths[:, 2] - self._penetration[:, 2], 0.0)
-        by_proportions = self._penetrate(reference, is_within=True)
+        by_proportions = self._penetrate(reference, radii, is_within=True)
         within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
@@ -273,15 +277,18 @@ class QualityMeter:
         return float(self._limits.num_invalid(_LIMITED.positions(pair, BODY22.joint_names)).sum(axis=-1).mean())
 
     def _contact_distances(self, points: Array) -> Array:
-        apart = points[self._frames, self._first] - points[self._frames, self._second + BODY22.num_joints]
-        return np.asarray(np.sqrt((apart**2).sum(axis=-1)))
+        return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
+
+    def _radii(self, bone_scale: Array) -> Array:
+        wide = bone_scale if self._girth == "follow" else np.array(self._girth)[:, None]
+        return np.asarray(self._source.radii_m * wide)
 
     def _foot_steps(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(np.diff(points[:, self._feet], axis=0)[..., [0, 2]], axis=-1))
 
-    def _penetrate(self, points: Array, *, is_within: bool = False) -> Array:
+    def _penetrate(self, points: Array, radii: Array, *, is_within: bool = False) -> Array:
         model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
-        return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), self._radii)
+        return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), radii)
 
 
 def _jerk(points: Array) -> tuple[float, Array]:

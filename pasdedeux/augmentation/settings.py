@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field
 from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
 from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.windows import OVERLAP_S
+from pasdedeux.interaction.contacts import TOUCH_M
 from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]
@@ -29,15 +30,16 @@ class AugmentationSettings(Settings):
     weights: Weights = Field(Weights(), description="Weights of the terms")
     limits: QualityLimits = Field(QualityLimits(), description="Limits of pass, warn and fail")
     frame_limits: FrameLimits = Field(FrameLimits(), description="The same for single frames")
-    girth: tuple[Girth, Girth] = Field(
+    girth: tuple[Girth, Girth] | Literal["follow"] = Field(
         (1.0, 1.0),
-        description="Thickness of A's and B's body over the source's; 1 leaves it as it was, whatever the bones do",
+        description="Thickness of A's and B's body over the source's; 1 leaves it as it was, whatever the bones do; "
+        "follow: bones are as thick as they are long",
     )
     is_joint_limited: bool = Field(
         False, description="Check joint angles against the published ranges, widened by what the source does"
     )
-    contact_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
-        (0.2, 0.3), description="Contact distance: full weight up to, none from; metres"
+    touch_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
+        TOUCH_M, description="Distance of surfaces in contact: full weight up to, none from; metres"
     )
     mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time, seconds; 0 as published")
     solver: Literal["bulk", "polished"] = Field(

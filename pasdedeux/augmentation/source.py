@@ -2,37 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import closest_joint_distance
+from pasdedeux.interaction.contacts import TOUCH_M, Contacts, UserContact, closest_joint_distance, find_contacts
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
+from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
     "NUM_POINTS",
+    "Girths",
     "Source",
     "complete_scales",
     "points_of",
     "reference_motion",
     "scaled_lengths",
     "variant_rotations",
+    "widened_m",
 ]
 
 Array = npt.NDArray[np.float64]
+
+Girths = tuple[float, float] | Literal["follow"]
 
 NUM_POINTS = 2 * BODY22.num_joints
 """Joints of both people: person A's 22, then person B's."""
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
+_THINNEST_M = 1e-6
 _FLOOR_PERCENTILE = 5.0
 _ANKLE_PERCENTILE = 10.0
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
+_WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
 
 
@@ -104,6 +113,19 @@ class Source:
         lower = self.positions_m[:, :, _ANKLES, 1].min(axis=-1) - self.floor_m
         return np.maximum(np.percentile(lower, _ANKLE_PERCENTILE, axis=0), 0.0)
 
+    @cached_property
+    def radii_m(self) -> Array:
+        """Radius of each person's bones (2, 22), named by their child joints, metres; a root is as thick as a waist."""
+        radii = capsule_model(BODY22).radii_m(body_height_m(BODY22, self.lengths_m))
+        radii[:, BODY22.root] = radii[:, _WAIST]
+        return radii
+
+    def contacts(self, touch_m: tuple[float, float] = TOUCH_M, stated: Sequence[UserContact] = ()) -> Contacts:
+        """Find where the two touch; see `find_contacts`."""
+        return find_contacts(
+            *(self.positions_m, self.radii_m, BODY22), rate_hz=self.rate_hz, touch_m=touch_m, stated=stated
+        )
+
     def slice(self, start: int, stop: int) -> Source:
         """Return frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
         part = Source(self.positions_m[start:stop], self.rate_hz, self.name)
@@ -155,6 +177,31 @@ def scaled_lengths(source: Source, bone_scale: Array) -> Array:
     lengths = source.lengths_m * bone_scale
     lengths[..., BODY22.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), NUM_POINTS))
+
+
+def widened_m(
+    lengths_m: Array,
+    bones: npt.NDArray[np.int64],
+    source: Source,
+    girth: Girths,
+    bone_scale: Array,
+) -> Array:
+    """Return distances of points of bones in bodies of another girth (variant, *batch), metres.
+
+    Args:
+        lengths_m: Distances in the source (*batch,).
+        bones: Child joints of the two bones (*batch, 2), numbered through.
+        source: The template.
+        girth: Thickness of A and B over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
+            they are long, and distances follow their radii, so that two people of half the size are half as far apart.
+        bone_scale: Scales (variant, 2, 22).
+    """
+    radii = source.radii_m.reshape(-1)[bones]
+    if girth == "follow":
+        wide = np.stack([(radii * scale.reshape(-1)[bones]).sum(axis=-1) for scale in bone_scale])
+        return np.asarray(lengths_m * wide / np.maximum(radii.sum(axis=-1), _THINNEST_M))
+    added = (radii * (np.repeat(girth, BODY22.num_joints)[bones] - 1.0)).sum(axis=-1)
+    return np.broadcast_to(np.maximum(lengths_m + added, 0.0), (len(bone_scale), *lengths_m.shape))
 
 
 def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:

@@ -5,8 +5,7 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
     E = w_L |L x - L_c d|^2                     Laplacian; own edges follow the new skeleton, cross edges the source
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
-      + sum w_C k |(p_i - p_j) - v_ij|^2        contact pairs keep the source's vector v (and what girth adds to it)
-      + sum w_C (1 - k) (|p_i - p_j| - |v_ij|)^2   or its length only; k is 1 for hands and feet, small for bodies
+      + sum w_C (k |z - v|^2 + (1 - k) (|z| - |v|)^2)   contacts keep the distance of their surfaces; see `contacts`
       + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
       + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
@@ -26,17 +25,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
-from pasdedeux.augmentation.contacts import (
-    FEET,
-    UserContact,
-    added_by_girth,
-    contact_weights,
-    floor_weights,
-    stance_weights,
-)
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets, contact_matrix
+from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
     NUM_POINTS,
@@ -45,8 +37,10 @@ from pasdedeux.augmentation.source import (
     points_of,
     reference_motion,
     scaled_lengths,
+    widened_m,
 )
-from pasdedeux.augmentation.spans import find_spans
+from pasdedeux.augmentation.support import FEET, floor_weights, stance_weights
+from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
@@ -85,8 +79,8 @@ def build_problem(
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 
-    contact = contact_weights(source, settings.contact_m, user_contacts) * weights.contact_grades
-    directed = contact * weights.direction_shares
+    contacts = source.contacts(settings.touch_m, user_contacts)
+    contact_weights = weights.of_contacts(contacts)
     standing = stance_weights(source)
     stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
     stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
@@ -100,7 +94,7 @@ def build_problem(
 
     laplacian = mesh.laplacian
     shared = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ laplacian
-    shared += contact_matrix(contact)
+    add_stencils(contacts.points, contacts.shares, contact_weights, shared)
     bends = bending_rows(source)
     shared += weights.bending * bends.T @ bends
     shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
@@ -122,8 +116,6 @@ def build_problem(
             lag1[group, 1:] -= 2.0 * smoothness
             lag2[group] += smoothness
     matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
-    coupling = weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian + contact_matrix(directed)
-    coupling[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor - weights.reference
     return Problem(
         source=source,
         settings=settings,
@@ -131,15 +123,14 @@ def build_problem(
         matrix=matrix,
         lag1=lag1,
         lag2=lag2,
-        contact=contact,
-        directed=directed,
-        spans=find_spans(source, contact - directed, added_by_girth(source, settings.girth)),
+        contacts=contacts,
+        contact_weights=contact_weights,
         stance=stance,
         floor=floor,
         smoothness=smoothness,
         anchor=anchor,
         clearance=find_clearance(source, weights.clearance, weights.clearance_self, settings.girth),
-        coupling=coupling,
+        coupling=weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
     )
 
 
@@ -155,29 +146,38 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     points = points_of(reference)
     difference = points_of(source.positions_m)[None] - points
     pairs = points[:, :, GIRDLE_PAIRS]
+    girth, contacts = problem.settings.girth, problem.contacts
+    across = difference
+    if girth == "follow":
+        size = bone_scale[:, :, 1:].mean(axis=(1, 2))[:, None, None, None]
+        across = size * points_of(source.positions_m)[None] - points
+    vectors = contacts.vectors(points_of(source.positions_m))
+    lengths = np.linalg.norm(vectors, axis=-1)
+    wanted = widened_m(lengths, contacts.bones(), source, girth, bone_scale) / np.maximum(lengths, 1e-6)
     return Targets(
         bone_scale=bone_scale,
         reference=points,
         difference=difference,
+        across=across,
         height=_floor_heights(source, bone_scale, reference),
         lengths_m=scaled_lengths(source, bone_scale),
         girdle_m=np.linalg.norm(pairs[..., 0, :] - pairs[..., 1, :], axis=-1),
-        clearance_m=clearance_limits(problem.clearance, points),
+        clearance_m=clearance_limits(problem.clearance, points, source, girth, bone_scale),
+        contact_m=wanted[..., None] * vectors,
     )
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
     """Return b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
     difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
-    rhs = np.matmul(problem.coupling[None], difference)
+    rhs = np.matmul(problem.coupling[None], np.ascontiguousarray(np.transpose(targets.across, (3, 1, 2, 0))))
+    rhs += (problem.anchor - problem.weights.reference)[:, None] * difference
     if problem.num_frames > 1:
         change = problem.stance[None, :, :, None] * np.diff(difference, axis=1)
         change[1] = 0.0
         rhs[:, 1:] += change
         rhs[:, :-1] -= change
     rhs[1] += problem.floor[:, :, None] * np.transpose(targets.height, (1, 2, 0))
-    if problem.push is not None:
-        rhs += problem.push[..., None]
     return np.asarray(rhs)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.augmentation.contacts import BodyPart, body_parts
+from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.settings import Settings
 
 __all__ = ["Weights"]
@@ -26,15 +26,10 @@ class Weights(Settings):
     reference: Weight = Field(
         0.03, gt=0, description="Pull towards plain FK, w_R; decides what no other term does, alike at every scale"
     )
-    contact_extremity: Weight = Field(60.0, description="Contacts of two hands or feet")
-    contact_mixed: Weight = Field(12.0, description="Contacts of a hand or foot with another body part")
-    contact_limb: Weight = Field(30.0, description="Contacts in which an elbow or knee is the finest part")
-    contact_torso: Weight = Field(30.0, description="Contacts of two torso joints")
+    contact_hand: Weight = Field(60.0, description="Contacts of a hand or foot, w_C")
+    contact_body: Weight = Field(30.0, description="Contacts of other parts of two bodies")
     contact_direction: Weight = Field(
-        0.02,
-        le=1,
-        description="Share k of a contact's weight that keeps its direction, not only its distance; contacts of two "
-        "hands or feet keep all of it",
+        0.02, le=1, description="Share k of a contact's weight that keeps its direction, not only its distance"
     )
     stance: Weight = Field(70.0, description="Horizontal velocity of stance feet at 30 Hz, w_F")
     floor: Weight = Field(100.0, description="Height of joints near the floor, w_H")
@@ -48,16 +43,7 @@ class Weights(Settings):
     clearance_self: Weight = Field(20.0, description="Penetration of one's own body beyond the source's and plain FK's")
     fixed: Weight = Field(1e3, description="Pull of a person held fixed towards the source")
 
-    @property
-    def contact_grades(self) -> Array:
-        """Weight of each joint pair (22, 22) by the finer of its two body parts."""
-        parts = body_parts()
-        finer, coarser = np.maximum.outer(parts, parts), np.minimum.outer(parts, parts)
-        by_finer = np.array([self.contact_torso, self.contact_limb, self.contact_mixed])
-        return np.where(coarser == BodyPart.EXTREMITY, self.contact_extremity, by_finer[finer])
-
-    @property
-    def direction_shares(self) -> Array:
-        """Share of each joint pair's weight (22, 22) that keeps its direction."""
-        parts = body_parts()
-        return np.where(np.minimum.outer(parts, parts) == BodyPart.EXTREMITY, 1.0, self.contact_direction)
+    def of_contacts(self, contacts: Contacts) -> Array:
+        """Return the weight of each contact (T, M)."""
+        grade = self.contact_body + (self.contact_hand - self.contact_body) * contacts.hand.max(axis=-1)
+        return np.asarray(grade * contacts.weights)

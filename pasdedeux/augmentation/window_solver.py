@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import BulkSolver
-from pasdedeux.augmentation.contacts import UserContact
 from pasdedeux.augmentation.energy import descend, fit_terms, laplacian_residual, total_energy
 from pasdedeux.augmentation.problem import Targets
 from pasdedeux.augmentation.settings import AugmentationSettings
@@ -17,6 +16,7 @@ from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import quintic
 from pasdedeux.fitting import FitSettings, PointTerm, Term
+from pasdedeux.interaction.contacts import UserContact
 
 __all__ = ["FALLBACK", "POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
 

@@ -2,8 +2,8 @@
 
 The paper gives them in words: l2 distances, per joint, averaged over both people.  Here E_r is the mean distance
 between predicted and true joints in the world (nothing is aligned or centred), E_b the mean difference of bone lengths,
-and JPD the mean difference of the distance of key joint pairs, "the body parts in continuous contact", which the paper
-names by hand per take and `key_joint_pairs` finds.
+and JPD the mean difference of the distance of key pairs, "the body parts in continuous contact", which the paper names
+by hand per take, as joints; here they are points of bones, found by `key_contacts`.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
+from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["key_joint_pairs", "model_errors", "model_figure", "model_scores"]
+__all__ = ["key_contacts", "model_errors", "model_figure", "model_scores"]
 
 Array = npt.NDArray[np.float64]
-Pairs = npt.NDArray[np.int64]
 Errors = Mapping[str, float]
 
 _CM = 100.0
@@ -31,30 +30,30 @@ _MM = 1000.0
 _UNITS = {"E_r": "cm", "E_b": "mm", "JPD": "cm"}
 
 
-def key_joint_pairs(source_m: Array, *, max_pairs: int = 3) -> Pairs:
-    """Return the joint pairs (pair, 2: joint of A, joint of B) in the most continuous contact in the source.
-
-    Pairs are ordered by the share of frames in which they are closer than 0.2 m, then by their mean distance; at most
-    `max_pairs` of them, none that is never in contact.
+def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
+    """Return the contacts of a take that last longest, at the mean of their places, as those of a single frame.
 
     Args:
-        source_m: The take (T, 2, 22, 3), metres.
-        max_pairs: How many are given at most.
+        contacts: The contacts of a take.
+        max_pairs: How many pairs of bones are given at most; none that is never in contact.
     """
-    distance = joint_pair_distances(source_m)
-    share = (distance < CONTACT_M).mean(axis=0)
-    order = np.lexsort((distance.mean(axis=0).ravel(), -share.ravel()))[:max_pairs]
-    chosen = [index for index in order if share.ravel()[index] > 0]
-    return np.array([divmod(int(index), BODY22.num_joints) for index in chosen], dtype=np.int64).reshape(-1, 2)
+    held = contacts.is_held
+    bones, which, count = np.unique(contacts.points[held], axis=0, return_inverse=True, return_counts=True)
+    shares, hand = np.zeros((len(bones), 4)), np.zeros((len(bones), 2))
+    np.add.at(shares, which.ravel(), contacts.shares[held])
+    np.add.at(hand, which.ravel(), contacts.hand[held])
+    order = np.argsort(-count, kind="stable")[:max_pairs]
+    mean = 1.0 / count[order, None]
+    return Contacts(bones[None, order], mean * shares[None, order], np.ones((1, len(order))), mean * hand[None, order])
 
 
-def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> dict[str, float]:
+def model_errors(predicted_m: Array, true_m: Array, keys: Contacts | None = None) -> dict[str, float]:
     """Return E_r in cm, E_b in mm and JPD in cm of a predicted variant; JPD is NaN where a take has no key pair.
 
     Args:
         predicted_m: (T, 2, 22, 3), metres.
         true_m: (T, 2, 22, 3), metres.
-        pairs: Key joint pairs (pair, 2) of the take.
+        keys: Key contacts of the take; without them JPD is NaN.
 
     Raises:
         InputError: Shapes differ, or a value is not finite.
@@ -65,8 +64,11 @@ def model_errors(predicted_m: Array, true_m: Array, pairs: Pairs) -> dict[str, f
         raise InputError("a predicted or true motion is not finite")
     bones = [child for _, child in BODY22.bones]
     length_error = np.abs(bone_lengths(BODY22, predicted_m) - bone_lengths(BODY22, true_m))[..., bones]
-    apart = [np.linalg.norm(m[:, 0, pairs[:, 0]] - m[:, 1, pairs[:, 1]], axis=-1) for m in (predicted_m, true_m)]
-    jpd = float(np.abs(apart[0] - apart[1]).mean()) if len(pairs) else float("nan")
+    jpd = float("nan")
+    if keys is not None and keys.weights.size:
+        points = [motion.reshape(-1, 1, 2 * BODY22.num_joints, 3) for motion in (predicted_m, true_m)]
+        apart = [np.linalg.norm(keys.vectors(joints), axis=-1) for joints in points]
+        jpd = float(np.abs(apart[0] - apart[1]).mean())
     return {
         "E_r": _CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
         "E_b": _MM * float(length_error.mean()),

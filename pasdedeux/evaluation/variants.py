@@ -11,7 +11,8 @@ import numpy.typing as npt
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.interaction.contacts import CONTACT_M, joint_pair_distances
+from pasdedeux.interaction.contacts import find_contacts
+from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 
@@ -125,15 +126,12 @@ def variant_sheet(take_id: str, source_m: Array, variants_m: Mapping[str, Array]
     """
     frames = evenly_spread(len(source_m), num_moments, has_ends=False)
     panels: list[Panel] = []
+    radii = capsule_model(BODY22).radii_of(source_m)
     for frame in frames:
-        first, second = _contacts(source_m[frame])
+        found = find_contacts(source_m[[frame]], radii, BODY22, rate_hz=1.0)
+        held = found.is_held[0]
+        ends, shares = found.points[0, held].reshape(-1, 2, 2), np.abs(found.shares[0, held].reshape(-1, 2, 2, 1))
         for name, motion in {"source": source_m, **variants_m}.items():
-            pair = motion[frame]
-            links = np.stack([pair[0, first], pair[1, second]], axis=1)
-            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, pair, links))
+            links = (shares * motion[frame].reshape(-1, 3)[ends]).sum(axis=2)
+            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, motion[frame], links))
     return skeleton_sheet(panels, title=f"{take_id}: source beside variants, contacts in green")
-
-
-def _contacts(pair_m: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    first, second = np.nonzero(joint_pair_distances(pair_m) < CONTACT_M)
-    return first, second

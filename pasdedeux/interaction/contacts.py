@@ -1,32 +1,56 @@
-"""How close two people are: distances between their joints, and between the surfaces of their bodies.
+"""Contacts of two people: points of two bones whose surfaces meet.
 
 A body is capsules round its bones; people touch where the surface of one meets that of the other, anywhere along a
-bone, not only at joints.
+bone.  A contact is a point of a bone of A and one of B: a bone is named by its child joint, the point by the share of
+the bone from its parent joint.  It is found where two surfaces are nearest, or stated; its weight fades with the
+distance of the surfaces and nothing switches.  This is what "in contact" means everywhere.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
+from pydantic import Field, field_validator, model_validator
+from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, length, row_of, subtract
-from pasdedeux.skeletons import Skeleton
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22, Skeleton
 
-__all__ = ["CONTACT_M", "Gaps", "closest_joint_distance", "joint_pair_distances", "surface_gaps"]
+__all__ = [
+    "TOUCH_M",
+    "Contacts",
+    "Gaps",
+    "UserContact",
+    "closest_joint_distance",
+    "fade",
+    "find_contacts",
+    "nearest_on_bones",
+    "packer",
+    "parents_of",
+    "stencil_vectors",
+    "surface_gaps",
+]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
-CONTACT_M = 0.2
-"""Joints of two people closer than this are in contact where variants are measured."""
-
-
-def joint_pair_distances(pair_m: Array) -> Array:
-    """Return the distances (*batch, joint of A, joint of B), metres, of pairs (*batch, person=2, joint, 3)."""
-    difference = pair_m[..., 0, :, None, :] - pair_m[..., 1, None, :, :]
-    return np.asarray(np.linalg.norm(difference, axis=-1))
+TOUCH_M = (0.02, 0.08)
+"""Distance of surfaces: in contact up to the first (cloth, flesh, capsules that taper less than limbs do), not beyond
+the second."""
+_HAND_M = 0.08
+"""How far a hand reaches beyond the wrist, in which the working skeletons end: middle of the palm."""
+_HAND_SHARE = 0.5
+"""From here on along a forearm or shank a point becomes one of the hand or foot."""
+_SMOOTHING_S = 0.1
+"""Standard deviation of the averaging of weights and points over time."""
+_SMALLEST_WEIGHT = 1e-2
+"""Contacts that weigh less are left out."""
 
 
 def closest_joint_distance(pair_m: Array) -> Array:
@@ -34,7 +58,14 @@ def closest_joint_distance(pair_m: Array) -> Array:
 
     NaN joints are left out.
     """
-    return np.asarray(np.nanmin(joint_pair_distances(pair_m), axis=(-2, -1)))
+    difference = pair_m[..., 0, :, None, :] - pair_m[..., 1, None, :, :]
+    return np.asarray(np.nanmin(np.linalg.norm(difference, axis=-1), axis=(-2, -1)))
+
+
+def fade(value: Array, full: float, none: float) -> Array:
+    """Return 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
+    t = np.clip((none - value) / (none - full), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 @dataclass(frozen=True)
@@ -50,7 +81,7 @@ class Gaps:
 
     gap_m: Array
     share: Array
-    bones: npt.NDArray[np.int64]
+    bones: Indices
 
     @property
     def closest_m(self) -> Array:
@@ -66,29 +97,229 @@ def surface_gaps(pair_m: Array, radii_m: Array, skeleton: Skeleton) -> Gaps:
         radii_m: Radius of the bone that ends in each joint (person=2, joint), metres.
         skeleton: Whose joints.
     """
-    bones = np.array([child for _, child in skeleton.bones])
-    flat = np.ascontiguousarray(pair_m, dtype=np.float64).reshape(-1, 2, skeleton.num_joints, 3)
-    gap, share = _gaps(flat, np.asarray(radii_m, dtype=np.float64), np.array(skeleton.parents), bones)
-    batch = np.shape(pair_m)[:-3]
-    return Gaps(gap.reshape(*batch, *gap.shape[1:]), share.reshape(*batch, *share.shape[1:]), bones)
+    bones, half = np.array([child for _, child in skeleton.bones]), skeleton.num_joints
+    flat = np.ascontiguousarray(pair_m, dtype=np.float64).reshape(-1, 2 * half, 3)
+    pairs = np.stack(np.broadcast_arrays(bones[:, None], bones + half), axis=-1).reshape(-1, 2)
+    share, gap = nearest_on_bones(flat, pairs, parents_of(skeleton), np.ravel(np.asarray(radii_m, dtype=np.float64)))
+    shape = (*np.shape(pair_m)[:-3], len(bones), len(bones))
+    return Gaps(gap.reshape(shape), share.reshape(*shape, 2), bones)
+
+
+def parents_of(skeleton: Skeleton) -> Indices:
+    """Return the parent of each joint of two people (2 J,), joints numbered through; a root is its own."""
+    parents = np.maximum(np.array(skeleton.parents), skeleton.root * (np.array(skeleton.parents) < 0))
+    return np.concatenate([parents, parents + skeleton.num_joints])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _gaps(
-    pairs: Array, radii: Array, parents: npt.NDArray[np.int64], bones: npt.NDArray[np.int64]
-) -> tuple[Array, Array]:
-    count = bones.shape[0]
-    gap, share = np.empty((pairs.shape[0], count, count)), np.empty((pairs.shape[0], count, count, 2))
-    for at in range(pairs.shape[0]):
-        for i in range(count):
-            a = row_of(pairs[at, 0], parents[bones[i]])
-            u = subtract(row_of(pairs[at, 0], bones[i]), a)
-            for j in range(count):
-                b = row_of(pairs[at, 1], parents[bones[j]])
-                v = subtract(row_of(pairs[at, 1], bones[j]), b)
-                g = subtract(a, b)
-                s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, g), dot(v, g), 0.5)
-                apart = (g[0] + s * u[0] - t * v[0], g[1] + s * u[1] - t * v[1], g[2] + s * u[2] - t * v[2])
-                gap[at, i, j] = length(apart) - radii[0, bones[i]] - radii[1, bones[j]]
-                share[at, i, j, 0], share[at, i, j, 1] = s, t
-    return gap, share
+def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
+    """Return where on their bones (T, pair, 2) the nearest points are, 0 at the parent, and the gap of the surfaces.
+
+    Args:
+        points: Joints (T, n, 3), metres.
+        pairs: Child joints of two bones (pair, 2).
+        parents: Parent of each joint (n,).
+        radii: Radius of the bone that ends in each joint (n,), metres.
+    """
+    share, gap = np.empty((len(points), len(pairs), 2)), np.empty((len(points), len(pairs)))
+    for at in range(len(points)):
+        for row in range(len(pairs)):
+            one, other = pairs[row, 0], pairs[row, 1]
+            a, b = row_of(points[at], parents[one]), row_of(points[at], parents[other])
+            u, v, g = subtract(row_of(points[at], one), a), subtract(row_of(points[at], other), b), subtract(a, b)
+            # Parallel bones: half way is as good as any, and does not jump.
+            s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, g), dot(v, g), 0.5)
+            apart = (g[0] + s * u[0] - t * v[0], g[1] + s * u[1] - t * v[1], g[2] + s * u[2] - t * v[2])
+            share[at, row, 0], share[at, row, 1] = s, t
+            gap[at, row] = length(apart) - radii[one] - radii[other]
+    return share, gap
+
+
+class UserContact(Settings):
+    """A contact that is stated, in place of what is found between the two bones."""
+
+    joint_a: str = Field(description="Joint of person A in which the bone ends, by its name in body22")
+    joint_b: str = Field(description="Joint of person B in which the bone ends")
+    share_a: float = Field(1.0, ge=0, le=1, description="Where on the bone of A: 0 at its beginning, 1 at the joint")
+    share_b: float = Field(1.0, ge=0, le=1, description="The same on the bone of B")
+    start_frame: int = Field(0, ge=0, description="First frame")
+    stop_frame: int = Field(description="Frame after the last")
+    weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
+
+    @field_validator("joint_a", "joint_b")
+    @classmethod
+    def _is_a_joint(cls, joint: str) -> str:
+        if joint not in BODY22.joint_names:
+            raise ValueError(f"joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}")
+        return joint
+
+    @model_validator(mode="after")
+    def _has_frames(self) -> UserContact:
+        if self.stop_frame <= self.start_frame:
+            raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
+        return self
+
+    def within(self, start: int, stop: int) -> UserContact | None:
+        """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
+        first, last = max(self.start_frame, start), min(self.stop_frame, stop)
+        changed = {"start_frame": first - start, "stop_frame": last - start}
+        return self.model_copy(update=changed) if first < last else None
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The contacts of each frame, up to M of them, filled up with contacts of no weight.
+
+    Args:
+        points: Ends of A's bone and of B's (T, M, 4), the joints of both people numbered through.
+        shares: What the ends contribute to the vector from B's point to A's (T, M, 4).
+        weights: From 0 to 1, or as stated (T, M).
+        hand: How much A's and B's point is one of a hand or foot (T, M, 2), from 0 to 1.
+    """
+
+    points: Indices
+    shares: Array
+    weights: Array
+    hand: Array
+
+    @property
+    def is_held(self) -> npt.NDArray[np.bool_]:
+        """Which of them count as contacts where there must be a yes or no (T, M): at half weight and more."""
+        return np.asarray(self.weights >= 0.5)
+
+    @property
+    def num_hands(self) -> Indices:
+        """How many of the two points are of a hand or foot (T, M), where there must be a number."""
+        return np.asarray((self.hand >= 0.5).sum(axis=-1))
+
+    def bones(self) -> Indices:
+        """Return the child joints of the two bones (T, M, 2), numbered through."""
+        return np.asarray(self.points[..., 1::2])
+
+    def vectors(self, points_m: Array) -> Array:
+        """Return the vectors from B's point to A's (*batch, T, M, 3) of joints (*batch, T, 2 J, 3), metres."""
+        return stencil_vectors(self.points, self.shares, points_m)
+
+    def spread(self, pulls: Array, num_points: int) -> Array:
+        """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, 2 J, 3)."""
+        spread = np.zeros((len(pulls), num_points, 3))
+        frames = np.broadcast_to(np.arange(len(pulls))[:, None, None], self.points.shape)
+        np.add.at(spread, (frames, self.points), self.shares[..., None] * pulls[:, :, None])
+        return spread
+
+
+def find_contacts(
+    pair_m: Array,
+    radii_m: Array,
+    skeleton: Skeleton,
+    *,
+    rate_hz: float,
+    touch_m: tuple[float, float] = TOUCH_M,
+    stated: Sequence[UserContact] = (),
+) -> Contacts:
+    """Find where two people touch; weights and points are averaged over a moment.
+
+    Args:
+        pair_m: Motion of both (T, person=2, joint, 3), metres.
+        radii_m: Radius of the bone that ends in each joint (person=2, joint), metres.
+        skeleton: Whose joints.
+        rate_hz: Frames per second.
+        touch_m: Distance of the surfaces: full weight up to the first, none from the second on; hands reach beyond
+            their wrists.
+        stated: Contacts that replace what is found between two bones; names are those of the skeleton.
+    """
+    gaps = surface_gaps(pair_m, radii_m, skeleton)
+    frames, count = len(pair_m), len(gaps.bones)
+    bones = np.stack(np.broadcast_arrays(gaps.bones[:, None], gaps.bones), axis=-1).reshape(-1, 2)
+    share = gaps.share.reshape(frames, -1, 2)
+    reach = _HAND_M * (_hands(bones, share, skeleton) * _is_hand(skeleton)[bones]).sum(axis=-1)
+    weights = fade(gaps.gap_m.reshape(frames, -1) - reach, *touch_m)
+    places = {int(bone): place for place, bone in enumerate(gaps.bones)}
+    told = []
+    for contact in stated:
+        ends = [skeleton.index(contact.joint_a), skeleton.index(contact.joint_b)]
+        when = slice(contact.start_frame, contact.stop_frame)
+        if all(end in places for end in ends):
+            weights[when, places[ends[0]] * count + places[ends[1]]] = 0.0
+        weight = np.zeros(frames)
+        weight[when] = contact.weight
+        told.append((ends, (contact.share_a, contact.share_b), weight))
+    is_near = weights.max(axis=0, initial=0.0) > _SMALLEST_WEIGHT
+    bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
+    if frames > 1 and weights.size:
+        sigma = _SMOOTHING_S * rate_hz
+        moved = gaussian_filter1d(weights[..., None] * share, sigma, axis=0, mode="nearest", truncate=3.0)
+        weights = gaussian_filter1d(weights, sigma, axis=0, mode="nearest", truncate=3.0)
+        share = np.clip(moved / np.maximum(weights, 1e-9)[..., None], 0.0, 1.0)
+    if told:
+        weight = np.stack([weight for *_, weight in told], axis=-1)
+        if frames > 1:
+            weight = gaussian_filter1d(weight, _SMOOTHING_S * rate_hz, axis=0, mode="nearest", truncate=3.0)
+        weights = np.concatenate([weights, weight], axis=1)
+        at = np.array([shares for _, shares, _ in told])
+        share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
+        bones = np.concatenate([bones, np.array([ends for ends, *_ in told])])
+    frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
+    packed, half, parents = packer(frame, frames), skeleton.num_joints, parents_of(skeleton)
+    children = bones + np.array([0, half])
+    points = np.stack([parents[children], children], axis=-1).reshape(-1, 4)
+    s, t = np.moveaxis(share[frame, column], -1, 0)
+    return Contacts(
+        points=packed(points[column]),
+        shares=packed(np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)),
+        weights=packed(weights[frame, column]),
+        hand=packed(_hands(bones, share, skeleton)[frame, column]),
+    )
+
+
+def _is_hand(skeleton: Skeleton) -> npt.NDArray[np.bool_]:
+    return np.array([name.endswith("wrist") for name in skeleton.joint_names])
+
+
+def _hands(bones: Indices, share: Array, skeleton: Skeleton) -> Array:
+    """Return how much points (T, n, 2) at a share of bones (n, 2) are of a hand or foot."""
+    is_end = np.array([name.endswith(("wrist", "ankle")) for name in skeleton.joint_names])
+    is_foot = np.array([name.endswith("toe") for name in skeleton.joint_names])
+    return np.where(is_end[bones], fade(-share, -1.0, -_HAND_SHARE), is_foot[bones])
+
+
+def packer(frame: npt.NDArray[np.intp], num_frames: int) -> Callable[[npt.NDArray[Any]], npt.NDArray[Any]]:
+    """Return what lays values (n, ...) of these frames (n,), which rise, out by frame (num_frames, M, ...).
+
+    M is the greatest number in a frame; the others are filled up with zeros.
+    """
+    counts = np.bincount(frame, minlength=num_frames)
+    place = np.arange(len(frame)) - (np.cumsum(counts) - counts)[frame]
+
+    def packed(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        laid = np.zeros((num_frames, int(counts.max(initial=0)), *values.shape[1:]), values.dtype)
+        laid[frame, place] = values
+        return laid
+
+    return packed
+
+
+def stencil_vectors(points: Indices, shares: Array, points_m: Array) -> Array:
+    """Return the sums of shares of points (*batch, T, M, 3), metres.
+
+    Args:
+        points: Joints of each sum (T, M, k).
+        shares: What each contributes (T, M, k).
+        points_m: Joints (*batch, T, n, 3), metres.
+    """
+    batch = points_m.shape[:-3]
+    flat = np.ascontiguousarray(points_m).reshape(-1, *points_m.shape[-3:])
+    return np.asarray(_sum_up(flat, points, shares).reshape(*batch, *points.shape[:2], 3))
+
+
+@njit(cache=True, nogil=True)
+def _sum_up(points_m: Array, points: Indices, shares: Array) -> Array:
+    count, frames, num_pairs = len(points_m), points.shape[0], points.shape[1]
+    sums = np.zeros((count, frames, num_pairs, 3))
+    for v in range(count):
+        for t in range(frames):
+            for e in range(num_pairs):
+                for k in range(points.shape[2]):
+                    for axis in range(3):
+                        sums[v, t, e, axis] += shares[t, e, k] * points_m[v, t, points[t, e, k], axis]
+    return sums

@@ -45,11 +45,11 @@ VARIANT_QUALITY = Table(
         float64("scale_a", "Uniform scale of person A, NaN where not uniform"),
         float64("scale_b", "Uniform scale of person B, NaN where not uniform"),
         integer("num_frames", "Frames solved"),
-        integer("num_contact_pairs", "Joint pairs in contact, summed over frames"),
+        integer("num_contact_pairs", "Contacts of points of bones in the source, summed over frames"),
         float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
         float64(
             "contact_drift_m",
-            "Mean change of the distance of contact pairs against the source; NaN without one",
+            "Mean change of the distance of the surfaces of contacts against the source; NaN without one",
             unit="m",
         ),
         float64(
@@ -57,19 +57,19 @@ VARIANT_QUALITY = Table(
         ),
         float64(
             "contact_drift_extremity_m",
-            "Contact drift of pairs of two hands or feet; null without such a pair",
+            "Contact drift of two hands or feet; null without such a contact",
             unit="m",
             is_nullable=True,
         ),
         float64(
             "contact_drift_mixed_m",
-            "Contact drift of pairs of a hand or foot with the rest of the body; null without such a pair",
+            "Contact drift of a hand or foot on another part of a body; null without such a contact",
             unit="m",
             is_nullable=True,
         ),
         float64(
             "contact_drift_body_m",
-            "Contact drift of pairs without hand or foot; null without such a pair",
+            "Contact drift of bodies without hand or foot; null without such a contact",
             unit="m",
             is_nullable=True,
         ),
@@ -115,9 +115,11 @@ VARIANT_FRAMES = Table(
         TAKE_ID,
         VARIANT_ID,
         FRAME,
-        integer("num_contact_pairs", "Joint pairs in contact in the source"),
+        integer("num_contact_pairs", "Contacts of points of bones in the source"),
         float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
-        float64("contact_drift_m", "Mean change of the distance of contact pairs; NaN without one", unit="m"),
+        float64(
+            "contact_drift_m", "Mean change of the distance of the surfaces of contacts; NaN without one", unit="m"
+        ),
         float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
         float64(
             "foot_slide_m",

@@ -53,7 +53,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     ]
     has_contacts = bool(np.isfinite(qualities.values["contact_drift_m"]).any())
     if not has_contacts:
-        notes.append(f"{take_id}: no joints are in contact in the source, so contact drift is not known.")
+        notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_people(store, take, "body22_m")
     drawn = _extremes(qualities)
     sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.evaluation.models import key_joint_pairs, model_errors, model_figure, model_scores
+from pasdedeux.evaluation.models import key_contacts, model_errors, model_figure, model_scores
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
 from storage_schema import ArtifactRef, Store
@@ -35,7 +35,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in shard.refs("takes")}
     keys, homes, scales = _test_variants(store, shard.refs("variants"), facts["test"])
     models = _read_models(store, shard.ref("models"))
-    pairs = {take_id: key_joint_pairs(take.source.positions_m) for take_id, take in takes.items()}
+    keys_of = {take_id: key_contacts(take.source.contacts()) for take_id, take in takes.items()}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in models}
     at: list[float] = []
     owners: list[str] = []
@@ -44,7 +44,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         owners.append(take_id)
         at.append(scales[take_id, item.variant_id])
         for name, model in models.items():
-            errors[name].append(model_errors(model.predict(item.request), item.motion_m, pairs[take_id]))
+            errors[name].append(model_errors(model.predict(item.request), item.motion_m, keys_of[take_id]))
     split = f"{facts['split']} test"
     scores = model_scores(errors, baselines=BASELINES, split=split, item="all")
     for take_id in sorted(set(owners)):

@@ -158,8 +158,11 @@ def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:
     ]
     (found,) = augment(store, [take], scales=(0.8,))
     (without,) = augment(store, [take], scales=(0.8,), contacts={"pair": nothing})
-    drift = [store.read(made.ref, "variant_quality")["contact_drift_m"][0] for made in (found, without)]
-    assert drift[1] > 1.5 * drift[0]
+    counts = [store.read(made.ref, "variant_quality")["num_contact_pairs"][0] for made in (found, without)]
+    assert counts[0] > 0
+    assert counts[1] == 0
+    motions = [store.read(made.ref, "variants")["body22_m"] for made in (found, without)]
+    assert np.abs(motions[0] - motions[1]).max() > 0.01
     with pytest.raises(InputError, match="take 'pear' is not there; takes: pair"):
         augment(store, [take], contacts={"pear": nothing[:1]})
 

@@ -3,14 +3,13 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.augmentation import Augmenter, Source, UserContact, reference_motion
-from pasdedeux.augmentation.contacts import contact_weights, fade, stance_weights
 from pasdedeux.augmentation.mesh import build_mesh
+from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import fade
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
-
-CONTACT_M = (0.2, 0.3)
 
 
 def test_weights_are_rows_that_sum_to_one_and_cross_rows_to_zero() -> None:
@@ -49,15 +48,6 @@ def test_fading_is_continuous_and_ends_flat() -> None:
     assert weights[-1] == 0.0
 
 
-def test_contact_weights_move_little_when_joints_move_little() -> None:
-    positions = swaying_pair(20)
-    before = contact_weights(Source(positions, 30.0), CONTACT_M)
-    after = contact_weights(
-        Source(positions + np.random.default_rng(0).normal(0, 1e-4, positions.shape), 30.0), CONTACT_M
-    )
-    assert np.abs(before - after).max() < 0.02
-
-
 def test_planted_feet_stand_and_raised_feet_do_not() -> None:
     positions = swaying_pair(60)
     assert stance_weights(Source(positions, 30.0)).min() > 0.9
@@ -70,20 +60,14 @@ def test_planted_feet_stand_and_raised_feet_do_not() -> None:
     assert np.abs(np.diff(weights, axis=0)).max() < 0.15
 
 
-def test_a_users_contact_replaces_what_is_found() -> None:
-    # One frame in ten seconds: weights are not averaged with those of other frames.
-    source = Source(swaying_pair(10), 0.1)
-    contact = UserContact(joint_a="head", joint_b="head", start_frame=2, stop_frame=5, weight=0.7)
-    weights = contact_weights(source, CONTACT_M, [contact])
-    head = BODY22.index("head")
-    expected = contact_weights(source, CONTACT_M)
-    assert np.abs(expected[:, head, head] - 0.7).min() > 0.01
-    expected[2:5, head, head] = 0.7
-    np.testing.assert_array_equal(weights, expected)
+def test_a_users_contact_is_of_frames_and_joints_that_there_are() -> None:
+    contact = UserContact(joint_a="head", joint_b="head", stop_frame=11)
     with pytest.raises(InputError, match="frames within 0 to 10"):
-        Augmenter(source, user_contacts=[contact.model_copy(update={"stop_frame": 11})])
+        Augmenter(Source(swaying_pair(10), 30.0), user_contacts=[contact])
     with pytest.raises(ValidationError, match="joint 'nose' is not in body22"):
         UserContact(joint_a="nose", joint_b="head", stop_frame=1)
+    with pytest.raises(ValidationError, match="share_b"):
+        UserContact(joint_a="head", joint_b="head", share_b=1.5, stop_frame=1)
 
 
 def test_the_reference_motion_has_the_new_lengths_and_at_scale_one_is_the_source() -> None:

@@ -18,6 +18,7 @@ def _measure(source: Source, pair: np.ndarray, *, limits: JointLimits | None = N
     return QualityMeter(source, joint_limits=limits).measure(
         points_of(pair),
         reference=points_of(source.positions_m),
+        bone_scale=np.ones((2, 22)),
         lengths_m=source.lengths_m.reshape(-1),
         squared_residual=np.zeros(len(pair)),
     )
@@ -43,7 +44,7 @@ def test_without_a_contact_drift_is_not_known_and_the_verdict_says_so() -> None:
     assert variant.quality.num_contact_pairs == 0
     assert np.isnan([variant.quality.contact_drift_m, variant.quality.contact_drift_fk_m]).all()
     assert variant.verdict.level is Level.WARN
-    assert "no joints are in contact" in variant.verdict.reason
+    assert "nothing is in contact" in variant.verdict.reason
     assert np.isnan([variant.verdict.value, variant.verdict.baseline]).all()
 
 

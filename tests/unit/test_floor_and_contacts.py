@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.choreography import make_duet
-from pasdedeux.interaction.contacts import surface_gaps
+from pasdedeux.interaction.contacts import UserContact, find_contacts, surface_gaps
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import capsule_model, segment_distance
@@ -74,3 +74,61 @@ def test_known_contacts_of_a_duet_are_where_surfaces_meet_and_known_stances_stan
     alone = find_standing(feet, rate_hz=30.0, settings=StandingSettings(), is_present=absent)
     np.testing.assert_array_equal(alone[:, :1], find_standing(feet[:, :1], rate_hz=30.0, settings=StandingSettings()))
     assert not alone[:, 1].any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_contacts_are_blind_to_rigid_motion_and_their_points_lie_on_the_bones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pair = make_duet("hug", rate_hz=6.0).positions_m()[24:36]
+    found = find_contacts(pair, RADII, BODY22, rate_hz=6.0)
+    moved = np.einsum("ij,...j->...i", yaw_rotmat(rng.uniform(-3, 3)), pair) + rng.normal(0, 1, 3)
+    again = find_contacts(moved, RADII, BODY22, rate_hz=6.0)
+    np.testing.assert_array_equal(found.points, again.points)
+    for name in ("shares", "weights", "hand"):
+        np.testing.assert_allclose(getattr(found, name), getattr(again, name), atol=1e-9)
+    lengths = [np.linalg.norm(c.vectors(m.reshape(-1, 44, 3)), axis=-1) for c, m in ((found, pair), (again, moved))]
+    np.testing.assert_allclose(lengths[0], lengths[1], atol=1e-9)
+    used = found.weights > 0
+    np.testing.assert_allclose(found.shares[used][:, :2].sum(axis=-1), 1.0)
+    np.testing.assert_allclose(found.shares[used][:, 2:].sum(axis=-1), -1.0)
+    np.testing.assert_array_equal(np.array(BODY22.parents)[found.bones()[used] % 22], found.points[used][:, ::2] % 22)
+
+
+def test_weights_of_contacts_move_little_when_people_move_little_and_none_is_found_apart() -> None:
+    pair = make_duet("waltz", rate_hz=10.0).positions_m()
+    nudged = pair + np.random.default_rng(0).normal(0, 1e-4, pair.shape)
+    before, after = (find_contacts(motion, RADII, BODY22, rate_hz=10.0) for motion in (pair, nudged))
+    assert (
+        np.abs(before.weights.sum(axis=1) - after.weights.sum(axis=1)).max() < 0.02 * before.weights.sum(axis=1).max()
+    )
+    apart = pair + np.array([[[0.0] * 3], [[3.0, 0.0, 0.0]]])
+    assert find_contacts(apart, RADII, BODY22, rate_hz=10.0).weights.size == 0
+
+
+def test_hands_reach_beyond_wrists_and_other_bones_do_not() -> None:
+    pair = make_duet("push_hands", rate_hz=10.0).positions_m()[:1]
+    wrist, knee = BODY22.index("right_wrist"), BODY22.index("right_knee")
+    for joint, is_found in ((wrist, True), (knee, False)):
+        moved = pair.copy()
+        moved[:, 1] += pair[:, 0, joint] - pair[:, 1, joint] + [0.0, 0.0, RADII[:, joint].sum() + 0.1]
+        found = find_contacts(moved, RADII, BODY22, rate_hz=10.0)
+        assert ((found.bones() == [joint, joint + 22]).all(axis=-1) & (found.weights > 0.5)).any() == is_found
+
+
+def test_a_stated_contact_replaces_what_is_found_between_its_bones() -> None:
+    # One frame in ten seconds: weights are not averaged with those of other frames.
+    pair = make_duet("waltz", rate_hz=1.0).positions_m()
+    bones = [BODY22.index("left_wrist"), BODY22.index("right_wrist") + 22]
+    for weight in (0.0, 0.7):
+        stated = UserContact(
+            joint_a="left_wrist", joint_b="right_wrist", share_b=0.4, start_frame=2, stop_frame=5, weight=weight
+        )
+        found = find_contacts(pair, RADII, BODY22, rate_hz=0.1, stated=[stated])
+        mine = (found.bones() == bones).all(axis=-1) & (found.weights > 0)
+        assert mine[[0, 1, 5, 6]].sum(axis=1).tolist() == [1] * 4
+        assert mine[2:5].sum(axis=1).tolist() == [int(weight > 0)] * 3
+        assert (found.weights[2:5][mine[2:5]] == weight).all()
+        np.testing.assert_allclose(
+            found.shares[2:5][mine[2:5]], [[0.0, 1.0, -0.6, -0.4]] * 3 if weight else np.zeros((0, 4))
+        )

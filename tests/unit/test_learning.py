@@ -4,7 +4,8 @@ import pytest
 from pasdedeux.augmentation import Augmenter, Source, reference_motion, uniform_variations
 from pasdedeux.augmentation.variations import PAPER_SCALES, group_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import key_joint_pairs, model_errors
+from pasdedeux.evaluation.models import key_contacts, model_errors
+from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
     RidgeScaleModel,
     TrainingItem,
@@ -17,6 +18,9 @@ from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(6), 30.0, "sway")
+ROOTS = Contacts(
+    np.array([[[0, 0, 22, 22]]]), np.array([[[0.0, 1.0, 0.0, -1.0]]]), np.ones((1, 1)), np.zeros((1, 1, 2))
+)
 
 
 def _quadratic_items(scales: list[float], seed: int = 0) -> list[TrainingItem]:
@@ -77,15 +81,15 @@ def test_on_an_unseen_take_ridge_learns_what_forward_kinematics_can_tell() -> No
     (variation,) = uniform_variations([0.85], ["A"])
     truth = reference_motion(other, variation.bone_scale[None])[0]
     predicted = model.predict(VariantRequest("other", other, variation.bone_scale))
-    assert model_errors(predicted, truth, np.zeros((0, 2), int))["E_r"] < 0.5
-    copied = model_errors(other.positions_m, truth, np.zeros((0, 2), int))["E_r"]
+    assert model_errors(predicted, truth)["E_r"] < 0.5
+    copied = model_errors(other.positions_m, truth)["E_r"]
     assert copied > 3.0
 
 
 def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
     (variation,) = uniform_variations([0.8], ["A"])
     (truth,) = Augmenter(TAKE).solve([variation])
-    pairs = key_joint_pairs(TAKE.positions_m)
+    pairs = key_contacts(TAKE.contacts())
     request = VariantRequest("sway", TAKE, variation.bone_scale)
     fk = model_errors(load_model("naive_fk", {}).predict(request), truth.positions_m, pairs)
     copy = model_errors(load_model("copy", {}).predict(request), truth.positions_m, pairs)
@@ -97,7 +101,7 @@ def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
 def test_metrics_are_in_the_papers_units() -> None:
     truth = TAKE.positions_m
     shifted = truth + np.array([0.01, 0.0, 0.0])
-    errors = model_errors(shifted, truth, np.array([[0, 0]]))
+    errors = model_errors(shifted, truth, ROOTS)
     assert errors["E_r"] == pytest.approx(1.0)
     assert errors["E_b"] == pytest.approx(0.0, abs=1e-9)
     assert errors["JPD"] == pytest.approx(0.0, abs=1e-9)
@@ -105,21 +109,21 @@ def test_metrics_are_in_the_papers_units() -> None:
     stretched[:, 0, BODY22.index("head")] += (truth[:, 0, BODY22.index("head")] - truth[:, 0, BODY22.index("neck")]) * (
         0.042 / TAKE.lengths_m[0, BODY22.index("head")]
     )
-    assert model_errors(stretched, truth, np.array([[0, 0]]))["E_b"] == pytest.approx(1.0)
+    assert model_errors(stretched, truth, ROOTS)["E_b"] == pytest.approx(1.0)
     apart = truth.copy()
     apart[:, 1] += 1.02 * (truth[:, 1] - truth[:, 0, :1]) - (truth[:, 1] - truth[:, 0, :1])
-    assert model_errors(apart, truth, np.array([[0, 0]]))["JPD"] == pytest.approx(
+    assert model_errors(apart, truth, ROOTS)["JPD"] == pytest.approx(
         2.0 * np.linalg.norm(truth[:, 1, 0] - truth[:, 0, 0], axis=-1).mean()
     )
 
 
 def test_key_pairs_are_those_in_contact_and_none_when_apart() -> None:
-    pairs = key_joint_pairs(TAKE.positions_m, max_pairs=2)
-    wrists = set(BODY22.indices(["left_wrist", "right_wrist"]))
-    assert len(pairs) == 2
-    assert set(pairs.ravel().tolist()) <= wrists
-    assert len(key_joint_pairs(swaying_pair(4, apart_m=5.0))) == 0
-    assert np.isnan(model_errors(TAKE.positions_m, TAKE.positions_m, np.zeros((0, 2), int))["JPD"])
+    found = key_contacts(TAKE.contacts(), max_pairs=2)
+    forearms = set(BODY22.indices(["left_wrist", "right_wrist"]))
+    assert found.weights.shape == (1, 2)
+    assert set((found.bones() % BODY22.num_joints).ravel().tolist()) <= forearms
+    assert key_contacts(Source(swaying_pair(4, apart_m=5.0), 30.0).contacts()).weights.size == 0
+    assert np.isnan(model_errors(TAKE.positions_m, TAKE.positions_m)["JPD"])
 
 
 def test_cross_scale_trains_near_and_tests_far_on_the_same_takes() -> None:
@@ -168,4 +172,4 @@ def test_what_cannot_be_done_is_said() -> None:
     with pytest.raises(InputError, match="the source's is"):
         TrainingItem("v", VariantRequest("sway", TAKE, np.ones((2, 22))), TAKE.positions_m[:3])
     with pytest.raises(InputError, match="not finite"):
-        model_errors(TAKE.positions_m * np.nan, TAKE.positions_m, np.zeros((0, 2), int))
+        model_errors(TAKE.positions_m * np.nan, TAKE.positions_m)

@@ -14,7 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flows.execution import Outcome, Partition, Run, begin, execute, partitions_to_run
+from flows.execution import Outcome, Partition, Run, begin, execute, outcome_of_fresh, partitions_to_run
+from flows.machine import GIB, num_workers
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.study import load_study
@@ -36,6 +37,7 @@ telemetry_off()
 
 # Telemetry is off first, so these imports come late.
 from prefect import flow, task  # noqa: E402
+from prefect.artifacts import create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
@@ -92,7 +94,7 @@ def dataset(
     study: str = "duets",
     store: str = "store",
     settings: Sequence[str] = (),
-    num_workers: int = 2,
+    workers: int | None = None,
     worker_memory_gb: float = 2.0,
     scheduler: str | None = None,
 ) -> dict[str, int]:
@@ -101,14 +103,33 @@ def dataset(
     run = Run(chosen, graph, Store(store))
     plan = make_plan(chosen, graph, run.store)
     if plan.is_fresh:
-        refuse_nothing(plan.missing)
-        return {stage.stage.name: 0 for stage in plan.stages}
-    cluster = ClusterSettings(num_workers, int(worker_memory_gb * 1024**3), scheduler)
-    with _workers(run, cluster) as workers:
-        folder = begin(run, plan)
-        outcome = execute(run, folder, plan, partial(_run_stage, workers, folder.run_id))
+        outcome = outcome_of_fresh(run, plan)
+    else:
+        worker_bytes = int(worker_memory_gb * GIB)
+        cluster = ClusterSettings(num_workers(workers, worker_bytes), worker_bytes, scheduler)
+        with _workers(run, cluster) as found:
+            folder = begin(run, plan)
+            outcome = execute(run, folder, plan, partial(_run_stage, found, folder.run_id))
+    _publish(chosen.name, outcome)
     refuse_nothing(outcome.missing)
     return {stage.name: stage.num_computed for stage in outcome.stages}
+
+
+def _publish(study: str, outcome: Outcome) -> None:
+    """Put what a build did, and where its report is, on the page of its flow run."""
+    rows = [
+        {
+            "stage": stage.name,
+            "shards": stage.num_shards,
+            "computed": stage.num_computed,
+            "verdict": "" if stage.verdict is None else stage.verdict.level.value,
+            "reason": "" if stage.verdict is None else stage.verdict.reason,
+        }
+        for stage in outcome.stages
+    ]
+    where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
+    key = "".join(letter if letter.isalnum() else "-" for letter in f"pasdedeux-{study}".lower())
+    create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
 
 
 def _graph_flow(run: Run, plan: Plan, workers: Workers) -> Outcome:

@@ -11,6 +11,7 @@ __all__ = [
     "free_bytes",
     "memory_bytes",
     "nearest_folder",
+    "num_workers",
     "usable_cores",
 ]
 
@@ -25,6 +26,13 @@ def usable_cores() -> int:
 def memory_bytes() -> int:
     """Return the memory of the machine; OSError or ValueError where the system does not tell."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def num_workers(asked: int | None, worker_bytes: int) -> int:
+    """Return the number of workers asked for, else one per usable core as far as the memory reaches."""
+    if asked is not None:
+        return asked
+    return max(1, min(usable_cores(), memory_bytes() // worker_bytes))
 
 
 def free_bytes(folder: Path) -> int:

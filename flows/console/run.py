@@ -19,7 +19,7 @@ from flows.console.context import (
 )
 from flows.console.display import counted, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
-from flows.machine import GIB, free_bytes, memory_bytes, usable_cores
+from flows.machine import GIB, free_bytes, num_workers
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.study import Study, load_study
 from storage_schema import Store
@@ -112,7 +112,7 @@ def build_and_report(
     else:
         _refuse_full_disk(opened)
         worker_bytes = int(worker_memory * GIB)
-        cluster = ClusterSettings(_num_workers(workers, worker_bytes), worker_bytes, scheduler)
+        cluster = ClusterSettings(num_workers(workers, worker_bytes), worker_bytes, scheduler)
         outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     if as_json:
@@ -169,13 +169,6 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
         return orchestrate(replace(run, listener=listener), plan, cluster)
     finally:
         listener.close()
-
-
-def _num_workers(asked: int | None, worker_bytes: int) -> int:
-    """Return the number of workers asked for, else one per usable core as far as the memory reaches."""
-    if asked is not None:
-        return asked
-    return max(1, min(usable_cores(), memory_bytes() // worker_bytes))
 
 
 def _refuse_full_disk(store: Store) -> None:

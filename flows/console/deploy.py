@@ -1,0 +1,77 @@
+"""`deploy`: a study as a scheduled build on Prefect's server."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.console.context import SettingOption, StoreOption, StudyArgument, graph_of, open_store
+from flows.planning import PlanError, make_plan
+from flows.prefect_server import check_server, telemetry_off
+from flows.study import load_study
+
+__all__ = ["app"]
+
+app = typer.Typer(rich_markup_mode=None)
+
+_DEPLOY = """Put a study on Prefect's server as a build that a worker runs, on a schedule or when it is asked for.
+
+\b
+  export PREFECT_API_URL=http://127.0.0.1:4200/api
+  prefect server start --background
+  pasdedeux deploy duets --store /data/store --cron "0 2 * * *"
+  prefect worker start --pool pasdedeux
+
+A build in which nothing changed ends after seconds and leaves the store as it was.  A store has one build at a time.
+The same command again changes the deployment in place.
+"""
+
+
+@app.command(help=_DEPLOY)
+def deploy(
+    context: typer.Context,
+    study: StudyArgument = "duets",
+    settings: SettingOption = None,
+    store: StoreOption = Path("store"),
+    cron: Annotated[
+        str | None, typer.Option(metavar="EXPRESSION", help="When, in UTC: '0 2 * * *' is at 2:00.")
+    ] = None,
+    every: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
+    workers: Annotated[int | None, typer.Option(min=0, help="Local worker processes, as for `run`.")] = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster.")] = None,
+    pool: Annotated[str, typer.Option(help="Work pool; made where it is missing.")] = "pasdedeux",
+) -> None:
+    """Put a study on Prefect's server."""
+    graph = graph_of(context)
+    chosen, known = load_study(study, graph, settings=settings or ())
+    make_plan(chosen, known, open_store(store))
+    if cron is not None and every is not None:
+        raise PlanError("--cron and --every are two schedules; give one of them")
+    telemetry_off()
+    from prefect.settings import get_current_settings
+
+    address = get_current_settings().api.url
+    if address is None:
+        raise PlanError(
+            "no Prefect server is named: start one (prefect server start --background) and set PREFECT_API_URL, "
+            "for example to http://127.0.0.1:4200/api"
+        )
+    check_server(address)
+    from flows.schedules import deploy as put
+
+    path = Path(study)
+    parameters = {
+        "study": str(path.resolve()) if path.is_file() else study,
+        "store": str(store.resolve()),
+        "settings": list(settings or ()),
+        "workers": workers,
+        "scheduler": scheduler,
+    }
+    here = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
+    when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"
+    typer.echo(f"{here.name}: {when}, study {parameters['study']}, store {parameters['store']}")
+    typer.echo(f"now, if it is not running yet: prefect worker start --pool {pool}")
+    typer.echo(f"at once: prefect deployment run {here.name}; to pause or remove it: prefect deployment --help")

@@ -1,0 +1,111 @@
+"""Scheduled builds: a study as a deployment of the dataset flow, for a worker of Prefect to run.
+
+Importing this module imports Prefect: telemetry is off, and `PREFECT_API_URL` (or a profile) names the server, before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any
+
+from prefect.automations import AutomationCore, EventTrigger, Posture
+from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.schemas.actions import WorkPoolCreate
+from prefect.client.schemas.objects import ConcurrencyLimitConfig, ConcurrencyLimitStrategy, StateType
+from prefect.deployments.runner import RunnerDeployment
+from prefect.events.actions import ChangeFlowRunState
+from prefect.events.schemas.events import ResourceSpecification
+from prefect.exceptions import ObjectNotFound
+from prefect.flows import EntrypointType
+from prefect.workers.process import ProcessWorker
+
+from flows.dataset import dataset
+
+if TYPE_CHECKING:
+    from uuid import UUID
+
+__all__ = ["POOL", "Deployed", "deploy"]
+
+POOL = "pasdedeux"
+"""The work pool of all deployments, unless another is named."""
+_HEARTBEAT_S = 30
+_ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
+_ZOMBIES = "pasdedeux: builds whose process is gone"
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """A deployment as it stands on the server: its full name, its id, and the work queue of its store."""
+
+    name: str
+    id: UUID
+    queue: str
+
+
+def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> Deployed:
+    """Put a deployment of the dataset flow on Prefect's server, in place of one of the same name.
+
+    A store has a work queue of its own that lets one build run at a time; a build that is due while one of the same
+    study waits or runs is not started.  An automation marks builds whose process has vanished as crashed.
+
+    Args:
+        name: Of the deployment: the study's.
+        parameters: Arguments of `flows.dataset.dataset`.
+        cron: When, in UTC; None for no such schedule.
+        every: Time between builds; None for no such schedule.
+        pool: The work pool, which is made where it is missing.
+    """
+    queue = "store-" + hashlib.sha256(parameters["store"].encode()).hexdigest()[:12]
+    with get_client(sync_client=True) as client:
+        _ensure_pool(client, pool)
+        _ensure_queue(client, pool, queue)
+        _ensure_automation(client)
+    deployment = RunnerDeployment.from_flow(
+        dataset,
+        name=name,
+        parameters=parameters,
+        cron=cron,
+        interval=every,
+        description=f"Brings {parameters['study']} up to date in {parameters['store']}",
+        concurrency_limit=ConcurrencyLimitConfig(limit=1, collision_strategy=ConcurrencyLimitStrategy.CANCEL_NEW),
+        work_pool_name=pool,
+        work_queue_name=queue,
+        job_variables={"env": {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": str(_HEARTBEAT_S)}},
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
+    return Deployed(f"{dataset.name}/{name}", deployment.apply(), queue)
+
+
+def _ensure_pool(client: SyncPrefectClient, pool: str) -> None:
+    try:
+        client.read_work_pool(pool)
+    except ObjectNotFound:
+        template = ProcessWorker.get_default_base_job_template()
+        client.create_work_pool(WorkPoolCreate(name=pool, type="process", base_job_template=template))
+
+
+def _ensure_queue(client: SyncPrefectClient, pool: str, queue: str) -> None:
+    try:
+        client.read_work_queue_by_name(queue, work_pool_name=pool)
+    except ObjectNotFound:
+        client.create_work_queue(queue, work_pool_name=pool, concurrency_limit=1)
+
+
+def _ensure_automation(client: SyncPrefectClient) -> None:
+    """Make the automation for builds that stopped to give heartbeats without having ended."""
+    if client.read_automations_by_name(_ZOMBIES):
+        return
+    ends = [f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")]
+    trigger = EventTrigger(
+        match=ResourceSpecification({"prefect.resource.id": "prefect.flow-run.*"}),
+        for_each={"prefect.resource.id"},
+        after={"prefect.flow-run.heartbeat"},
+        expect={"prefect.flow-run.heartbeat", *ends},
+        posture=Posture.Proactive,
+        threshold=1,
+        within=_ZOMBIE_AFTER,
+    )
+    action = ChangeFlowRunState(state=StateType.CRASHED, message="its process gave no sign of life any more")
+    client.create_automation(AutomationCore(name=_ZOMBIES, trigger=trigger, actions=[action]))

@@ -1,0 +1,140 @@
+"""A scheduled build for real: Prefect's server and worker on loopback, a run that fires by itself, and the next one."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows.records import describe_runs
+from storage_schema import Store
+from tests.builders.toy_runs import ROOT, wait_until
+
+pytestmark = pytest.mark.slow
+
+EVERY_S = 10
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """Start a server with its services; the environment of everything that talks to it."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    home = tmp_path_factory.mktemp("prefect")
+    environment = {
+        **os.environ,
+        "PREFECT_HOME": str(home),
+        "PREFECT_API_URL": f"http://127.0.0.1:{port}/api",
+        "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+        "PREFECT_SERVER_UI_ENABLED": "false",
+        "DO_NOT_TRACK": "1",
+        "PREFECT_SERVER_SERVICES_SCHEDULER_DEPLOYMENT_BATCH_SIZE": "10",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    }
+    server = _start(environment, "server", "start", "--host", "127.0.0.1", "--port", str(port), log=home / "server.log")
+    try:
+        wait_until(lambda: _get(environment, "/health") is True, "Prefect's server", limit_s=180)
+        yield environment
+    finally:
+        _end(server)
+
+
+def _start(environment: dict[str, str], *arguments: str, log: Path) -> subprocess.Popen[bytes]:
+    with log.open("wb") as out:
+        return subprocess.Popen(
+            [sys.executable, "-m", "prefect", *arguments], env=environment, stdout=out, stderr=out, cwd=log.parent
+        )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=30)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _get(environment: dict[str, str], path: str, body: dict[str, Any] | None = None) -> Any:
+    request = urllib.request.Request(
+        environment["PREFECT_API_URL"] + path,
+        data=None if body is None else json.dumps(body).encode(),
+        headers={"Content-Type": "application/json"},
+    )
+    try:
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return json.loads(answer.read())
+    except OSError:
+        return None
+
+
+def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    store = tmp_path / "store"
+    settings = ["--set", 'study.stages=["ingest"]']
+    command = ["deploy", "duets", "--store", str(store), "--every", str(EVERY_S), "--workers", "0", *settings]
+    for _ in range(2):  # the second time changes it in place
+        found = subprocess.run(
+            [sys.executable, "-m", "flows.console", *command],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=180,
+            check=False,
+        )
+        assert found.returncode == 0, found.stderr
+        assert "pasdedeux-dataset/duets: every 10 s" in found.stdout
+    (deployment,) = _get(environment, "/deployments/filter", {})
+    assert [schedule["schedule"]["interval"] for schedule in deployment["schedules"]] == [EVERY_S]
+    assert len(_get(environment, "/automations/filter", {})) == 1
+
+    worker = _start(
+        environment, "worker", "start", "--pool", "pasdedeux", "--name", "builder", log=tmp_path / "worker.log"
+    )
+    ended = {"state": {"type": {"any_": ["COMPLETED", "FAILED", "CRASHED"]}}}
+
+    def flow_runs() -> list[dict[str, Any]]:
+        body = {"flow_runs": ended, "sort": "START_TIME_ASC", "deployments": {"name": {"any_": ["duets"]}}}
+        return _get(environment, "/flow_runs/filter", body) or []
+
+    try:
+        wait_until(lambda: len(flow_runs()) >= 2, "two builds", limit_s=300)
+    finally:
+        _end(worker)
+    said = (tmp_path / "worker.log").read_text()
+    assert {run["state_type"] for run in flow_runs()} == {"COMPLETED"}, said
+    assert all(run["auto_scheduled"] for run in flow_runs())
+    artifacts = _get(environment, "/artifacts/filter", {"sort": "CREATED_DESC"})
+    tables = [json.loads(one["data"]) for one in artifacts if one["key"] == "pasdedeux-duets"]
+    assert all(row["computed"] == row["shards"] > 0 for row in tables[-1]), "the first builds"
+    assert all(row["computed"] == 0 for row in tables[0]), "the next finds it fresh"
+    assert [one["status"] for one in describe_runs(Store(store))] == ["finished"]
+
+
+def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
+    environment |= {"PREFECT_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    for more, words in (
+        ([], "no Prefect server is named"),
+        (["--cron", "0 2 * * *", "--every", "60"], "two schedules"),
+    ):
+        found = subprocess.run(
+            [sys.executable, "-m", "flows.console", "deploy", "duets", "--store", str(tmp_path / "store"), *more],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert found.returncode == 2
+        assert words in found.stderr

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from prefect.automations import AutomationCore, EventTrigger, Posture
 from prefect.client.orchestration import SyncPrefectClient, get_client
@@ -18,13 +18,10 @@ from prefect.deployments.runner import RunnerDeployment
 from prefect.events.actions import ChangeFlowRunState
 from prefect.events.schemas.events import ResourceSpecification
 from prefect.exceptions import ObjectNotFound
-from prefect.flows import EntrypointType
+from prefect.types.entrypoint import EntrypointType
 from prefect.workers.process import ProcessWorker
 
 from flows.dataset import dataset
-
-if TYPE_CHECKING:
-    from uuid import UUID
 
 __all__ = ["POOL", "Deployed", "deploy"]
 
@@ -37,10 +34,9 @@ _ZOMBIES = "pasdedeux: builds whose process is gone"
 
 @dataclass(frozen=True)
 class Deployed:
-    """A deployment as it stands on the server: its full name, its id, and the work queue of its store."""
+    """A deployment as it stands on the server: its full name, and the work queue of its store."""
 
     name: str
-    id: UUID
     queue: str
 
 
@@ -75,7 +71,8 @@ def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: ti
         job_variables={"env": {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": str(_HEARTBEAT_S)}},
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
-    return Deployed(f"{dataset.name}/{name}", deployment.apply(), queue)
+    deployment.apply()
+    return Deployed(f"{dataset.name}/{name}", queue)
 
 
 def _ensure_pool(client: SyncPrefectClient, pool: str) -> None:

@@ -1,4 +1,6 @@
-"""Loads what `pasdedeux reconstruct` wrote into Blender itself; run by hand, `make blender FILES=out`, never by pytest.
+"""Loads BVH files that were written with an npz each - by `reconstruct`, `export`, `retarget` - into Blender itself.
+
+Run by hand, `make blender FILES=out`, never by pytest.
 
 Blender's module is large and under the GPL, so it is no dependency: `pip install bpy numpy` in an environment apart.
 """
@@ -16,6 +18,9 @@ import bpy
 import numpy as np
 
 _TOLERANCE_M = 1e-3
+_LEG, _ARM = ("hip", "knee", "ankle", "toe"), ("collar", "shoulder", "elbow", "wrist")
+_BODY22 = ["pelvis", "spine1", "spine2", "spine3", "neck", "head"]
+_BODY22 += [f"{side}_{joint}" for limb in (_LEG, _ARM) for side in ("left", "right") for joint in limb]
 _FROM_BLENDER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Blender's Z is up and its -Y to the front; ours are Y and +Z."""
 
@@ -37,33 +42,57 @@ def load(path: Path, metres_per_unit: float) -> tuple[bpy.types.Object, str]:
 
 def check(path: Path) -> None:
     """Check one file beside its npz; an AssertionError says what is wrong."""
-    made = np.load(path.with_suffix(".npz"))
-    names, truth = made["joint_names"].tolist(), made["positions_m"]
-    units = path.with_name(f"{path.stem.rpartition('_')[0]}_units.txt").read_text(encoding="utf-8")
-    metres = 0.01 if "centimetres" in units.split(" and ")[0] else 1.0
+    made = dict(np.load(path.with_suffix(".npz")))
+    names, parents, truth = made["joint_names"].tolist(), made["parents"].tolist(), made["positions_m"]
+    if "bvh_metres_per_unit" in made:
+        metres = float(made["bvh_metres_per_unit"])
+    else:
+        units = path.with_name(f"{path.stem.rpartition('_')[0]}_units.txt").read_text(encoding="utf-8")
+        metres = 0.01 if "centimetres" in units.split(" and ")[0] else 1.0
+    ends = {at for at, up in enumerate(parents) if up >= 0 and names[at].startswith(f"{names[up]}_end")}
     rig, said = load(path, metres)
     assert "zero length" not in said, said
-    roots = [bone.name for bone in rig.data.bones if bone.parent is None]
-    assert roots == ["Hips"], roots
-    joints = [name for name in names if not name.endswith("_end")]
-    assert sorted(bone.name for bone in rig.data.bones) == sorted(joints)
-    assert min(bone.length for bone in rig.data.bones) > 0.01
+    assert [bone.name for bone in rig.data.bones if bone.parent is None] == [names[parents.index(-1)]]
+    assert sorted(bone.name for bone in rig.data.bones) == sorted(n for at, n in enumerate(names) if at not in ends)
     rest = {bone.name: _FROM_BLENDER @ np.array(bone.head_local) for bone in rig.data.bones}
-    assert rest["Head"][1] > rest["Spine"][1] > rest["Hips"][1] > rest["LeftLeg"][1] > rest["LeftFoot"][1]
-    assert rest["LeftToeBase"][2] > rest["LeftFoot"][2] + 0.05, "feet point to +Z"
-    for side, sign in (("Left", 1.0), ("Right", -1.0)):
-        shoulder, hand = rest[f"{side}Arm"], rest[f"{side}Hand"]
-        assert sign * (hand - shoulder)[0] > 0.3
-        assert abs((hand - shoulder)[1:]).max() < _TOLERANCE_M, "arms out along X"
-    worst = 0.0
+    for at, up in enumerate(parents):
+        if up >= 0 and at not in ends:
+            off = rest[names[at]] - rest[names[up]] - made["rest_offset_m"][at]
+            assert np.abs(off).max() < _TOLERANCE_M, f"{names[at]} rests {off} m from where it is said to"
+    pose = str(made.get("rest_pose", "standing"))
+    if pose == "standing":
+        joints = made["body22_joint"].tolist() if "body22_joint" in made else names[: len(_BODY22)]
+        check_t_pose({name: rest[joint] for name, joint in zip(_BODY22, joints, strict=True) if joint in rest})
+    worst, stretch = 0.0, 0.0
     for frame in range(len(truth)):
         bpy.context.scene.frame_set(frame + 1)
+        points = np.empty((len(names), 3))
         for at, name in enumerate(names):
-            bone = rig.pose.bones[name.removesuffix("_end")]
-            point = bone.tail if name.endswith("_end") else bone.head
-            worst = max(worst, float(np.linalg.norm(_FROM_BLENDER @ np.array(point) - truth[frame, at])))
+            bone = rig.pose.bones[names[parents[at]] if at in ends else name]
+            points[at] = _FROM_BLENDER @ np.array(bone.tail if at in ends else bone.head)
+            worst = max(worst, float(np.linalg.norm(points[at] - truth[frame, at])))
+        for at, up in enumerate(parents):
+            if up >= 0 and at not in ends:
+                length = np.linalg.norm(points[at] - points[up])
+                stretch = max(stretch, abs(float(length - np.linalg.norm(made["rest_offset_m"][at]))))
     assert worst < _TOLERANCE_M, f"a joint is {1e3 * worst:.2f} mm from where the npz has it"
-    print(f"{path}: Hips root, T-pose, {len(truth)} frames, joints within {1e3 * worst:.4f} mm")
+    assert stretch < _TOLERANCE_M, f"a bone changes its length by {1e3 * stretch:.2f} mm"
+    print(
+        f"{path}: root {names[parents.index(-1)]}, rest pose {pose}, {len(truth)} frames, joints within "
+        f"{1e3 * worst:.4f} mm, bones within {1e3 * stretch:.4f} mm"
+    )
+
+
+def check_t_pose(rest: dict[str, np.ndarray]) -> None:
+    """Check that somebody stands upright, faces +Z and has the arms out along X."""
+    assert rest["head" if "head" in rest else "neck"][1] > rest["spine2"][1] > rest["left_knee"][1]
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        assert rest[f"{side}_hip"][1] > rest[f"{side}_knee"][1] > rest[f"{side}_ankle"][1]
+        if f"{side}_toe" in rest:
+            assert rest[f"{side}_toe"][2] > rest[f"{side}_ankle"][2] + 0.05, "feet point to +Z"
+        arm = rest[f"{side}_wrist"] - rest[f"{side}_shoulder"]
+        assert sign * arm[0] > 0.3
+        assert abs(arm[1:]).max() < _TOLERANCE_M, "arms out along X"
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import counted, print_table
-from flows.exports import EXPORT_FORMATS, export_reference
+from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
 __all__ = ["app"]
@@ -32,10 +32,12 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 \b
   npz   numpy arrays, one file: every table
   csv   one line per row, arrays as columns: every table
-  bvh   motion files: poses (the source's own skeleton), variants (body22), motions (op14), seeds, one draw
+  bvh   motion files: poses and variants (the source's own skeleton, an npz beside), motions (a humanoid), seeds,
+        one draw
   json  both people with named joints, for editing: seeds, one draw
 \b
   pasdedeux export variants:duets/waltz --format bvh --out waltz_variants
+  pasdedeux export poses:duets --format bvh --rest-pose standing --out takes
 """
 
 
@@ -84,10 +86,16 @@ def export(
     file_format: Annotated[
         str, typer.Option("--format", metavar="NAME", help=f"What to write: {', '.join(EXPORT_FORMATS)}.")
     ] = "npz",
+    rest_pose: Annotated[
+        RestPose, typer.Option(help="Rest pose of poses and variants: the source's, or a standing T-pose.")
+    ] = "source",
+    units: Annotated[
+        Units, typer.Option(help="Lengths of their BVH files; `source`: as in each source's file.")
+    ] = "cm",
     store: StoreOption = Path("store"),
 ) -> None:
     """Write what a reference names into files."""
-    written = export_reference(open_store(store), reference, file_format, out)
+    written = export_reference(open_store(store), reference, file_format, out, rest_pose=rest_pose, units=units)
     for path in written:
         typer.echo(str(path))
 

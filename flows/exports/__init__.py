@@ -8,11 +8,20 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from flows.exports.export_format import Export, ExportFormat, write_text
+from flows.exports.export_format import Export, ExportFormat, RestPose, Units, write_text
 from pasdedeux.errors import InputError
 from storage_schema import Store, parse_reference, resolve
 
-__all__ = ["EXPORT_FORMATS", "Export", "ExportFormat", "export_format", "export_reference"]
+__all__ = [
+    "EXPORT_FORMATS",
+    "OWN_SKELETON_TABLES",
+    "Export",
+    "ExportFormat",
+    "RestPose",
+    "Units",
+    "export_format",
+    "export_reference",
+]
 
 EXPORT_FORMATS = {
     "npz": "flows.exports.npz_table",
@@ -21,6 +30,10 @@ EXPORT_FORMATS = {
     "json": "flows.exports.json_pairs",
 }
 """Module of each format, by its name on the command line; imported when it is used, so that help comes at once."""
+
+
+OWN_SKELETON_TABLES = ("poses", "variants")
+"""Tables whose people leave on the skeleton they came with."""
 
 
 def export_format(name: str) -> ExportFormat:
@@ -32,18 +45,25 @@ def export_format(name: str) -> ExportFormat:
     return found
 
 
-def export_reference(store: Store, text: str, file_format: str, out: Path) -> list[Path]:
+def export_reference(
+    store: Store, text: str, file_format: str, out: Path, *, rest_pose: RestPose = "source", units: Units = "cm"
+) -> list[Path]:
     """Write what a reference names into a folder, and return the files, the credits last.
 
     Raises:
-        InputError: The format is not known, or cannot hold what is named.
+        InputError: The format is not known, cannot hold what is named, or has no rest pose or unit to choose.
         UnknownReference: The reference names nothing.
     """
     reference = parse_reference(text)
-    export = Export(store, text, reference, tuple(resolve(reference, store)))
+    export = Export(store, text, reference, tuple(resolve(reference, store)), rest_pose, units)
     kind = export_format(file_format)
     if not kind.can_write(reference):
         raise InputError(f"'{text}' cannot be written as {file_format.upper()}; allowed are {kind.writes}")
+    if (rest_pose, units) != ("source", "cm") and not (kind.has_rest_pose and reference.table in OWN_SKELETON_TABLES):
+        tables = " and ".join(OWN_SKELETON_TABLES)
+        raise InputError(
+            f"rest pose and units can be chosen for BVH files of {tables}, not for '{text}' as {file_format.upper()}"
+        )
     out.mkdir(parents=True, exist_ok=True)
     return [*kind.write(export, out), write_text(out / "CREDITS.txt", _credits(export))]
 

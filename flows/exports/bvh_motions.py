@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from flows.exports.export_format import Export, ExportFormat, names_pairs, write_text
+from flows.exports.export_format import Export, ExportFormat, FileNames, names_pairs, write_text
 from flows.exports.json_pairs import named_pairs
+from flows.exports.own_skeletons import RigFiles, people_of_take, take_of
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.humanoid import humanoid_motion
 from pasdedeux.formats.pair_file import write_pair_bvh
-from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.reconstruction.body import body_from_joints
 from pasdedeux.reconstruction.people import motions_together
-from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Reference, Store, TableData
 
 _TABLES = ("poses", "variants", "motions")
 
 
 class BvhMotions(ExportFormat):
-    """Centimetres, degrees, Y up, at the true rate."""
+    """Degrees, Y up, at the true rate; centimetres unless asked otherwise."""
 
+    has_rest_pose = True
     writes = f"whole {', '.join(_TABLES)}, seeds and single draws"
 
     def can_write(self, reference: Reference) -> bool:
@@ -37,43 +36,49 @@ class BvhMotions(ExportFormat):
         return names_pairs(reference) or (reference.table in _TABLES and reference.row is None)
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write a file for each person."""
+        """Write a file for each person, of takes and variants an npz too."""
         if names_pairs(export.reference):
             return [
                 write_text(out / f"{name}_{letter}.bvh", person)
                 for name, pair in named_pairs(export)
                 for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
             ]
-        paths, names = [], Counter[str]()
-        for name, motion in _motions(export):
-            names[name] += 1  # take a_b, variant c and take a, variant b_c join to the same
-            again = f".{names[name]}" if names[name] > 1 else ""
-            paths.append(write_text(out / f"{name}{again}.bvh", write_bvh(motion)))
-        return paths
+        if export.reference.table == "motions":
+            names = FileNames()
+            return [write_text(out / f"{names.free(name)}.bvh", write_bvh(motion)) for name, motion in _motions(export)]
+        files = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
+        for ref in export.refs:
+            if export.reference.table == "poses":
+                for person in people_of_take(export.store, ref):
+                    files.write(f"{person.take_id}_{person.letter}", person, person.own)
+            else:
+                _write_variants(export.store, ref, files)
+        return files.close()
 
 
 FORMAT = BvhMotions()
 
 
+def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
+    """Write the variants of one artifact."""
+    people = people_of_take(store, take_of(store, ref))
+    quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale"])
+    rows = store.read(ref, "variants", columns=["take_id", "variant_id", "body22_m"])
+    scales = {key: quality["bone_scale"][part[0]] for key, part in _groups(quality, "take_id", "variant_id")}
+    for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
+        for person, one in enumerate(people):
+            body22_m = rows["body22_m"][part][:, person].astype(np.float64)
+            own = one.own.worn(body22_m, scales[take_id, variant_id][person])
+            files.write(f"{take_id}_{variant_id}_{one.letter}", one, own, body22_m)
+
+
 def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
-    """Return the motions of one table by the name of their file."""
-    store, table = export.store, export.reference.table
+    """Return reconstructed motions by the name of their file."""
     for ref in export.refs:
-        if table == "poses":
-            yield from _pose_motions(store, ref)
-            continue
-        rows = store.read(ref, table)
-        if table == "variants":
-            for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
-                for person, letter in enumerate("AB"):
-                    positions = rows["body22_m"][part][:, person]
-                    yield (
-                        f"{take_id}_{variant_id}_{letter}",
-                        exact_motion(BODY22, np.asarray(positions, dtype=float), _rate(rows["time_s"][part])),
-                    )
-            continue
+        rows = export.store.read(ref, "motions")
         # From the axes of a camera that looks down to a world in which people stand upright.
-        camera = OrthographicCamera(math.radians(store.manifest(ref).facts.get("pitch_deg", 0.0)))
+        pitch_deg = export.store.manifest(ref).facts.get("pitch_deg", 0.0)
+        camera = OrthographicCamera(math.radians(pitch_deg))
         for (sequence_id, method), part in _groups(rows, "sequence_id", "method"):
             person_ids = np.unique(rows["person_id"][part])
             people = []
@@ -84,32 +89,6 @@ def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
             rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
             for person_id, one in zip(person_ids, motions_together(people, rate_hz=rate_hz), strict=True):
                 yield f"{sequence_id}_{person_id}_{method}", humanoid_motion(one.motion)
-
-
-def _pose_motions(store: Store, ref: ArtifactRef) -> Iterator[tuple[str, Motion]]:
-    """Return a take's motions on the skeleton they came with."""
-    takes, poses = store.read(ref, "takes"), store.read(ref, "poses")
-    for index in range(takes.num_rows):
-        take = takes.row(index)
-        part = np.array((poses["take_id"] == take["take_id"]) & (poses["person"] == take["person"]))
-        skeleton = Skeleton(
-            name=str(take["take_id"]),
-            joint_names=tuple(take["joint_names"]),
-            parents=tuple(map(int, take["joint_parents"])),
-        )
-        rotations = [values for values, is_wanted in zip(poses["local_unitquat"], part, strict=True) if is_wanted]
-        motion = Motion(
-            skeleton=skeleton,
-            rest_offsets_m=np.asarray(take["rest_offset_m"], dtype=float).reshape(-1, 3),
-            root_translation_m=np.asarray(poses["root_translation_m"][part], dtype=float),
-            local_unitquat=np.asarray(np.stack(rotations), dtype=float).reshape(len(rotations), -1, 4),
-            rate_hz=float(take["rate_hz"]),
-        )
-        yield f"{take['take_id']}_{take['person']}", motion
-
-
-def _rate(time_s: Any) -> float:
-    return (len(time_s) - 1) / float(time_s[-1] - time_s[0]) if len(time_s) > 1 else 1.0
 
 
 def _groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from storage_schema import ArtifactRef, Reference, Store
 
-__all__ = ["Export", "ExportFormat", "names_pairs", "write_text"]
+__all__ = ["Export", "ExportFormat", "FileNames", "RestPose", "Units", "names_pairs", "write_text"]
+
+RestPose = Literal["source", "standing"]
+Units = Literal["cm", "m", "source"]
 
 
 @dataclass(frozen=True)
@@ -22,12 +26,16 @@ class Export:
         text: The reference as it was given.
         reference: The reference.
         refs: The artifacts that it names.
+        rest_pose: Rest pose of the skeletons of takes and variants: the source's, or a standing T-pose.
+        units: Lengths of their BVH files: centimetres, metres, or the units of each source's file.
     """
 
     store: Store
     text: str
     reference: Reference
     refs: tuple[ArtifactRef, ...]
+    rest_pose: RestPose = "source"
+    units: Units = "cm"
 
 
 class ExportFormat(ABC):
@@ -35,9 +43,11 @@ class ExportFormat(ABC):
 
     Attributes:
         writes: What it can write, in words, after "allowed are".
+        has_rest_pose: Whether it writes skeletons, so that their rest pose and units can be chosen.
     """
 
     writes: ClassVar[str] = "all tables"
+    has_rest_pose: ClassVar[bool] = False
 
     def can_write(self, reference: Reference) -> bool:
         """Tell whether it can hold what a reference names; everything unless a format says otherwise."""
@@ -49,6 +59,18 @@ class ExportFormat(ABC):
 
         Lengths, axes, rate and joint names are in the files or their format fixes them: nothing leaves without units.
         """
+
+
+class FileNames:
+    """Names of the files of a folder, none twice."""
+
+    def __init__(self) -> None:
+        self._times = Counter[str]()
+
+    def free(self, name: str) -> str:
+        """Return a name, with a number where it was given before: take a_b, variant c and take a, variant b_c."""
+        self._times[name] += 1
+        return f"{name}.{self._times[name]}" if self._times[name] > 1 else name
 
 
 def names_pairs(reference: Reference) -> bool:

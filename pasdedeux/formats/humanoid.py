@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.formats.motion_npz import write_motion_npz
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.humanoid import END_SITES, HUMANOID
 
@@ -65,23 +65,7 @@ def write_npz(one: HumanoidMotion) -> bytes:
     `local_unitquat` (frame, joint, 4) as x, y, z, w from the rest pose, `positions_m` (frame, joint, 3), `is_seen`
     (frame,), `rate_hz`, `first_frame`, `unit` and `axes`.
     """
-    motion = humanoid_motion(one.motion)
-    file = io.BytesIO()
-    np.savez_compressed(
-        file,
-        joint_names=np.array(motion.skeleton.joint_names),
-        parents=np.array(motion.skeleton.parents),
-        rest_offset_m=motion.rest_offsets_m,
-        root_translation_m=motion.root_translation_m,
-        local_unitquat=motion.local_unitquat,
-        positions_m=motion.world()[0],
-        is_seen=one.is_seen,
-        rate_hz=motion.rate_hz,
-        first_frame=one.first_frame,
-        unit=np.array("m"),
-        axes=np.array(AXES),
-    )
-    return file.getvalue()
+    return write_motion_npz(humanoid_motion(one.motion), axes=AXES, is_seen=one.is_seen, first_frame=one.first_frame)
 
 
 def say_units(one: HumanoidMotion, units: str) -> str:

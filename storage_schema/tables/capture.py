@@ -43,6 +43,12 @@ TAKES = Table(
         array("joint_parents", "Parent index of each source joint, -1 for the root", dtype=pa.int32()),
         array("rest_offset_m", "Offset of each source joint from its parent at rest, (joint, 3) flattened", unit="m"),
         array(
+            "body22_weight",
+            "Weights (22, joint) flattened that derive body22: x_b = sum of weight[b, i] x_i + R_i offset[b, i] over "
+            "the source joints i, which lie at x_i with world rotations R_i",
+        ),
+        array("body22_offset_m", "The offsets of that sum, (22, joint, 3) flattened; mostly zero", unit="m"),
+        array(
             "body22_rest_m",
             "Working skeleton body22 in the source's rest pose, root at the origin",
             axes={"joint": 22, "xyz": 3},

@@ -20,6 +20,7 @@ from pasdedeux.formats import (
     derive_working_poses,
     guess_up_axis,
 )
+from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
@@ -176,6 +177,7 @@ def _takes(
     parameters: DuetParameters | TakeParameters, people: list[_Person], poses: list[WorkingPoses]
 ) -> dict[str, Any]:
     count = len(people)
+    maps = [body_map(one.layout, one.motion.skeleton, one.motion.rest_offsets_m) for one in people]
     return {
         "take_id": [parameters.take_id] * count,
         "person": list(range(count)),
@@ -194,6 +196,8 @@ def _takes(
         "joint_names": [list(person.motion.skeleton.joint_names) for person in people],
         "joint_parents": [np.array(person.motion.skeleton.parents, dtype=np.int32) for person in people],
         "rest_offset_m": [person.motion.rest_offsets_m.reshape(-1) for person in people],
+        "body22_weight": [one.weight.reshape(-1) for one in maps],
+        "body22_offset_m": [one.offset_m.reshape(-1) for one in maps],
         "body22_rest_m": np.stack([pose.body22_rest_m for pose in poses]),
         "licence": [parameters.source.licence] * count,
         "credit": [parameters.source.credit] * count,

@@ -1,4 +1,4 @@
-"""What a user brings: a walk of one person as ASF/AMC, and a filmed duet as 2D poses in the formats of detectors."""
+"""What a user brings: motion of known layouts, a walk as ASF/AMC, and a filmed duet as 2D poses of detectors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import numpy.typing as npt
 from pasdedeux.cameras import PinholeCamera
 from pasdedeux.cameras.virtual_video import look_at_camera
 from pasdedeux.choreography import make_duet
-from pasdedeux.formats import derive_working_poses
+from pasdedeux.formats import derive_working_poses, read_amc, read_asf, read_bvh, read_rotation_rows
+from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS
 
-__all__ = ["FilmedDuet", "film_duet", "write_coco", "write_csv", "write_openpose", "write_walk"]
+__all__ = ["FilmedDuet", "film_duet", "real_motions", "write_coco", "write_csv", "write_openpose", "write_walk"]
 
 Array = npt.NDArray[np.float64]
 
@@ -132,6 +133,22 @@ class FilmedDuet:
         if op14 in OP14.joint_names:
             return self.op14_m[:, :, OP14.index(op14)]
         return self.body22_m[:, :, BODY22.index(body22)] if body22 in BODY22.joint_names else None
+
+
+def real_motions(data_dir: Path) -> dict[str, Motion]:
+    """Return a real motion of each layout that there is data of."""
+    salsa, database = data_dir / "cmu_salsa_bvh", data_dir / "projection_db_yiannakides"
+    asf = read_asf((data_dir / "cmu_asfamc" / "03.asf").read_bytes())
+    amc = read_amc((data_dir / "cmu_asfamc" / "03_01.amc").read_bytes(), asf)
+    rows = read_rotation_rows((database / "rotations" / "3").read_bytes(), (database / "template.bvh").read_bytes())
+    return {
+        "cmu_daz": read_bvh((salsa / "61_10.bvh").read_bytes()).to_motion(metres_per_unit=1.191, rate_hz=60),
+        "cmu_cgspeed": read_bvh((database / "91_13.bvh").read_bytes()).to_motion(
+            metres_per_unit=_METRES_PER_UNIT, rate_hz=120
+        ),
+        "cmu_asf": amc.to_motion(metres_per_unit=_METRES_PER_UNIT, rate_hz=120),
+        "yiannakides": rows.to_motion(metres_per_unit=0.0645, rate_hz=24),
+    }
 
 
 def film_duet(name: str, *, duration_s: float, rate_hz: float, yaw_rad: float = 0.5) -> FilmedDuet:

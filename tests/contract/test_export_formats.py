@@ -78,8 +78,9 @@ def check_csv(paths: list[Path], text: str, store: Store) -> None:
 
 
 def check_bvh(paths: list[Path], text: str, store: Store) -> None:
-    assert len(paths) == 2 * (NUM_SEEDS if text.startswith("seeds") else 1)
-    for path in paths:
+    motions = [path for path in paths if path.suffix == ".bvh"]
+    assert len(motions) == 2 * (NUM_SEEDS if text.startswith("seeds") else 1)
+    for path in motions:
         source = read_bvh(path.read_bytes())
         assert source.num_frames == (1 if text.startswith("seeds") else 15)
         stature = np.ptp(source.to_motion(metres_per_unit=0.01, rate_hz=30.0).world()[0][0], axis=0).max()
@@ -127,6 +128,14 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
         assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
         num_written += 1
     assert num_written > 0
+
+
+def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tmp_path: Path) -> None:
+    text = references(store)["poses"]
+    with pytest.raises(InputError, match=r"chosen for BVH files of poses and variants, not for 'poses@.*' as CSV"):
+        export_reference(store, text, "csv", tmp_path, rest_pose="standing")
+    with pytest.raises(InputError, match=r"not for 'seeds@.*' as BVH"):
+        export_reference(store, references(store)["seeds"], "bvh", tmp_path, units="m")
 
 
 def test_an_unknown_format_is_answered_with_the_known_ones(store: Store, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ from tests.builders.real_study import BuiltStudy, RealRun, build_here, call_in_p
 
 pytestmark = pytest.mark.slow
 
+EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
+
 STAGES = {
     "ingest",
     "priors",
@@ -215,12 +217,12 @@ def test_poses_go_out_as_bvh_that_our_reader_reads_back(
     small: BuiltStudy, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     export(small, capsys, "poses:small", "bvh", tmp_path)
-    assert {path.stem for path in tmp_path.glob("*.bvh")} == {"waltz_0", "waltz_1", "hug_0", "hug_1"}
+    assert {path.stem for path in tmp_path.glob("*.bvh")} == {"waltz_A", "waltz_B", "hug_A", "hug_B"}
     poses = open_table("poses:small", small.store)
     for take in ("waltz", "hug"):
-        for person in (0, 1):
+        for person, letter in enumerate("AB"):
             rows = (poses["take_id"] == take) & (poses["person"] == person)
-            source = read_bvh((tmp_path / f"{take}_{person}.bvh").read_bytes())
+            source = read_bvh((tmp_path / f"{take}_{letter}.bvh").read_bytes())
             assert source.rate_hz == RATE_HZ
             motion = source.to_motion(metres_per_unit=0.01, rate_hz=source.rate_hz)
             found = joints_of(motion, BODY22)
@@ -240,7 +242,10 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
             assert source.rate_hz == RATE_HZ
             found = joints_of(source.to_motion(metres_per_unit=0.01, rate_hz=RATE_HZ), BODY22)
             expected = variants["body22_m"][variants["variant_id"] == name][:, person]
-            np.testing.assert_allclose(found, expected, atol=2e-4)
+            away_m = np.linalg.norm(found - expected, axis=-1)
+            # A variant's trunk is more supple than a skeleton, whose hips and spine turn together.
+            assert away_m[:, EXTREMITIES].max() < 0.01
+            assert np.percentile(away_m, 95) < 0.015
 
     export(small, capsys, "motions:small", "bvh", tmp_path / "motions")
     motions = open_table("motions:small", small.store)

@@ -7,23 +7,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from flows.exports import export_reference
-from pasdedeux.formats import read_bvh
-from pasdedeux.kinematics import Motion
+from pasdedeux.formats import read_amc, read_asf, read_bvh
+from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
+from pasdedeux.kinematics.rotations import angle_between
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.reconstruction.body import EmbodiedMotion, body_through, hold_hips, pose_body
 from pasdedeux.skeletons import BODY22
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
-from storage_schema import Store
+from storage_schema import ArtifactRef, Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.own_sources import write_walk
+from tests.builders.source_samples import bvh_text
 from tests.builders.storage_rows import random_columns
 from tests.builders.walkers import reconstruction, walk
 
 
-def exported(
-    tmp_path: Path, columns: dict[str, Any], facts: dict[str, Any], *, table: str = "motions"
-) -> dict[str, Motion]:
-    """Return the motions of the BVH files that a table becomes, by the name of their file."""
+def exported(tmp_path: Path, columns: dict[str, Any], facts: dict[str, Any]) -> dict[str, Motion]:
+    """Return the motions of the BVH files that reconstructed ones become, by the name of their file."""
     store = Store(tmp_path / "store")
     ref = store.commit(
         stage="reconstruction",
@@ -35,10 +39,10 @@ def exported(
         seed=0,
         inputs=[],
         files=[],
-        tables={table: columns},
+        tables={"motions": columns},
         facts=facts,
     )
-    export_reference(store, f"{table}@{ref.key[:8]}", "bvh", tmp_path / "out")
+    export_reference(store, f"motions@{ref.key[:8]}", "bvh", tmp_path / "out")
     return {
         path.stem: read_bvh(path.read_bytes()).to_motion(metres_per_unit=0.01, rate_hz=30.0, up_axis="y")
         for path in (tmp_path / "out").glob("*.bvh")
@@ -88,20 +92,123 @@ def test_people_of_a_video_have_the_same_frames_and_one_floor(tmp_path: Path) ->
     np.testing.assert_allclose(second.root_translation_m[:3], second.root_translation_m[[3, 3, 3]], atol=1e-9)
 
 
-def test_variants_whose_names_join_to_the_same_are_not_mixed(tmp_path: Path) -> None:
-    joints = body_of_walk(8).motion(30.0).world()[0]
-    columns = random_columns("variants", 8) | {
-        "take_id": ["a"] * 3 + ["a_b"] * 5,
-        "variant_id": ["b_c"] * 3 + ["c"] * 5,
-        "frame": np.concatenate([np.arange(3), np.arange(5)]),
-        "time_s": np.concatenate([np.arange(3), np.arange(5)]) / 30.0,
-        "body22_m": np.stack([joints, joints], axis=1),
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, ArtifactRef, list[Motion]]:
+    """Return a store with a take of a BVH file, z up, and an ASF, and both as they came in."""
+    folder = tmp_path_factory.mktemp("sources")
+    (folder / "a.bvh").write_text(bvh_text(num_frames=12, rate_hz=30.0))
+    amc = write_walk(folder)
+    first = {"rate_hz": 30.0, "metres_per_unit": 0.01, "up_axis": "z"}
+    take = {"id": "mix", "files": [str(folder / "a.bvh"), str(amc)], "on_unequal": "trim", "floor": "keep"}
+    section = {"rate_hz": 30.0, "takes": [take | {"persons": [first, {"rate_hz": 30.0}]}]}
+    store = Store(folder / "store")
+    plan = STAGE.plan(StageInputs(manifests={}, seed=1), IngestParameters.model_validate(section))
+    ref = STAGE.run_shard(plan[0], store)
+    bvh = read_bvh((folder / "a.bvh").read_bytes()).to_motion(metres_per_unit=0.01, rate_hz=30.0, up_axis="z")
+    asf = read_amc(amc.read_bytes(), read_asf((folder / "90.asf").read_bytes()))
+    return store, ref, [bvh, asf.to_motion(metres_per_unit=0.0254 / 0.45, rate_hz=30.0).slice(0, 12)]
+
+
+def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], scale: float) -> ArtifactRef:
+    """Commit variants in which the bones of both have one scale and the directions that they have in the take."""
+    poses = store.read(ref, "poses")
+    body = np.swapaxes(poses["body22_m"].astype(float).reshape(2, -1, 22, 3), 0, 1)
+    frames, count = len(body), len(names)
+    lengths = scale * np.median(bone_lengths(BODY22, body), axis=0)
+    scaled = place_bones(BODY22, body[:, :, 0], bone_directions(BODY22, body), lengths)
+    place = {
+        "take_id": [take for take, _ in names for _ in range(frames)],
+        "variant_id": [variant for _, variant in names for _ in range(frames)],
+        "frame": np.tile(np.arange(frames), count),
     }
-    found = exported(tmp_path, columns, {}, table="variants")
-    assert {name: motion.num_frames for name, motion in found.items()} == {
-        **dict.fromkeys(("a_b_c_A", "a_b_c_B"), 3),
-        **dict.fromkeys(("a_b_c_A.2", "a_b_c_B.2"), 5),
-    }
+    quality = {"take_id": [take for take, _ in names], "variant_id": [variant for _, variant in names]}
+    return store.commit(
+        stage="augmentation",
+        key=f"{len(names)}{round(100 * scale)}".ljust(64, "0"),
+        partition="mix",
+        name="mix",
+        version=1,
+        parameters={},
+        seed=0,
+        inputs=[ref],
+        files=[],
+        tables={
+            "variants": random_columns("variants", frames * count)
+            | place
+            | {"body22_m": np.concatenate([scaled] * count)},
+            "variant_quality": random_columns("variant_quality", count)
+            | quality
+            | {"bone_scale": np.full((count, 2, 22), scale)},
+        },
+        facts={},
+    )
+
+
+def read_motion(path: Path, metres_per_unit: float = 0.01) -> Motion:
+    return read_bvh(path.read_bytes()).to_motion(metres_per_unit=metres_per_unit, rate_hz=30.0)
+
+
+def assert_same(found: Motion, source: Motion) -> None:
+    """What an export promises: the source's hierarchy and rest pose, 1e-4 m, 0.01 degrees."""
+    names = [found.skeleton.index(name) for name in source.skeleton.joint_names]
+    for joint, name in enumerate(source.skeleton.joint_names):
+        above = source.skeleton.parents[joint]
+        its = found.skeleton.parents[names[joint]]
+        assert (source.skeleton.joint_names[above] if above >= 0 else "") == (
+            found.skeleton.joint_names[its] if its >= 0 else ""
+        ), name
+    np.testing.assert_allclose(found.rest_offsets_m[names][1:], source.rest_offsets_m[1:], atol=1e-6)
+    (places, turns), (its_places, its_turns) = found.world(), source.world()
+    np.testing.assert_allclose(places[:, names], its_places, atol=1e-4)
+    assert np.rad2deg(angle_between(turns[:, names], its_turns).max()) < 0.01
+
+
+def test_takes_and_variants_of_scale_one_are_the_source_itself(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, sources = taken
+    same = variants_of(store, ref, [("mix", "same")], 1.0)
+    export_reference(store, f"poses@{ref.key}", "bvh", tmp_path / "take")
+    export_reference(store, f"variants@{same.key}", "bvh", tmp_path / "variant")
+    for letter, source in zip("AB", sources, strict=True):
+        for path in (tmp_path / "take" / f"mix_{letter}.bvh", tmp_path / "variant" / f"mix_same_{letter}.bvh"):
+            assert_same(read_motion(path), source)
+
+
+def test_a_standing_rest_pose_keeps_positions_and_says_so(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, _ = taken
+    small = variants_of(store, ref, [("mix", "small")], 0.8)
+    text = f"variants@{small.key}"
+    export_reference(store, text, "bvh", tmp_path / "own", units="source")
+    export_reference(store, text, "bvh", tmp_path / "tee", rest_pose="standing", units="m")
+    for letter, metres in (("A", 0.01), ("B", 0.0254 / 0.45)):
+        name = f"mix_small_{letter}"
+        own, tee = (
+            read_motion(tmp_path / "own" / f"{name}.bvh", metres),
+            read_motion(tmp_path / "tee" / f"{name}.bvh", 1.0),
+        )
+        assert own.skeleton == tee.skeleton
+        np.testing.assert_allclose(own.world()[0], tee.world()[0], atol=1e-6)
+        made = dict(np.load(tmp_path / "tee" / f"{name}.npz"))
+        assert (str(made["rest_pose"]), float(made["bvh_metres_per_unit"])) == ("standing", 1.0)
+        wrist, shoulder = (str(made["body22_joint"][BODY22.index(f"left_{one}")]) for one in ("wrist", "shoulder"))
+        arm = np.subtract(*(tee.rest_positions_m()[tee.skeleton.index(one)] for one in (wrist, shoulder)))
+        assert arm[0] > 0.3
+        np.testing.assert_allclose(arm[1:], 0.0, atol=1e-5)
+    said = (tmp_path / "tee" / "UNITS.txt").read_text()
+    assert "mix_small_A: 12 frames at 30 Hz, one unit of the BVH is 1 m; joints lie within 0.0 mm" in said
+    assert "a standing T-pose" in said
+
+
+def test_variants_whose_names_join_to_the_same_are_not_mixed(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, _ = taken
+    both = variants_of(store, ref, [("a", "b_c"), ("a_b", "c")], 0.9)
+    export_reference(store, f"variants@{both.key}", "bvh", tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.npz")} == {"a_b_c_A", "a_b_c_B", "a_b_c_A.2", "a_b_c_B.2"}
 
 
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:

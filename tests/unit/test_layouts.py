@@ -12,17 +12,12 @@ from pasdedeux.formats import (
     check_layout,
     derive_working_poses,
     motion_from_positions,
-    read_amc,
-    read_asf,
-    read_bvh,
-    read_rotation_rows,
 )
-from pasdedeux.kinematics import Motion, bone_lengths
+from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS, LAYOUTS, find_layout
+from tests.builders.own_sources import real_motions
 from tests.builders.source_samples import figure_motion, person_px
-
-CMU_UNIT_M = 0.0254 / 0.45
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -98,21 +93,6 @@ def test_a_mapping_that_puts_two_joints_on_one_place_is_refused() -> None:
     layout = LAYOUTS["body22"].with_tables({"body22": {"left_elbow": "left_shoulder"}})
     with pytest.raises(InputError, match="from 'left_shoulder' to 'left_elbow' of 'body22'"):
         check_layout(figure_motion(), layout)
-
-
-def real_motions(data_dir: Path) -> dict[str, Motion]:
-    salsa, database = data_dir / "cmu_salsa_bvh", data_dir / "projection_db_yiannakides"
-    asf = read_asf((data_dir / "cmu_asfamc" / "03.asf").read_bytes())
-    amc = read_amc((data_dir / "cmu_asfamc" / "03_01.amc").read_bytes(), asf)
-    rows = read_rotation_rows((database / "rotations" / "3").read_bytes(), (database / "template.bvh").read_bytes())
-    return {
-        "cmu_daz": read_bvh((salsa / "61_10.bvh").read_bytes()).to_motion(metres_per_unit=1.191, rate_hz=60),
-        "cmu_cgspeed": read_bvh((database / "91_13.bvh").read_bytes()).to_motion(
-            metres_per_unit=CMU_UNIT_M, rate_hz=120
-        ),
-        "cmu_asf": amc.to_motion(metres_per_unit=CMU_UNIT_M, rate_hz=120),
-        "yiannakides": rows.to_motion(metres_per_unit=0.0645, rate_hz=24),
-    }
 
 
 @pytest.mark.slow

@@ -1,0 +1,140 @@
+"""People on the skeleton they came with: read from the store, and written as BVH and npz."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flows.exports.export_format import FileNames, RestPose, Units, write_text
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.motion_npz import write_motion_npz
+from pasdedeux.formats.own_skeleton import BodyMap, OwnSkeleton, own_ends, standing
+from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.skeletons import BODY22, Skeleton
+from storage_schema import ArtifactRef, Store
+
+__all__ = ["LETTERS", "Person", "RigFiles", "people_of_take", "take_of"]
+
+LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+_POSED = {
+    "source": "that of the source's file, Y up",
+    "standing": "a standing T-pose: facing +Z, the left side on +X, arms out along X",
+}
+_EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
+
+
+@dataclass(frozen=True)
+class Person:
+    """A person of a take.
+
+    Args:
+        take_id: The take.
+        letter: A, B, ...
+        own: The motion on the source's own skeleton.
+        metres_per_unit: Length of one unit of the source's file.
+    """
+
+    take_id: str
+    letter: str
+    own: OwnSkeleton
+    metres_per_unit: float
+
+
+def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
+    """Return the artifact with the take that variants were made from."""
+    return next(one for one in store.manifest(ref).inputs if "takes" in store.manifest(one).tables)
+
+
+def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
+    """Return the people of a take, A first, from the artifact that holds it."""
+    takes = store.read(ref, "takes")
+    poses = store.read(ref, "poses", columns=["person", "root_translation_m", "local_unitquat"])
+    people = []
+    for index in range(takes.num_rows):
+        take = takes.row(index)
+        joints = len(take["joint_names"])
+        part = np.flatnonzero(poses["person"] == take["person"])
+        rotations = np.stack([poses["local_unitquat"][row] for row in part]).astype(np.float64)
+        motion = Motion(
+            skeleton=Skeleton(
+                str(take["take_id"]), tuple(take["joint_names"]), tuple(int(parent) for parent in take["joint_parents"])
+            ),
+            rest_offsets_m=np.asarray(take["rest_offset_m"], dtype=np.float64).reshape(joints, 3),
+            root_translation_m=poses["root_translation_m"][part].astype(np.float64),
+            local_unitquat=normalise(rotations.reshape(len(part), joints, 4)),
+            rate_hz=float(take["rate_hz"]),
+        )
+        body = BodyMap(
+            np.asarray(take["body22_weight"], dtype=np.float64).reshape(BODY22.num_joints, joints),
+            np.asarray(take["body22_offset_m"], dtype=np.float64).reshape(BODY22.num_joints, joints, 3),
+        )
+        letter = LETTERS[int(take["person"])]
+        own = OwnSkeleton(motion, body)
+        people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"])))
+    return people
+
+
+class RigFiles:
+    """Files of people, for each a BVH and an npz, and at the end a text that says what is in them.
+
+    Args:
+        out: Folder, which is there.
+        rest_pose: Of the source, or a standing T-pose.
+        units: Of BVH files: centimetres, metres, or those of each source's file.
+    """
+
+    def __init__(self, out: Path, *, rest_pose: RestPose, units: Units) -> None:
+        self._out, self._rest_pose, self._units = out, rest_pose, units
+        self._names = FileNames()
+        self._lines: list[str] = []
+        self._paths: list[Path] = []
+
+    def write(self, name: str, person: Person, own: OwnSkeleton, wanted_m: np.ndarray | None = None) -> None:
+        """Write a person's motion as `NAME.bvh` and `NAME.npz`.
+
+        Args:
+            name: Of the files.
+            person: Who it is.
+            own: The motion.
+            wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
+        """
+        name = self._names.free(name)
+        ended = own_ends(own)
+        motion = (standing(ended) if self._rest_pose == "standing" else ended).motion
+        metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
+        line = f"{name}: {motion.num_frames} frames at {motion.rate_hz:.6g} Hz, one unit of the BVH is {metres:.9g} m"
+        facts = {
+            "rest_pose": self._rest_pose,
+            "bvh_metres_per_unit": metres,
+            "body22_joint": own.body.joint_names(own.motion.skeleton),
+        }
+        if wanted_m is not None:
+            away_m = np.linalg.norm(own.body.of(own.motion) - wanted_m, axis=-1)
+            line += (
+                f"; joints lie within {1e3 * np.percentile(away_m, 95):.1f} mm (95 %) of the variant's body22, "
+                f"hands and feet within {1e3 * away_m[:, _EXTREMITIES].max():.1f} mm"
+            )
+        self._lines.append(line)
+        text = write_bvh(motion, units_per_metre=1.0 / metres, decimals=8)
+        self._paths += [write_text(self._out / f"{name}.bvh", text), self._out / f"{name}.npz"]
+        self._paths[-1].write_bytes(write_motion_npz(motion, axes=self._axes, **facts))
+
+    def close(self) -> Sequence[Path]:
+        """Write what someone who finds the files has to know, and return all files."""
+        said = [
+            "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
+            f"Axes: {self._axes}.",
+            "Joints have the names of the source; `_end` are End Sites, added where the source has none.",
+            "",
+            *self._lines,
+        ]
+        return [*self._paths, write_text(self._out / "UNITS.txt", "\n".join(said) + "\n")]
+
+    @property
+    def _axes(self) -> str:
+        return f"right-handed, Y up; the rest pose is {_POSED[self._rest_pose]}"

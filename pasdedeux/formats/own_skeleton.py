@@ -1,0 +1,398 @@
+"""The skeleton that a source came with, for other bodies: which of its points are body22, and motions of it.
+
+body22 is derived from a source's joints by fixed weights, so it tells how the source has to be scaled and posed for a
+variant: the source's offsets are scaled, its rotations are kept and turned by no more than the variant asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.kinematics import (
+    Motion,
+    best_rotation,
+    bone_directions,
+    bone_lengths,
+    forward_kinematics,
+    place_bones,
+)
+from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, swing_between, unitquat_from_rotmat
+from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons.humanoid import t_pose
+from pasdedeux.skeletons.layouts import Layout
+
+__all__ = ["BodyMap", "OwnSkeleton", "body_map", "own_ends", "standing"]
+
+Array = npt.NDArray[np.float64]
+
+_HOLD_M = 1e-3
+"""Where the points of a joint leave a turn open it is held, as if by points this far from it."""
+_HOLD_SCALE = 1e-3
+"""Weight, beside 1 for body22, with which bones that body22 says nothing of are scaled as the bone before them."""
+_HOLD_INNER = 0.1
+"""Weight of the joints of body22 that lie between joints of the source, beside 1 of those that are joints of it."""
+_END_SHARE = 0.25
+"""Length of an End Site that a source lacks, in lengths of the bone before it; programs want bones to have a length."""
+_SHORTEST_M = 1e-3
+"""A joint shorter than this has no length to programs that draw it."""
+_HINGES = {limb[1]: limb[2] for limb in BODY22.limbs}
+"""Elbows and knees, each with the wrist or ankle that it brings to its place."""
+_TRUNK = BODY22.indices(["pelvis", "left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck"])
+
+
+@dataclass(frozen=True)
+class BodyMap:
+    """Joints of body22 as points of a source's J joints: x_b = sum over i of weight[b, i] x_i + R_i offset_m[b, i].
+
+    Args:
+        weight: Weights (22, J); those of a joint sum to 1.
+        offset_m: Places in the frames of the joints (22, J, 3), metres; zero but for points between joints.
+
+    Raises:
+        InputError: The shapes do not fit.
+    """
+
+    weight: Array
+    offset_m: Array
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        if self.weight.shape[:1] != (BODY22.num_joints,) or self.offset_m.shape != (*self.weight.shape, 3):
+            raise InputError(f"a body map has weights {self.weight.shape} and offsets {self.offset_m.shape}")
+
+    def positions(self, positions_m: Array, world_unitquat: Array) -> Array:
+        """Return body22 (*batch, 22, 3) of positions (*batch, J, 3) and world rotations (*batch, J, 4), metres."""
+        found = np.einsum("bi,...ix->...bx", self.weight, positions_m)
+        for joint, carrier in zip(*np.nonzero(self.offset_m.any(axis=-1)), strict=True):
+            offset = np.broadcast_to(self.offset_m[joint, carrier], found[..., joint, :].shape)
+            found[..., joint, :] += rotate(world_unitquat[..., carrier, :], offset)
+        return found
+
+    def joint_names(self, skeleton: Skeleton) -> list[str]:
+        """Return for each joint of body22 the name of the source joint that it is, empty where it is none."""
+        is_one = (np.count_nonzero(self.weight, axis=1) == 1) & ~self.offset_m.any(axis=(1, 2))
+        return [
+            skeleton.joint_names[joint] if one else ""
+            for one, joint in zip(is_one, self.weight.argmax(axis=1), strict=True)
+        ]
+
+    def of(self, motion: Motion) -> Array:
+        """Return body22 (frame, 22, 3) of a motion of the source's joints, metres."""
+        return self.positions(*motion.world())
+
+
+def body_map(layout: Layout, skeleton: Skeleton, rest_offsets_m: Array) -> BodyMap:
+    """Return how a layout derives body22 from a source's joints.
+
+    Raises:
+        InputError: The layout names a joint that the source does not have.
+    """
+    table = layout.joint_map(BODY22.name)
+    points = {point.name: point for point in layout.points}
+    weight = np.zeros((BODY22.num_joints, skeleton.num_joints))
+    offset = np.zeros((*weight.shape, 3))
+    for row, joint in enumerate(BODY22.joint_names):
+        for name, share in table.weights(joint).items():
+            point = points.get(name)
+            at = skeleton.index(point.joint if point else name)
+            weight[row, at] += share
+            if point:
+                unit = np.linalg.norm(rest_offsets_m[skeleton.index(point.unit_bone)])
+                offset[row, at] += share * unit * np.array(point.offset)
+    return BodyMap(weight, offset)
+
+
+@dataclass(frozen=True)
+class OwnSkeleton:
+    """A person's motion on the skeleton it came with, and how body22 lies in it.
+
+    Args:
+        motion: The motion; its rotations are relative to the source's rest pose.
+        body: body22 as points of its joints.
+    """
+
+    motion: Motion
+    body: BodyMap
+
+    def scaled_offsets(self, bone_scale: Array) -> Array:
+        """Return rest offsets (J, 3), metres, with which the bones of body22 have `bone_scale` (22,) of their lengths.
+
+        Least squares over a scale for each of the source's bones, in its rest pose.  Joints of body22 that are joints
+        of the source keep their distances to each other exactly where that is possible; bones that body22 says nothing
+        of, such as fingers, are scaled as the bone before them.  The root's entry of `bone_scale` is not used.
+        """
+        skeleton, offsets = self.motion.skeleton, self.motion.rest_offsets_m
+        still = identity_unitquat(1, skeleton.num_joints)
+        rest = self.body.positions(self.motion.rest_positions_m()[None], still)[0]
+        wanted = place_bones(
+            BODY22, np.zeros(3), rest - rest[[max(parent, 0) for parent in BODY22.parents]], bone_scale
+        )
+        places = np.zeros((skeleton.num_joints, skeleton.num_joints, 3))  # of joint i, for a scale of 1 of bone k
+        for joint in skeleton.order[1:]:
+            places[joint] = places[skeleton.parents[joint]]
+            places[joint, joint] = offsets[joint]
+        body = np.einsum("bi,ikx->bxk", self.body.weight, places)
+        carried = self.body.offset_m.sum(axis=1) * bone_scale[:, None]
+        rows, values = [], []
+        for joint in range(BODY22.num_joints):
+            before = BODY22.parents[joint]
+            while before >= 0 and joint in self._exact and before not in self._exact:
+                before = BODY22.parents[before]
+            if before < 0 and BODY22.parents[joint] < 0:
+                continue
+            before = max(before, 0)
+            share = 1.0 if joint in self._exact else _HOLD_INNER
+            rows.append(share * (body[joint] - body[before]))
+            values.append(share * (wanted[joint] - wanted[before] - carried[joint] + carried[before]))
+        # Along one bone of body22 all of the source's are scaled alike where that will do; the rest as what carries it.
+        length = np.linalg.norm(offsets, axis=-1)
+        hold = np.zeros((skeleton.num_joints, skeleton.num_joints))
+        held = np.zeros(skeleton.num_joints)
+        for joint in skeleton.order[1:]:
+            hold[joint, joint] = _HOLD_SCALE * max(float(length[joint]), _SHORTEST_M)
+            ends = [one for one, (end, _) in self._ends.items() if end == joint] or self._aims[joint]
+            before = skeleton.parents[joint]
+            while before != skeleton.root and length[before] == 0:
+                before = skeleton.parents[before]
+            if ends or before == skeleton.root:
+                held[joint] = hold[joint, joint] * bone_scale[ends or slice(1, None)].mean()
+            else:
+                hold[joint, before] = -hold[joint, joint]
+        matrix = np.concatenate([*rows, hold])
+        scale = np.linalg.lstsq(matrix, np.concatenate([*values, held]), rcond=None)[0]
+        return offsets * scale[:, None]
+
+    def posed(self, body22_m: Array, bone_scale: Array, *, meets_tips: bool = True) -> Motion:
+        """Return the motion with scaled bones, posed so that its body22 lies at positions (frame, 22, 3), metres.
+
+        From the root outwards every joint that moves joints of body22 turns, from the source's own rotation and by the
+        shortest way, until they lie where they are wanted: one is met in its direction, several in the least-squares
+        sense (Kabsch).  Elbows and knees give way so that wrists and ankles are met.  All other joints keep their local
+        rotation: fingers ride on the hand.  With the source's own body22 and scales of 1 this is the source itself.
+
+        Args:
+            body22_m: Where body22 is wanted (frame, 22, 3), metres.
+            bone_scale: Scale of each bone (22,).
+            meets_tips: False when limbs shall have the directions of body22 instead, wherever they then end.
+
+        Raises:
+            InputError: There are other than the motion's frames.
+        """
+        source, skeleton = self.motion, self.motion.skeleton
+        if body22_m.shape != (source.num_frames, BODY22.num_joints, 3):
+            raise InputError(f"body22 has the shape {body22_m.shape}; the motion has {source.num_frames} frames")
+        offsets = self.scaled_offsets(bone_scale)
+        body = BodyMap(self.body.weight, self.body.offset_m * bone_scale[:, None, None])
+        old, old_world = forward_kinematics(skeleton, offsets, source.root_translation_m, source.local_unitquat)
+        old_body = body.positions(old, old_world)
+        world = np.empty_like(old_world)
+        place = np.zeros_like(old)
+        turn = np.empty_like(old_world)
+        root, pelvis = skeleton.root, BODY22.root
+        for joint in skeleton.order:
+            parent, aims = skeleton.parents[joint], self._aims[joint]
+            if joint == root:
+                start, end = old_body[:, [pelvis, *aims]], body22_m[:, [pelvis, *aims]]
+                middle, to = start.mean(axis=1), end.mean(axis=1)
+                turn[:, joint] = _turn_onto(start - middle[:, None], end - to[:, None])
+                place[:, joint] = to - rotate(turn[:, joint], middle - old[:, joint])
+            else:
+                carried = np.broadcast_to(offsets[joint], place[:, joint].shape)
+                place[:, joint] = place[:, parent] + rotate(world[:, parent], carried)
+                if not aims or aims == self._aims[parent]:
+                    turn[:, joint] = turn[:, parent]
+                else:
+                    moved = sorted(self._below[joint])
+                    fixed = np.setdiff1d(np.arange(skeleton.num_joints), moved)
+                    weight = body.weight[aims]
+                    here = np.einsum("bi,tix->tbx", weight[:, fixed], old[:, fixed])
+                    start = old_body[:, aims] - here - weight[:, moved].sum(axis=1)[:, None] * old[:, [joint]]
+                    there = np.einsum("bi,tix->tbx", weight[:, fixed], place[:, fixed])
+                    end = body22_m[:, aims] - there - weight[:, moved].sum(axis=1)[:, None] * place[:, [joint]]
+                    aim, before = aims[0], BODY22.parents[aims[0]]
+                    if not meets_tips and len(aims) == 1 and self._ends.get(before) == (joint, False):
+                        end = body22_m[:, [aim]] - body22_m[:, [before]]
+                    elif meets_tips and len(aims) == 1 and aim in _HINGES:
+                        tip = _HINGES[aim]
+                        bones = [
+                            np.linalg.norm(one, axis=-1) for one in (start[:, 0], old_body[:, tip] - old_body[:, aim])
+                        ]
+                        end[:, 0] = _bent(end[:, 0], body22_m[:, tip] - place[:, joint], *bones)
+                    turn[:, joint] = _turn_onto(start, end)
+            world[:, joint] = multiply(turn[:, joint], old_world[:, joint])
+        return replace(
+            source,
+            rest_offsets_m=offsets,
+            root_translation_m=place[:, root],
+            local_unitquat=_local(skeleton, world),
+        )
+
+    def worn(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:
+        """Return the person with scaled bones in a variant's body22 (frame, 22, 3), metres.
+
+        Variants have bones of constant length, the source's median ones; by what the source's own body22 differs from
+        those - where a joint of it lies between joints that move - the positions are put right first.
+        """
+        own = self.body.of(self.motion)
+        lengths = np.median(bone_lengths(BODY22, own), axis=0)
+        constant = place_bones(BODY22, own[:, BODY22.root], bone_directions(BODY22, own), lengths)
+        offset = self.body.offset_m * bone_scale[:, None, None]
+        return OwnSkeleton(self.posed(body22_m + own - constant, bone_scale), BodyMap(self.body.weight, offset))
+
+    @cached_property
+    def _exact(self) -> frozenset[int]:
+        """Joints of body22 that are one joint of the source, or a point that one carries."""
+        return frozenset(np.flatnonzero(np.count_nonzero(self.body.weight, axis=1) == 1).tolist())
+
+    @cached_property
+    def _below(self) -> list[frozenset[int]]:
+        """For each joint of the source those that move when it turns."""
+        skeleton = self.motion.skeleton
+        below: list[set[int]] = [set() for _ in skeleton.joint_names]
+        for joint in reversed(skeleton.order[1:]):
+            below[skeleton.parents[joint]] |= {joint} | below[joint]
+        return [frozenset(one) for one in below]
+
+    @cached_property
+    def _ends(self) -> dict[int, tuple[int, bool]]:
+        """For each joint of body22 that poses are told by, the last of the source's joints it needs.
+
+        And whether that joint carries it, so that it moves when that joint turns.  Of those that end in one joint the
+        ones between joints are left out, and so are those that need several branches.
+        """
+        ends: dict[int, tuple[int, bool]] = {}
+        for joint in range(BODY22.num_joints):
+            needed = np.flatnonzero(self.body.weight[joint])
+            last = [one for one in needed if not any(other in self._below[one] for other in needed)]
+            if len(last) == 1:
+                ends[joint] = (int(last[0]), bool(self.body.offset_m[joint, last[0]].any()))
+        exact = {end for joint, end in ends.items() if joint in self._exact}
+        return {joint: end for joint, end in ends.items() if joint in self._exact or end not in exact}
+
+    @cached_property
+    def _aims(self) -> list[list[int]]:
+        """For each joint of the source the joints of body22 that it turns to their places: the next ones below it."""
+        ends = self._ends
+        aims: list[list[int]] = []
+        for below, at in zip(self._below, range(len(self._below)), strict=True):
+            found = []
+            for joint, (end, is_carried) in ends.items():
+                reached = end in below or (end == at and is_carried)
+                stops = {other for other, carries in ends.values() if not carries and other in below}
+                before = any(end in self._below[stop] or (end == stop and is_carried) for stop in stops)
+                if reached and not before:
+                    found.append(joint)
+            aims.append(found)
+        return aims
+
+
+def standing(own: OwnSkeleton) -> OwnSkeleton:
+    """Return the same motion with rotations from a standing T-pose: upright, facing +Z, arms out along X.
+
+    Every joint j gets a rest frame Q_j, that of the source's rest pose when it is made to stand: offsets become
+    Q_parent offset, world rotations W_j become W_j Q_j^-1.  So joints lie where they did, and W_j is what it was for
+    whoever counts from the source's rest pose.
+    """
+    motion, skeleton = own.motion, own.motion.skeleton
+    rest = own.body.positions(motion.rest_positions_m()[None], identity_unitquat(1, skeleton.num_joints))[0]
+    lengths = np.linalg.norm(rest - rest[[max(parent, 0) for parent in BODY22.parents]], axis=-1)
+    tee = np.array([t_pose(joint) for joint in BODY22.joint_names])
+    directions = tee - tee[[max(parent, 0) for parent in BODY22.parents]]
+    directions /= np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1e-9)
+    wanted = place_bones(BODY22, np.zeros(3), directions, lengths)
+    trunk, its = rest[_TRUNK] - rest[_TRUNK].mean(axis=0), wanted[_TRUNK] - wanted[_TRUNK].mean(axis=0)
+    local = identity_unitquat(1, skeleton.num_joints)
+    local[:, skeleton.root] = unitquat_from_rotmat(best_rotation(trunk, its))
+    upright = replace(motion, root_translation_m=np.zeros((1, 3)), local_unitquat=local)
+    stood = OwnSkeleton(upright, own.body).posed(wanted[None], np.ones(BODY22.num_joints), meets_tips=False)
+    frames = stood.world()[1][0]
+    offsets = np.array(motion.rest_offsets_m)
+    for parent, child in skeleton.bones:
+        offsets[child] = rotate(frames[parent], offsets[child])
+    world = motion.world()[1]
+    turned = multiply(world, np.broadcast_to(conjugate(frames), world.shape))
+    carried = rotate(np.broadcast_to(frames, (BODY22.num_joints, *frames.shape)), own.body.offset_m)
+    return OwnSkeleton(
+        replace(motion, rest_offsets_m=offsets, local_unitquat=_local(skeleton, turned)),
+        BodyMap(own.body.weight, carried),
+    )
+
+
+def own_ends(own: OwnSkeleton) -> OwnSkeleton:
+    """Return the same with an End Site, `<joint>_end`, for every joint that would have no length without one.
+
+    Programs draw a joint from where it lies to where those below it lie.  A joint without any goes on as the bone
+    before it does; one whose children lie on it points to where their bones end.  A source's own End Sites are kept.
+    """
+    motion, skeleton, offsets = own.motion, own.motion.skeleton, own.motion.rest_offsets_m
+    names, parents, ends = list(skeleton.joint_names), list(skeleton.parents), list(offsets)
+    for joint, name in enumerate(skeleton.joint_names):
+        parent, below = skeleton.parents[joint], list(skeleton.children(joint))
+        if not below and parent >= 0 and name.startswith(f"{skeleton.joint_names[parent]}_end"):
+            continue
+        while below and np.linalg.norm(offsets[below].mean(axis=0)) < _SHORTEST_M:
+            below = [child for one in below for child in skeleton.children(one)]
+        if below and set(below) <= set(skeleton.children(joint)):
+            continue
+        before = joint
+        while not below and skeleton.parents[before] >= 0 and np.linalg.norm(offsets[before]) < _SHORTEST_M:
+            before = skeleton.parents[before]
+        names.append(f"{name}_end")
+        parents.append(joint)
+        ends.append(_END_SHARE * (offsets[below].mean(axis=0) if below else offsets[before]))
+    added = len(names) - skeleton.num_joints
+    if not added:
+        return own
+    extended = replace(
+        motion,
+        skeleton=Skeleton(skeleton.name, tuple(names), tuple(parents)),
+        rest_offsets_m=np.array(ends),
+        local_unitquat=np.concatenate([motion.local_unitquat, identity_unitquat(motion.num_frames, added)], axis=1),
+    )
+    weight = np.pad(own.body.weight, ((0, 0), (0, added)))
+    return OwnSkeleton(extended, BodyMap(weight, np.pad(own.body.offset_m, ((0, 0), (0, added), (0, 0)))))
+
+
+def _turn_onto(start: Array, end: Array) -> Array:
+    """Return the rotations (frame, 4) that turn points (frame, n, 3) about the origin best onto others."""
+    if start.shape[1] == 1:
+        return swing_between(start[:, 0], end[:, 0])
+    hold = np.broadcast_to(_HOLD_M * np.eye(3), (len(start), 3, 3))
+    held = hold
+    for _ in range(3):  # what is held is held to the turn found before, so that it does not hold back the rest
+        turn = best_rotation(np.concatenate([start, hold], axis=1), np.concatenate([end, held], axis=1))
+        held = _HOLD_M * np.swapaxes(turn, -1, -2)
+    return unitquat_from_rotmat(turn)
+
+
+def _bent(joint_m: Array, tip_m: Array, first_m: Array, second_m: Array) -> Array:
+    """Return where the middle joint of a limb of two bones lies when its tip is met, nearest to where it is wanted.
+
+    Args:
+        joint_m: Where the middle joint is wanted, from the limb's root (frame, 3), metres.
+        tip_m: Where the tip is wanted (frame, 3); out of reach, the limb is stretched towards it.
+        first_m: Length of the first bone (frame,).
+        second_m: Length of the second bone (frame,).
+    """
+    distance = np.maximum(np.linalg.norm(tip_m, axis=-1), 1e-9)
+    axis = tip_m / distance[:, None]
+    along = np.clip((distance**2 + first_m**2 - second_m**2) / (2.0 * distance), -first_m, first_m)
+    side = joint_m - np.sum(joint_m * axis, axis=-1, keepdims=True) * axis
+    away = np.sqrt(np.maximum(first_m**2 - along**2, 0.0))
+    return np.asarray(along[:, None] * axis + away[:, None] * normalise(side))
+
+
+def _local(skeleton: Skeleton, world: Array) -> Array:
+    """Return local rotations (*batch, J, 4) of world rotations."""
+    local = np.array(world)
+    parents: Sequence[int] = skeleton.parents
+    for child in skeleton.order[1:]:
+        local[..., child, :] = multiply(conjugate(world[..., parents[child], :]), world[..., child, :])
+    return local

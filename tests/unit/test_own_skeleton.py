@@ -1,0 +1,176 @@
+"""A source's own skeleton, scaled and posed by body22: the source itself at scale 1, a body with fingers at others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats import derive_working_poses, read_amc, read_asf, read_bvh, write_bvh
+from pasdedeux.formats.euler import identity_unitquat
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, own_ends, standing
+from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
+from pasdedeux.kinematics.rotations import angle_between, multiply, unitquat_from_rotvec
+from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
+from pasdedeux.skeletons.layouts import LAYOUTS, find_layout
+from tests.builders.own_sources import real_motions, write_walk
+from tests.builders.source_samples import figure_motion
+
+EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
+
+
+def rig(seed: int = 0) -> OwnSkeleton:
+    """Return the figure with a rig's names, one more joint in the left forearm, a thumb and the crown of the head."""
+    figure = figure_motion(seed=seed)
+    names = [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names]
+    parents, offsets = list(BODY22.parents), list(figure.rest_offsets_m)
+    elbow, wrist = BODY22.indices(["left_elbow", "left_wrist"])
+    twist = len(names)
+    parents[wrist], offsets[wrist] = twist, 0.4 * offsets[wrist]
+    names += ["LeftForeArmRoll", "LeftHandThumb1", "Head_end"]
+    parents += [elbow, wrist, BODY22.index("head")]
+    offsets += [1.5 * offsets[wrist], np.array([0.03, -0.01, 0.03]), np.array([0.0, 0.17, 0.0])]
+    turns = np.zeros((figure.num_frames, 3, 3))
+    turns[:, 0, 0], turns[:, 1] = 0.5, np.random.default_rng(seed).normal(0.0, 0.5, 3)
+    motion = Motion(
+        Skeleton("rig", tuple(names), tuple(parents)),
+        np.array(offsets),
+        figure.root_translation_m,
+        np.concatenate([figure.local_unitquat, unitquat_from_rotvec(turns)], axis=1),
+        30.0,
+    )
+    return OwnSkeleton(motion, body_map(LAYOUTS["mixamo"], motion.skeleton, motion.rest_offsets_m))
+
+
+def walk(folder: Path) -> OwnSkeleton:
+    amc = write_walk(folder)
+    source = read_amc(amc.read_bytes(), read_asf(next(folder.glob("*.asf")).read_bytes()))
+    motion = source.to_motion(metres_per_unit=0.0254 / 0.45, rate_hz=120.0)
+    return OwnSkeleton(motion, body_map(LAYOUTS["cmu_asf"], motion.skeleton, motion.rest_offsets_m))
+
+
+def same(one: Motion, other: Motion, *, metres: float, degrees: float) -> None:
+    assert one.skeleton.joint_names[: other.skeleton.num_joints] == other.skeleton.joint_names
+    (places, turns), (its_places, its_turns) = one.world(), other.world()
+    joints = other.skeleton.num_joints
+    np.testing.assert_allclose(places[:, :joints], its_places, atol=metres)
+    assert np.rad2deg(angle_between(turns[:, :joints], its_turns).max()) < degrees
+
+
+def scaled(own: OwnSkeleton, bone_scale: np.ndarray) -> np.ndarray:
+    """Return the source's bone directions with other lengths: what a body of these proportions makes of it."""
+    body = own.body.of(own.motion)
+    lengths = np.median(bone_lengths(BODY22, body), axis=0)
+    return place_bones(BODY22, body[:, BODY22.root], bone_directions(BODY22, body), lengths * bone_scale)
+
+
+def test_at_scale_one_the_source_comes_back_from_its_own_body22(tmp_path: Path) -> None:
+    for own in (rig(), walk(tmp_path)):
+        ones = np.ones(BODY22.num_joints)
+        same(own.posed(own.body.of(own.motion), ones), own.motion, metres=1e-9, degrees=1e-4)
+        # A variant's bones are constant, while the neck of ASF spans two joints that move.
+        same(own.worn(scaled(own, ones), ones).motion, own.motion, metres=1e-9, degrees=1e-4)
+
+
+@settings(max_examples=25)
+@given(scale=st.floats(0.5, 1.5))
+def test_a_uniform_scale_scales_every_offset_and_turns_nothing(scale: float) -> None:
+    own = rig()
+    scales = np.full(BODY22.num_joints, scale)
+    worn = own.worn(scaled(own, scales), scales)
+    np.testing.assert_allclose(worn.motion.rest_offsets_m[1:], scale * own.motion.rest_offsets_m[1:], atol=1e-9)
+    assert np.rad2deg(angle_between(worn.motion.world()[1], own.motion.world()[1]).max()) < 1e-3
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 10_000))
+def test_bones_have_the_lengths_asked_for_and_hands_and_feet_lie_where_they_are_wanted(seed: int) -> None:
+    own = rig(seed)
+    rng = np.random.default_rng(seed)
+    scales = rng.uniform(0.75, 1.25, BODY22.num_joints)[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
+    wanted = scaled(own, scales)
+    worn = own.worn(wanted, scales)
+    body = worn.body.of(worn.motion)
+    rigid = [joint for joint in range(1, BODY22.num_joints) if BODY22.joint_names[joint] != "head"]
+    np.testing.assert_allclose(
+        bone_lengths(BODY22, body)[:, rigid],
+        np.broadcast_to(bone_lengths(BODY22, wanted)[0, rigid], (12, 20)),
+        rtol=1e-3,
+    )
+    assert np.linalg.norm(body - wanted, axis=-1)[:, EXTREMITIES].max() < 5e-3
+    thumb, crown = own.motion.skeleton.indices(["LeftHandThumb1", "Head_end"])
+    np.testing.assert_allclose(
+        worn.motion.local_unitquat[:, [thumb, crown]], own.motion.local_unitquat[:, [thumb, crown]], atol=1e-9
+    )
+    ratio = (
+        np.linalg.norm(worn.motion.rest_offsets_m, axis=-1)[1:] / np.linalg.norm(own.motion.rest_offsets_m, axis=-1)[1:]
+    )
+    assert ratio[thumb - 1] == pytest.approx(scales[BODY22.index("left_wrist")], rel=1e-3)
+
+
+def test_a_standing_rest_pose_leaves_joints_and_global_rotations_where_they_are(tmp_path: Path) -> None:
+    for own in (rig(), walk(tmp_path)):
+        stood = standing(own)
+        places, turns = own.motion.world()
+        its_places, its_turns = stood.motion.world()
+        np.testing.assert_allclose(its_places, places, atol=1e-9)
+        frames = multiply(its_turns[0] * [-1, -1, -1, 1], turns[0])
+        np.testing.assert_allclose(
+            np.abs((multiply(its_turns, np.broadcast_to(frames, its_turns.shape)) * turns).sum(-1)), 1.0, atol=1e-9
+        )
+        np.testing.assert_allclose(stood.body.of(stood.motion), own.body.of(own.motion), atol=1e-9)
+        still = identity_unitquat(1, own.motion.skeleton.num_joints)
+        rest = dict(
+            zip(BODY22.joint_names, stood.body.positions(stood.motion.rest_positions_m()[None], still)[0], strict=True)
+        )
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            arm = rest[f"{side}_wrist"] - rest[f"{side}_shoulder"]
+            assert sign * arm[0] > 0.3
+            np.testing.assert_allclose(arm[1:], 0.0, atol=1e-6)
+            leg = rest[f"{side}_ankle"] - rest[f"{side}_hip"]
+            np.testing.assert_allclose(leg[[0, 2]], 0.0, atol=1e-6)
+            assert leg[1] < -0.5
+            assert rest[f"{side}_toe"][2] > rest[f"{side}_ankle"][2] + 0.05
+        assert rest["head"][1] > rest["neck"][1] > rest["spine1"][1] > rest["left_knee"][1]
+
+
+def test_every_joint_that_is_drawn_has_a_length(tmp_path: Path) -> None:
+    for own in (
+        rig(),
+        walk(tmp_path),
+        OwnSkeleton(figure_motion(), body_map(LAYOUTS["body22"], BODY22, figure_motion().rest_offsets_m)),
+    ):
+        motion = own_ends(own).motion
+        same(motion, own.motion, metres=0.0, degrees=1e-5)
+        for joint, name in enumerate(motion.skeleton.joint_names):
+            below = list(motion.skeleton.children(joint))
+            if below:
+                ends = [one for one in below if motion.skeleton.joint_names[one] == f"{name}_end"]
+                assert np.linalg.norm(motion.rest_offsets_m[ends or below].mean(axis=0)) > 1e-3, name
+            else:
+                assert name.endswith("_end")
+        again = read_bvh(write_bvh(motion)).to_motion(metres_per_unit=0.01, rate_hz=motion.rate_hz)
+        assert set(again.skeleton.joint_names) == set(motion.skeleton.joint_names)
+
+
+def test_other_frames_than_the_motion_has_are_refused() -> None:
+    own = rig()
+    with pytest.raises(InputError, match="body22 has the shape \\(3, 22, 3\\); the motion has 12 frames"):
+        own.posed(own.body.of(own.motion)[:3], np.ones(BODY22.num_joints))
+
+
+def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path) -> None:
+    for name, motion in real_motions(data_dir).items():
+        layout = find_layout(motion.skeleton.joint_names)
+        assert layout is not None
+        part = motion.slice(0, 60)
+        own = OwnSkeleton(part, body_map(layout, part.skeleton, part.rest_offsets_m))
+        np.testing.assert_allclose(
+            own.body.of(part), derive_working_poses(part, layout).body22_m, atol=1e-9, err_msg=name
+        )
+        same(own.posed(own.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)

@@ -19,6 +19,8 @@ RENAMED_KEYS: dict[str, str] = {
     "augmentation.weights.contact_mixed": "it is now called contact_hand, as for two hands",
     "augmentation.weights.contact_limb": "it is now called contact_body, as for torsos",
     "augmentation.weights.contact_torso": "it is now called contact_body",
+    "augmentation.limits.foot_slide_m": "it is measured by stance now, not by frame: say stance_excursion_m",
+    "augmentation.frame_limits.foot_slide_m": "it is measured by stance now, not by frame: say stance_excursion_m",
     "augmentation.grid": "list the scales under augmentation.scales",
     "projections.least_cluster_change": "it is now called projections.min_cluster_change",
     "views.least_weight": "it is now called views.min_weight",

@@ -8,6 +8,8 @@ RENAMED_TABLES: dict[str, str] = {}
 """Old table to one sentence with the new name or what became of it."""
 
 RENAMED_COLUMNS: dict[str, str] = {
+    "variant_quality.foot_slide_m": "it is measured by stance now: stance_excursion_m",
+    "variant_frames.foot_slide_m": "it is measured by stance now: stance_excursion_m",
     "chain_states.kernel_state": "it is now called proposal_state",
     "seeds.gap_m": "it is now called image_distance_m",
 }

@@ -92,8 +92,10 @@ class Augmenter:
         *,
         user_contacts: Sequence[UserContact] = (),
     ) -> None:
-        self.source = source
         self.settings = settings or AugmentationSettings()
+        if self.settings.floor_m is not None:
+            source = replace(source, ground_m=self.settings.floor_m)
+        self.source = source
         self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.window_s)
         check_contacts(source, user_contacts)
         self._user_contacts = user_contacts

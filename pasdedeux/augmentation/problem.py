@@ -53,7 +53,7 @@ class Problem:
         lag2: Coupling at frames t and t+2 (group=2, T-2, 44).
         contacts: Points that keep their distance.
         contact_weights: Their graded weights (T, M); the matrix holds all of them.
-        stance: Weights of the horizontal velocity of each foot joint between frames (T-1, 44); 0 for other joints.
+        stance: Weights of the horizontal velocity of each joint between frames (T-1, 44).
         floor: Weights of the height of each point (T, 44).
         smoothness: Weight of the second difference at this rate.
         anchor: Weight of each point's pull towards r or, held fixed, the source (44,).

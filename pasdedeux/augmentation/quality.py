@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
 from pasdedeux.augmentation.source import NUM_POINTS, Girths, Source, widened_m
-from pasdedeux.augmentation.support import FEET, stance_weights
+from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.interaction.contacts import TOUCH_M, UserContact
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits, capsule_model
@@ -32,7 +32,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 _STANDS = 0.5
-"""A foot joint stands where its fading stance weight is above this."""
+"""A joint stands where its fading stance weight is above this."""
 _PERCENTILE = 95.0
 _STILL_M = 1e-9
 """A source with less jerk than this, in metres of third difference, is still."""
@@ -57,14 +57,25 @@ Limit = Annotated[tuple[float, float], AfterValidator(_check_limit)]
 
 
 class QualityLimits(Settings):
-    """Limits of the figures of a variant."""
+    """Limits of the figures of a variant; one that fails is nothing to train on.
+
+    Warnings begin at what converged variants of well captured takes keep to; failures where an eye sees that something
+    is wrong: a hand in the air or in the flesh by half of its thickness, bodies apart by a jacket, a foot that slides.
+    """
 
     bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
     contact_drift_extremity_m: Limit = Field((0.005, 0.02), description="Drift of hands and feet, metres")
-    contact_drift_body_m: Limit = Field((0.02, 0.06), description="Drift of body on body, metres")
-    foot_slide_m: Limit = Field((0.001, 0.005), description="Sliding in stance per frame, metres")
+    contact_drift_mixed_m: Limit = Field((0.005, 0.02), description="Drift of a hand or foot on a body, metres")
+    contact_drift_body_m: Limit = Field((0.01, 0.04), description="Drift of body on body, metres")
+    contact_drift_p95_m: Limit = Field(
+        (0.015, 0.05), description="95th percentile of all contacts' drift, metres: no contact may be lost for a while"
+    )
+    stance_excursion_m: Limit = Field(
+        (0.01, 0.03), description="Wandering of a joint in a stance, worst stance, metres: a third of a foot's width"
+    )
     floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
-    penetration_m: Limit = Field((0.01, 0.1), description="Depth in the partner, metres")
+    penetration_m: Limit = Field((0.01, 0.1), description="Depth in the partner, summed over bones, metres")
+    self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, summed over bones, metres")
     spine_bend_rad: Limit = Field((0.6, 1.2), description="Change of the spine's bends, radians")
     jerk_ratio: Limit = Field((1.2, 2.0), description="Jerk over the source's")
     invalid_angles: Limit = Field((0.2, 2.0), description="Joint angles out of range in a frame, mean")
@@ -74,8 +85,8 @@ class FrameLimits(Settings):
     """Limits of the figures of one frame: wider than those of a variant, which are means and percentiles of them."""
 
     bone_error_m: Limit = Field((1e-6, 1e-4), description="Greatest bone length error, metres")
-    contact_drift_m: Limit = Field((0.03, 0.1), description="Mean over the frame's contacts, metres")
-    foot_slide_m: Limit = Field((0.01, 0.03), description="Sliding in stance, metres")
+    contact_drift_m: Limit = Field((0.02, 0.06), description="Mean over the frame's contacts, metres")
+    stance_excursion_m: Limit = Field((0.01, 0.03), description="Distance from the median place in the stance, metres")
     floor_penetration_m: Limit = Field((0.02, 0.06), description="Depth under the floor, metres")
     penetration_m: Limit = Field((0.02, 0.12), description="Depth in the partner, metres")
     self_penetration_m: Limit = Field((0.05, 0.2), description="Depth in oneself, metres")
@@ -100,8 +111,9 @@ class Quality:
     contact_drift_extremity_m: float | None
     contact_drift_mixed_m: float | None
     contact_drift_body_m: float | None
+    contact_drift_p95_m: float | None
     laplacian_error_m: float
-    foot_slide_m: float
+    stance_excursion_m: float
     floor_penetration_m: float
     penetration_m: float
     self_penetration_m: float
@@ -146,7 +158,7 @@ class FrameQuality:
     bone_error_m: Array
     contact_drift_m: Array
     laplacian_error_m: Array
-    foot_slide_m: Array
+    stance_excursion_m: Array
     floor_penetration_m: Array
     penetration_m: Array
     self_penetration_m: Array
@@ -192,13 +204,10 @@ class QualityMeter:
         self._class = self._contacts.num_hands[self._held]
         self._distance = self._contact_distances(points)
         self._jerk, self._frame_jerk = _jerk(points)
-        self._feet = np.array([foot + offset for offset in (0, half) for foot in FEET])
-        standing = stance_weights(source)
-        self._stands = np.sqrt(standing[1:] * standing[:-1]).reshape(len(standing) - 1, len(self._feet)) > _STANDS
-        self._slide = self._foot_steps(points)
-        floor = np.repeat(source.floor_m, half)
-        self._floor = floor
-        self._below = np.maximum(floor - points[..., 1], 0.0)
+        self._points = points
+        self._stances = _stances(stance_weights(source).reshape(len(points), -1) >= _STANDS)
+        self._floor = source.floor_m
+        self._below = np.maximum(self._floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)
         self._penetration = self._penetrate(points, self._radii(np.ones((2, half))))
         self._limits = joint_limits and joint_limits.widened(
@@ -224,7 +233,7 @@ class QualityMeter:
         drift_fk = np.abs(self._contact_distances(reference) - wanted)
         pair = points.reshape(-1, 2, BODY22.num_joints, 3)
         bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max(axis=(1, 2))
-        slide = np.maximum(self._foot_steps(points) - self._slide, 0.0)
+        excursion, by_stance = self._excursions(points)
         below = np.maximum(self._floor - points[..., 1], 0.0)
         radii = self._radii(bone_scale)
         depths = self._penetrate(points, radii)
@@ -236,15 +245,13 @@ class QualityMeter:
         jerk, frame_jerk = _jerk(points)
         pairs = np.bincount(self._frames, minlength=self._num_frames)
         summed = np.bincount(self._frames, weights=drift, minlength=self._num_frames)
-        steps = np.zeros(self._num_frames)
-        steps[1:] = np.where(self._stands, slide, 0.0).max(axis=1)
         still = np.maximum(self._frame_jerk, self._jerk)
         frames = FrameQuality(
             num_contact_pairs=pairs,
             bone_error_m=bone_error,
             contact_drift_m=np.where(pairs > 0, summed / np.maximum(pairs, 1), np.nan),
             laplacian_error_m=np.sqrt(squared_residual),
-            foot_slide_m=steps,
+            stance_excursion_m=excursion,
             floor_penetration_m=(below - self._below).max(axis=1),
             penetration_m=extra,
             self_penetration_m=within,
@@ -259,8 +266,9 @@ class QualityMeter:
             contact_drift_extremity_m=_mean(drift[self._class == 2]),
             contact_drift_mixed_m=_mean(drift[self._class == 1]),
             contact_drift_body_m=_mean(drift[self._class == 0]),
+            contact_drift_p95_m=float(np.percentile(drift, _PERCENTILE)) if len(drift) else None,
             laplacian_error_m=float(np.sqrt(squared_residual.mean())),
-            foot_slide_m=_mean(slide[self._stands]) or 0.0,
+            stance_excursion_m=max(by_stance, default=0.0),
             floor_penetration_m=float(frames.floor_penetration_m.max()),
             penetration_m=float(np.percentile(extra, _PERCENTILE)),
             self_penetration_m=float(np.percentile(within, _PERCENTILE)),
@@ -283,8 +291,19 @@ class QualityMeter:
         wide = bone_scale if self._girth == "follow" else np.array(self._girth)[:, None]
         return np.asarray(self._source.radii_m * wide)
 
-    def _foot_steps(self, points: Array) -> Array:
-        return np.asarray(np.linalg.norm(np.diff(points[:, self._feet], axis=0)[..., [0, 2]], axis=-1))
+    def _excursions(self, points: Array) -> tuple[Array, list[float]]:
+        """Return how far joints that stand are from their median place in that stance: by frame, by stance.
+
+        Movement of the source while it stands is not counted.
+        """
+        moved = (points - self._points)[..., [0, 2]]
+        frames, worst = np.zeros(self._num_frames), []
+        for joint, when in self._stances:
+            places = moved[when, joint]
+            away = np.linalg.norm(places - np.median(places, axis=0), axis=-1)
+            frames[when] = np.maximum(frames[when], away)
+            worst.append(float(away.max()))
+        return frames, worst
 
     def _penetrate(self, points: Array, radii: Array, *, is_within: bool = False) -> Array:
         model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
@@ -300,6 +319,16 @@ def _jerk(points: Array) -> tuple[float, Array]:
         return 0.0, np.zeros(len(points))
     squared = (np.diff(points, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=-1)
     return float(np.sqrt(squared.mean())), np.pad(np.sqrt(squared), (1, 2), mode="edge")
+
+
+def _stances(stands: npt.NDArray[np.bool_]) -> list[tuple[int, slice]]:
+    """Return joint and frames of every stance, of which joints stand when (T, 44)."""
+    edges = np.diff(np.pad(stands, ((1, 1), (0, 0))).astype(np.int8), axis=0)
+    found = []
+    for joint in np.flatnonzero(stands.any(axis=0)):
+        starts, stops = (np.flatnonzero(edges[:, joint] == sign) for sign in (1, -1))
+        found += [(int(joint), slice(int(a), int(b))) for a, b in zip(starts, stops, strict=True)]
+    return found
 
 
 def _spine_bends(points: Array) -> Array:

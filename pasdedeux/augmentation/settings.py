@@ -35,6 +35,9 @@ class AugmentationSettings(Settings):
         description="Thickness of A's and B's body over the source's; 1 leaves it as it was, whatever the bones do; "
         "follow: bones are as thick as they are long",
     )
+    floor_m: float | None = Field(
+        None, description="Height of toe joints that stand, metres; found from everybody's feet where not given"
+    )
     is_joint_limited: bool = Field(
         False, description="Check joint angles against the published ranges, widened by what the source does"
     )

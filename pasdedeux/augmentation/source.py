@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import TOUCH_M, Contacts, UserContact, closest_joint_distance, find_contacts
+from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
@@ -38,8 +39,6 @@ NUM_POINTS = 2 * BODY22.num_joints
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
 _THINNEST_M = 1e-6
-_FLOOR_PERCENTILE = 5.0
-_ANKLE_PERCENTILE = 10.0
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
@@ -53,6 +52,7 @@ class Source:
         positions_m: World positions (frame, person=2, joint=22, 3), metres, Y up.
         rate_hz: Frames per second.
         name: Name of the take, used in messages.
+        ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
 
     Raises:
         InputError: Wrong shape, no frames, a frame that is not finite or kilometres away, a rate that is not positive.
@@ -61,6 +61,7 @@ class Source:
     positions_m: Array
     rate_hz: float
     name: str = "take"
+    ground_m: float | None = None
 
     def __post_init__(self) -> None:
         """Check shape, finiteness and rate."""
@@ -97,10 +98,12 @@ class Source:
         return bone_directions(BODY22, self.positions_m)
 
     @cached_property
-    def floor_m(self) -> Array:
-        """Height of each person's standing toe joints (2,), metres: 5th percentile over frames of the lower toe."""
-        lower_toe = self.positions_m[:, :, _TOES, 1].min(axis=-1)
-        return np.asarray(np.percentile(lower_toe, _FLOOR_PERCENTILE, axis=0))
+    def floor_m(self) -> float:
+        """Height of standing toe joints, metres: one floor under everybody, so who is held up stands on nothing."""
+        if self.ground_m is not None:
+            return self.ground_m
+        toes = self.positions_m[:, :, _TOES]
+        return floor_under(toes, find_standing(toes, rate_hz=self.rate_hz, settings=StandingSettings(away_share=1.0)))
 
     @cached_property
     def closest_m(self) -> float:
@@ -108,10 +111,17 @@ class Source:
         return float(closest_joint_distance(self.positions_m).min())
 
     @cached_property
-    def flat_ankle_m(self) -> Array:
-        """Height of each person's ankle above the floor on a flat foot (2,): 10th percentile of the lower ankle."""
-        lower = self.positions_m[:, :, _ANKLES, 1].min(axis=-1) - self.floor_m
-        return np.maximum(np.percentile(lower, _ANKLE_PERCENTILE, axis=0), 0.0)
+    def rest_heights_m(self) -> Array:
+        """Height of each joint over `floor_m` when that part of the body lies on the floor (2, 22), metres.
+
+        An ankle's is that on a flat foot: the 10th percentile of the ankles' heights over their toes.  Other joints lie
+        a radius over the floor, which the soles touch.
+        """
+        heights = self.radii_m - self.radii_m[:, _TOES[:1]]
+        feet = self.positions_m[..., 1]
+        flat = np.percentile((feet[:, :, _ANKLES] - feet[:, :, _TOES]).swapaxes(0, 1).reshape(2, -1), 10.0, axis=1)
+        heights[:, _ANKLES] = np.maximum(flat, 0.0)[:, None]
+        return np.asarray(heights)
 
     @cached_property
     def radii_m(self) -> Array:
@@ -128,9 +138,10 @@ class Source:
 
     def slice(self, start: int, stop: int) -> Source:
         """Return frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
-        part = Source(self.positions_m[start:stop], self.rate_hz, self.name)
+        part = replace(self, positions_m=self.positions_m[start:stop])
         # What is measured over the whole take takes the place of the part's own cached properties.
-        part.__dict__.update(lengths_m=self.lengths_m, floor_m=self.floor_m, flat_ankle_m=self.flat_ankle_m)
+        whole = {name: getattr(self, name) for name in ("lengths_m", "floor_m", "rest_heights_m")}
+        part.__dict__.update(whole)
         return part
 
 

@@ -6,7 +6,7 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
       + sum w_C (k |z - v|^2 + (1 - k) (|z| - |v|)^2)   contacts keep the distance of their surfaces; see `contacts`
-      + sum w_F |D1 (x - d)|^2                  stance feet move as the source's do, wherever they stand (horizontal)
+      + sum w_F |D1 (x - d)|^2                  what stands moves as the source does, wherever it stands (horizontal)
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
       + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
       + w_B sum |(b2 / l2) - (b1 / l1)|^2       spine bends as r's does; b: change of a bone's vector, l: source length
@@ -39,7 +39,7 @@ from pasdedeux.augmentation.source import (
     scaled_lengths,
     widened_m,
 )
-from pasdedeux.augmentation.support import FEET, floor_weights, stance_weights
+from pasdedeux.augmentation.support import floor_weights, stance_weights
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.skeletons import BODY22
 
@@ -81,11 +81,8 @@ def build_problem(
 
     contacts = source.contacts(settings.touch_m, user_contacts)
     contact_weights = weights.of_contacts(contacts)
-    standing = stance_weights(source)
-    stance = np.zeros((max(frames - 1, 0), NUM_POINTS))
-    stance.reshape(-1, 2, BODY22.num_joints)[:, :, FEET] = (
-        weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
-    )
+    standing = stance_weights(source).reshape(frames, NUM_POINTS)
+    stance = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
     floor = weights.floor * floor_weights(source).reshape(frames, NUM_POINTS)
     anchor = np.full(NUM_POINTS, weights.reference)
     if settings.fixed_person is not None:

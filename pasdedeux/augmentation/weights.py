@@ -31,7 +31,10 @@ class Weights(Settings):
     contact_direction: Weight = Field(
         0.02, le=1, description="Share k of a contact's weight that keeps its direction, not only its distance"
     )
-    stance: Weight = Field(70.0, description="Horizontal velocity of stance feet at 30 Hz, w_F")
+    stance: Weight = Field(
+        4000.0,
+        description="Horizontal velocity of what stands at 30 Hz, w_F; so stiff that a foot stays where it is put down",
+    )
     floor: Weight = Field(100.0, description="Height of joints near the floor, w_H")
     bending: Weight = Field(
         0.05,

@@ -74,7 +74,17 @@ VARIANT_QUALITY = Table(
             is_nullable=True,
         ),
         float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
-        float64("foot_slide_m", "Mean horizontal foot movement per frame in stance above the source's", unit="m"),
+        float64(
+            "contact_drift_p95_m",
+            "95th percentile of the change of distance of the surfaces of all contacts; null without one",
+            unit="m",
+            is_nullable=True,
+        ),
+        float64(
+            "stance_excursion_m",
+            "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement",
+            unit="m",
+        ),
         float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
         float64(
             "penetration_m",
@@ -122,8 +132,8 @@ VARIANT_FRAMES = Table(
         ),
         float64("laplacian_error_m", "Root mean square Laplacian residual", unit="m"),
         float64(
-            "foot_slide_m",
-            "Greatest horizontal movement since the frame before of a standing foot joint, above the source's",
+            "stance_excursion_m",
+            "Greatest distance of a standing joint from its median place in that stance, beyond the source's movement",
             unit="m",
         ),
         float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),

@@ -2,9 +2,16 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from pasdedeux.augmentation import Augmenter, Source, UserContact, reference_motion
+from pasdedeux.augmentation import (
+    AugmentationSettings,
+    Augmenter,
+    Source,
+    UserContact,
+    reference_motion,
+    uniform_variations,
+)
 from pasdedeux.augmentation.mesh import build_mesh
-from pasdedeux.augmentation.support import stance_weights
+from pasdedeux.augmentation.support import floor_weights, stance_weights
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import fade
 from pasdedeux.kinematics import bone_lengths
@@ -48,16 +55,43 @@ def test_fading_is_continuous_and_ends_flat() -> None:
     assert weights[-1] == 0.0
 
 
+FEET = BODY22.indices(["left_ankle", "left_toe", "right_ankle", "right_toe"])
+
+
 def test_planted_feet_stand_and_raised_feet_do_not() -> None:
     positions = swaying_pair(60)
-    assert stance_weights(Source(positions, 30.0)).min() > 0.9
+    weights = stance_weights(Source(positions, 30.0))
+    assert weights[:, :, FEET].min() > 0.9
+    assert np.delete(weights, FEET, axis=2).max() == 0.0
     raised = positions.copy()
-    foot = BODY22.indices(["left_ankle", "left_toe"])
-    raised[30:, 0, foot, 1] += 0.4
-    weights = stance_weights(Source(raised, 30.0))
-    assert weights[54:, 0, :2].max() < 0.01
-    assert weights[54:, 0, 2:].min() > 0.9
-    assert np.abs(np.diff(weights, axis=0)).max() < 0.15
+    raised[30:, 0, FEET[:2], 1] += 0.4
+    weights = stance_weights(Source(raised, 30.0))[:, :, FEET]
+    assert weights[40:, 0, :2].max() < 0.01
+    assert weights[40:, 0, 2:].min() > 0.9
+    assert np.abs(np.diff(weights, axis=0)).max() < 0.2
+
+
+def test_who_is_held_up_has_no_floor_however_still_and_who_lies_has_it_under_the_back() -> None:
+    positions = swaying_pair(30)
+    source = Source(positions + np.array([[[0.0] * 3], [[0.0, 0.5, 0.0]]]), 30.0)
+    assert source.floor_m == pytest.approx(Source(positions, 30.0).floor_m, abs=0.005)
+    for weights in (floor_weights(source), stance_weights(source)):
+        assert not weights[:, 1].any()
+        assert weights[:, 0, FEET].min() > 0.5
+    lying = positions.copy()
+    lying[:, 1] = lying[:, 1] @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]).T
+    lying[:, 1, :, 1] += 0.1 + source.floor_m - lying[:, 1, BODY22.index("spine3"), 1].min()
+    weights = floor_weights(Source(lying, 30.0))[:, 1]
+    assert weights[:, BODY22.indices(["pelvis", "spine2", "spine3"])].min() > 0.5
+
+
+def test_a_given_floor_is_taken() -> None:
+    source = Source(swaying_pair(10), 30.0)
+    (variant,) = Augmenter(source, AugmentationSettings(floor_m=-0.4)).solve(uniform_variations([0.75], ["A"]))
+    (found,) = Augmenter(source).solve(uniform_variations([0.75], ["A"]))
+    feet = BODY22.indices(["left_toe", "right_toe"])
+    assert variant.positions_m[:, 0, feet, 1].min() < found.positions_m[:, 0, feet, 1].min() - 0.01
+    assert not stance_weights(Source(swaying_pair(10), 30.0, ground_m=-0.4)).any()
 
 
 def test_a_users_contact_is_of_frames_and_joints_that_there_are() -> None:

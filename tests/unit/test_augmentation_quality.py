@@ -60,7 +60,7 @@ def test_the_source_itself_passes_in_every_frame() -> None:
     [
         ("jerk_ratio", "head", (0.3, 0.0, 0.0)),
         ("floor_penetration_m", "left_toe", (0.0, -0.2, 0.0)),
-        ("foot_slide_m", "left_ankle", (0.2, 0.0, 0.0)),
+        ("stance_excursion_m", "left_ankle", (0.2, 0.0, 0.0)),
         ("contact_drift_m", "left_wrist", (0.0, 1.0, 0.0)),
         ("bone_error_m", "right_elbow", (0.0, 0.1, 0.0)),
     ],
@@ -97,4 +97,4 @@ def test_a_take_of_one_frame_has_figures() -> None:
     source = Source(swaying_pair(1), 30.0)
     frames = _measure(source, source.positions_m).frames
     assert frames.jerk_ratio.tolist() == [1.0]
-    assert frames.foot_slide_m.tolist() == [0.0]
+    assert frames.stance_excursion_m.tolist() == [0.0]

@@ -240,6 +240,32 @@ def test_a_person_held_fixed_stays_with_the_source() -> None:
     assert variant.quality.contact_drift_m < 0.25 * variant.quality.contact_drift_fk_m
 
 
+def test_who_is_carried_hangs_in_the_partners_hands_at_every_size_with_free_feet() -> None:
+    duet = make_duet("lift", rate_hz=15.0)
+    source = Source(duet.positions_m()[45:105], 15.0)
+    toes = BODY22.indices(["left_toe", "right_toe"])
+    low = source.positions_m[:, 1, toes, 1].min(axis=-1)
+    settings = AugmentationSettings(solver="polished")
+    heights = []
+    for variant in Augmenter(source, settings).solve(uniform_variations([0.75, 1.25], ["A"])):
+        for contact in duet.contacts:
+            apart = contact.point_a.position_m(variant.positions_m) - contact.point_b.position_m(variant.positions_m)
+            np.testing.assert_allclose(np.linalg.norm(apart, axis=-1), contact.distance_m, atol=0.01)
+        heights.append(variant.positions_m[:, 1, toes, 1].min(axis=-1) - low)
+    assert heights[0].mean() < -0.05
+    assert heights[1].mean() > 0.05
+
+
+def test_a_foot_stays_where_it_is_put_down_at_any_rate() -> None:
+    worst = []
+    for rate_hz in (20.0, 80.0):
+        source = Source(make_duet("waltz", rate_hz=rate_hz, duration_s=4.0).positions_m(), rate_hz)
+        (variant,) = Augmenter(source).solve(uniform_variations([0.75], ["A"]))
+        worst.append(variant.quality.stance_excursion_m)
+    assert max(worst) < 0.01
+    assert worst[0] == pytest.approx(worst[1], rel=0.25)
+
+
 def test_the_result_does_not_depend_much_on_the_frame_rate() -> None:
     fast = swaying_pair(59)
     scales = uniform_variations([0.8], ["A"])

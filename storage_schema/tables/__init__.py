@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from storage_schema.columns import Table
-from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKES
+from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKE_QUALITY, TAKES
 from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
 from storage_schema.tables.products import (
     MODELS,
@@ -32,6 +32,7 @@ TABLES: dict[str, Table] = {
     table.name: table
     for table in (
         TAKES,
+        TAKE_QUALITY,
         POSES,
         ANNOTATIONS,
         CAMERAS,

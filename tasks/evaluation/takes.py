@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pasdedeux.evaluation.takes import take_scores, take_sheet
+from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, read_people
-from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 
 __all__ = ["TOPIC"]
 
@@ -17,7 +18,11 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Describe and draw one take."""
-    facts = store.manifest(shard.ref("take")).facts
+    manifest = store.manifest(shard.ref("take"))
+    facts, verdict = manifest.facts, verdict_of(manifest)
+    notes = []
+    if verdict is not None and verdict.level is not Level.PASS:
+        notes = [f"Take {facts['take_id']}: {verdict.level}: {verdict.reason}."]
     people = read_people(store, shard.ref("take"), "body22_m")
     name = f"take-{facts['take_id']}.png"
     held_out = ", held out" if facts["is_held_out"] else ""
@@ -25,6 +30,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
         pictures={name: take_sheet(facts["take_id"], people, facts["rate_hz"])},
+        notes=notes,
         captions={name: f"Take {facts['take_id']}{held_out}: {who}left limbs darker."},
     )
 
@@ -32,7 +38,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 TOPIC = Topic(
     name="takes",
     heading="Takes",
-    introduction="The 3D motion that came in, at the study's rate, in body22.",
+    introduction="The 3D motion that came in, at the study's rate, in body22; what the check of its capture says.",
     reads=("poses",),
     plan=_plan,
     run=_run,

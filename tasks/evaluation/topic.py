@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 18
+VERSION = 19
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

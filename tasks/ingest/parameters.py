@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle
 from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
+from pasdedeux.plausibility.capture import CaptureLimits
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import SourceCredit
 from tasks.stage import Parameters
@@ -19,6 +20,7 @@ from tasks.stage import Parameters
 __all__ = [
     "AnnotationOptions",
     "AnnotationParameters",
+    "CaptureOptions",
     "CommonOptions",
     "DetectorOptions",
     "DuetOptions",
@@ -164,6 +166,14 @@ class DuetOptions(DuetStyle, Parameters):
         return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
 
 
+class CaptureOptions(CaptureLimits, Parameters):
+    """What is asked of the capture of takes: limits, each `[warn, fail]`."""
+
+    leave_out_failing: bool = Field(
+        default=False, description="Takes whose capture fails have no poses, and no stage uses them; the report says so"
+    )
+
+
 class VirtualCameras(Parameters):
     """Where virtual cameras stand, and what they see."""
 
@@ -286,6 +296,7 @@ class IngestParameters(Parameters):
         description="Joint mappings by layout: changes to a known layout, or a layout of your own; each working joint "
         "is a source joint or weights of source joints",
     )
+    capture: CaptureOptions = Field(default=CaptureOptions(), description="What is asked of the capture of takes")
     held_out: tuple[str, ...] = Field(
         default=(), description="Takes kept for evaluation: never learned from or matched against"
     )
@@ -351,6 +362,7 @@ class _OfTake(Parameters):
     is_held_out: bool
     is_prior: bool
     source: SourceCredit
+    capture: CaptureOptions
 
 
 class DuetParameters(_OfTake):

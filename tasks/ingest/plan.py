@@ -29,7 +29,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 8
+VERSION = 9
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -139,6 +139,7 @@ def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> S
         is_held_out=take_id in parameters.held_out,
         is_prior=parameters.is_prior(take_id),
         source=DUET_CREDIT,
+        capture=parameters.capture,
         duet=duet.model_copy(update={"id": None}),
     )
     return _shard(seed, take_id, "take", told)
@@ -167,6 +168,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
         is_held_out=take.id in parameters.held_out,
         is_prior=parameters.is_prior(take.id),
         source=source,
+        capture=parameters.capture,
         num_frames=num_frames,
         floor=take.floor,
         persons=tuple(person.told for person in people),

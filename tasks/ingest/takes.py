@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from pasdedeux.formats import (
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion
 from pasdedeux.kinematics import Motion
+from pasdedeux.plausibility.capture import JudgedCapture, PersonCapture, check_capture, judge_capture
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
@@ -38,8 +39,9 @@ SURE = 0.6
 
 @dataclass(frozen=True)
 class _Person:
-    """One person of a take, with what its row of `takes` says about the source."""
+    """One person of a take, as captured and at the study's rate, with what its row of `takes` says about the source."""
 
+    captured: Motion
     motion: Motion
     layout: Layout
     source_name: str
@@ -59,6 +61,7 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
     options = duet.model_dump(mode="json", exclude={"id"})
     people = [
         _Person(
+            captured=motion,
             motion=motion.resample(parameters.rate_hz),
             layout=LAYOUTS["body22"],
             source_name=duet.name,
@@ -87,14 +90,15 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
     people = []
     for person, source in zip(parameters.persons, read, strict=True):
         up_axis = common.axis if common is not None and person.up_axis == "auto" else person.up_axis
-        motion = source.to_motion(
-            metres_per_unit=person.metres_per_unit, rate_hz=person.rate_hz, up_axis=up_axis
-        ).resample(parameters.rate_hz)
+        captured = place_motion(
+            source.to_motion(metres_per_unit=person.metres_per_unit, rate_hz=person.rate_hz, up_axis=up_axis),
+            translation_m=person.translation_m,
+            yaw_rad=float(np.deg2rad(person.yaw_deg)),
+        )
         people.append(
             _Person(
-                motion=place_motion(
-                    motion, translation_m=person.translation_m, yaw_rad=float(np.deg2rad(person.yaw_deg))
-                ),
+                captured=captured,
+                motion=captured.resample(parameters.rate_hz),
                 layout=layout_named(person.layout, source.skeleton.joint_names, parameters.mappings),
                 source_name=person.source_name,
                 source_sha256=person.motion_sha256,
@@ -142,7 +146,36 @@ def _commit(
     floor: Literal["auto", "keep"],
     verdict: Verdict,
 ) -> ArtifactRef:
-    """Put a take on the floor where asked, derive the working skeletons and commit."""
+    """Check the capture, put the take on the floor where asked, derive the working skeletons and commit.
+
+    A take that fails the check is committed without its motion where the study leaves such takes out.
+    """
+    captured = [derive_working_poses(person.captured, person.layout).body22_m for person in people]
+    found = check_capture(np.stack(captured, axis=1), rate_hz=people[0].captured.rate_hz)
+    names = [person.source_name for person in people] if isinstance(parameters, TakeParameters) else []
+    judged = judge_capture(found, parameters.capture, names)
+    take_id = parameters.take_id
+    facts: dict[str, Any] = {
+        "kind": "take",
+        "take_id": take_id,
+        "takes": [take_id],
+        "num_persons": len(people),
+        "num_frames": people[0].motion.num_frames,
+        "rate_hz": parameters.rate_hz,
+        "is_held_out": parameters.is_held_out,
+        "is_prior": parameters.is_prior,
+    }
+    tables = {"take_quality": _quality(take_id, found, judged)}
+    if judged.take.level is Level.FAIL and parameters.capture.leave_out_failing:
+        left_out = f"Take {take_id} was left out, its capture fails: {judged.take.reason}."
+        return commit(
+            shard,
+            store,
+            tables=tables,
+            facts={**facts, "skipped": [left_out]},
+            sources=[parameters.source],
+            verdict=Verdict(Level.FAIL, left_out),
+        )
     poses = [derive_working_poses(person.motion, person.layout) for person in people]
     shift = floor_shift(np.stack([pose.body22_m for pose in poses], axis=1)) if floor == "auto" else 0.0
     if shift:
@@ -155,22 +188,31 @@ def _commit(
         shard,
         store,
         tables={
+            **tables,
             "takes": _takes(parameters, people, poses),
-            "poses": _poses(parameters.take_id, parameters.rate_hz, people, poses),
+            "poses": _poses(take_id, parameters.rate_hz, people, poses),
         },
-        facts={
-            "kind": "take",
-            "take_id": parameters.take_id,
-            "takes": [parameters.take_id],
-            "num_persons": len(people),
-            "num_frames": people[0].motion.num_frames,
-            "rate_hz": parameters.rate_hz,
-            "is_held_out": parameters.is_held_out,
-            "is_prior": parameters.is_prior,
-        },
+        facts=facts,
         sources=[parameters.source],
-        verdict=verdict,
+        verdict=_joined(verdict, judged.take),
     )
+
+
+def _joined(guessed: Verdict, captured: Verdict) -> Verdict:
+    """Return the worse of two verdicts with the reasons of both, what was captured first."""
+    level = max((guessed.level, captured.level), key=tuple(Level).index)
+    return replace(guessed, level=level, reason="; ".join(filter(None, (captured.reason, guessed.reason))))
+
+
+def _quality(take_id: str, people: list[PersonCapture], judged: JudgedCapture) -> dict[str, Any]:
+    count = len(people)
+    return {
+        "take_id": [take_id] * count,
+        "person": list(range(count)),
+        **{name: [getattr(person, name) for person in people] for name in asdict(people[0])},
+        "verdict": [verdict.level.value for verdict in judged.people],
+        "reason": [verdict.reason for verdict in judged.people],
+    }
 
 
 def _takes(

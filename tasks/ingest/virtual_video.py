@@ -60,6 +60,10 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
     manifest = store.find("ingest", shard.after[0])
     if manifest is None:
         raise InputError(f"take {take_id} is not in the store; run the whole stage")
+    if "poses" not in manifest.tables:
+        return commit(
+            shard, store, tables={}, facts={"kind": "sequences", "takes": [], "skipped": manifest.facts["skipped"]}
+        )
     poses = store.read(manifest.ref, "poses", columns=["person", "frame", "pair17_m", "op14_m"])
     num_persons, num_frames = int(manifest.facts["num_persons"]), int(manifest.facts["num_frames"])
     shape = (num_persons, num_frames)

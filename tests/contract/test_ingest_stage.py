@@ -457,20 +457,63 @@ def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
     store = Store(tmp_path / "store")
-    quiet = {"num_videos": 0, "num_random_views": 0}
+    # The figure of the tests slides, and both people are it.
+    quiet = {
+        "virtual_video": {"num_videos": 0, "num_random_views": 0},
+        "capture": {"skate_m_s": [9, 9], "twin_m": [0, 0]},
+    }
     takes = [{"id": "two", "files": list(pair)}, {"id": "one", "files": [pair[0]]}]
-    found = run(store, planned(takes=takes, virtual_video=quiet))
+    found = run(store, planned(takes=takes, **quiet))
     two, one = judged(found["two", "take"]), judged(found["one", "take"])
     assert (two.level, two.reason) == (Level.PASS, "")
     assert two.value >= 0.5
     assert (one.level, one.reason) == (Level.WARN, "it has one person only: what needs pairs passes it over")
-    for path in pair:  # in inches a person of 1.4 m
-        path.write_text(write_bvh(figure_motion(40, 60.0), units_per_metre=32.0))
-    doubted = judged(run(store, planned(takes=takes[:1], virtual_video=quiet))["two", "take"])
+    for path, x in zip(pair, (0.0, 1.0), strict=True):  # in inches a person of 1.4 m
+        placed = place_motion(figure_motion(40, 60.0), translation_m=(x, 0.0, 0.0), yaw_rad=0.0)
+        path.write_text(write_bvh(placed, units_per_metre=32.0))
+    doubted = judged(run(store, planned(takes=takes[:1], **quiet))["two", "take"])
     assert doubted.level is Level.WARN
     assert "its length unit is a guess" in doubted.reason
     stated = [{**takes[0], "metres_per_unit": 1 / 32.0}]
-    assert judged(run(store, planned(takes=stated, virtual_video=quiet))["two", "take"]).level is Level.PASS
+    assert judged(run(store, planned(takes=stated, **quiet))["two", "take"]).level is Level.PASS
+
+
+def test_a_take_whose_capture_fails_is_kept_and_marked_or_left_out_loudly(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    kept, left = (
+        run(
+            Store(tmp_path / str(is_out)),
+            planned(takes=[{"id": "d", "files": list(pair)}], capture={"leave_out_failing": is_out}),
+        )
+        for is_out in (False, True)
+    )
+    assert {"poses", "takes", "take_quality"} == set(kept["d", "take"].tables)
+    assert judged(kept["d", "take"]).level is Level.FAIL
+    assert "one motion twice" in judged(kept["d", "take"]).reason
+    quality = Store(tmp_path / "False").read(kept["d", "take"].ref, "take_quality")
+    assert list(quality["verdict"]) == ["fail", "fail"]
+    assert all("one motion twice" in reason for reason in quality["reason"])
+    assert quality["twin_m"] == pytest.approx(0.0, abs=1e-6)
+    assert set(left["d", "take"].tables) == {"take_quality"}
+    for name in ("take", "video", "random_views"):
+        (said,) = left["d", name].facts["skipped"]
+        assert said.startswith("Take d was left out, its capture fails: ")
+    assert not left["d", "video"].tables
+    assert judged(left["d", "take"]).level is Level.FAIL
+
+
+@pytest.mark.slow
+def test_salsa_takes_in_which_a_foot_jumps_fail(tmp_path: Path, data_dir: Path) -> None:
+    section = {
+        "pairs": {
+            "s": {"folder": data_dir / "cmu_salsa_bvh", "subjects": ["60", "61"], "takes": ["04", "07"], "id": "{take}"}
+        },
+        "virtual_video": {"num_videos": 0, "num_random_views": 0},
+    }
+    found = run(Store(tmp_path / "store"), planned(**section))
+    assert judged(found["07", "take"]).level is Level.PASS
+    assert "A: the left_toe jumps by 0.60 m at 5.73 s" in judged(found["04", "take"]).reason
 
 
 def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(tmp_path: Path, pair: tuple[Path, Path]) -> None:

@@ -1,0 +1,293 @@
+"""Is it a good capture: what the people of a take do, against what people can do, before anything is built on it.
+
+No figure depends on where a take lies or which way it faces.  Speed and jerk are taken over the whole number of frames
+nearest to 1/30 s, and a jump is a distance, so that figures hardly depend on the frame rate.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from pasdedeux.formats.guess import USUAL_HEIGHT_M
+from pasdedeux.interaction.contacts import closest_joint_distance, surface_gaps
+from pasdedeux.interaction.floor import StandingSettings, find_standing
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level, Verdict
+
+__all__ = ["CaptureLimits", "PersonCapture", "check_capture", "judge_capture"]
+
+Array = npt.NDArray[np.float64]
+
+_STEP_S, _SAMPLE_S = 1 / 30, 1 / 10
+"""Time over which speed and jerk are taken; time between the frames in which partners and floor are looked at."""
+_JERK_PERCENT, _FLOOR_PERCENT = 95.0, 5.0
+_LOW_M, _AIR_M, _HELD_M = 0.05, 0.15, 0.2
+"""A foot joint carries that is no more than the first above the least height of that person's feet; who has no joint
+below the second is in the air (joints of feet lie 2-10 cm above the soles), held by a partner nearer than the third."""
+_UPRIGHT = 0.5
+"""Least cosine between the vertical and the line from ankles to neck of somebody upright."""
+_UP, _LEVEL = 1, [0, 2]
+_ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
+_FEET = [*_ANKLES, *BODY22.indices(["left_toe", "right_toe"])]
+_NECK = BODY22.index("neck")
+_TRUNK = BODY22.indices(["spine1", "spine2", "spine3", "neck"])
+_STANDING = StandingSettings(away_share=1.0)
+
+Limit = tuple[float, float]
+_FALLING = ("upright_share", "trunk_m", "twin_m")
+"""Figures that are worse the smaller they are."""
+
+
+class CaptureLimits(Settings):
+    """Limits of the figures of a capture: past the first number is a warning, past the second a failure.
+
+    Past means above; of `upright_share`, `trunk_m` and `twin_m`, below.
+    """
+
+    stature_factor: Limit = Field(
+        (1.3, 2.0), description="Stature (by the legs) over 1.7 m, or 1.7 m over it; 1.31 to 2.21 m are grown people"
+    )
+    speed_m_s: Limit = Field((15.0, 25.0), description="Greatest speed of a joint; the best throws and kicks reach 25")
+    jerk_m_s3: Limit = Field(
+        (2000.0, 5000.0), description="Jerk of the worst joint, 95th percentile; capture has 30-500, noisy up to 1,600"
+    )
+    jump_m: Limit = Field(
+        (0.25, 0.4),
+        description="Greatest step in 1/30 s that the joint's speed before and after does not explain, metres; fast "
+        "dance has up to 0.2",
+    )
+    skate_m_s: Limit = Field((0.3, 0.6), description="Median speed of the stiller of the feet that carry; 0.22 at most")
+    sunk_m: Limit = Field((0.1, 0.25), description="Depth of the lowest joint under the floor, 95th percentile, metres")
+    floating_share: Limit = Field((0.25, 0.5), description="Share of the time in the air and not held by the partner")
+    floor_spread_m: Limit = Field(
+        (0.2, 0.4), description="Between the lowest and the highest ankles that stand (5th to 95th percentile), metres"
+    )
+    upright_share: Limit = Field(
+        (0.05, 0.01), description="Least share of the time in which somebody is upright; push-ups on a partner have 0.6"
+    )
+    distance_m: Limit = Field((1.0, 5.0), description="Least distance of the partners' closest joints, metres")
+    trunk_m: Limit = Field(
+        (0.12, 0.08),
+        description="Least distance of the partners' spines, metres; close dance has 0.15, a hug 0.25",
+    )
+    twin_m: Limit = Field(
+        (0.03, 0.015),
+        description="Difference of the partners' poses, turned and made 1.7 m tall, 95th percentile, metres; duets "
+        "have 0.05 at least",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in CaptureLimits.model_fields:
+            warn, fail = getattr(self, name)
+            if not min(warn, fail) >= 0 or (warn < fail if name in _FALLING else fail < warn):
+                order = "fail <= warn" if name in _FALLING else "warn <= fail"
+                raise ValueError(f"{name} has warn {warn:g}, fail {fail:g}: allowed is 0 <= {order}")
+        return self
+
+
+_WORDS = {
+    "stature_factor": "is {stature_m:.3g} m tall by the legs",
+    "speed_m_s": "moves the {speed_joint} at {speed_m_s:.0f} m/s",
+    "jerk_m_s3": "shakes the {jerk_joint} with a jerk of {jerk_m_s3:.0f} m/s3",
+    "jump_m": "the {jump_joint} jumps by {jump_m:.2f} m at {jump_s:.2f} s",
+    "skate_m_s": "the feet slide at {skate_m_s:.2f} m/s where they carry",
+    "sunk_m": "is {sunk_m:.2f} m deep in the floor",
+    "floating_share": "is in the air for {floating_share:.0%} of the time, held by nobody",
+    "floor_spread_m": "feet stand at heights {floor_spread_m:.2f} m apart, as on stairs or with a wrong up_axis",
+    "upright_share": "nobody is upright: up_axis may be wrong",
+    "distance_m": "the partners come no nearer than {distance_m:.1f} m",
+    "trunk_m": "the partners' spines come to {trunk_m:.2f} m, through each other, as in two takes put together",
+    "twin_m": "the partners do the same, {twin_m:.3f} m apart: one motion twice",
+}
+_OF_TAKE = ("floor_spread_m", "upright_share", "distance_m", "trunk_m", "twin_m")
+
+
+@dataclass(frozen=True)
+class PersonCapture:
+    """Figures of one person of a take; columns of `take_quality` bear and explain the same names.
+
+    Those from `floor_spread_m` on are of the whole take, and NaN where they need a partner and there is none.
+    """
+
+    stature_m: float
+    speed_m_s: float
+    speed_joint: str
+    jerk_m_s3: float
+    jerk_joint: str
+    jump_m: float
+    jump_joint: str
+    jump_s: float
+    skate_m_s: float
+    sunk_m: float
+    floating_share: float
+    floor_spread_m: float
+    upright_share: float
+    distance_m: float = math.nan
+    trunk_m: float = math.nan
+    twin_m: float = math.nan
+
+    @property
+    def stature_factor(self) -> float:
+        """How many times the stature is larger or smaller than usual."""
+        return max(self.stature_m / USUAL_HEIGHT_M, USUAL_HEIGHT_M / max(self.stature_m, 1e-9))
+
+    def complaints(self, limits: CaptureLimits) -> list[Complaint]:
+        """Return what is said of the figures that are past their limits."""
+        found = []
+        for name in CaptureLimits.model_fields:
+            warn, fail = getattr(limits, name)
+            value, sign = getattr(self, name), -1.0 if name in _FALLING else 1.0
+            if sign * value > sign * warn:
+                level = Level.FAIL if sign * value > sign * fail else Level.WARN
+                found.append(Complaint(level, _WORDS[name].format(**vars(self)), name in _OF_TAKE))
+        return found
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """A figure past its limit, in words; of the whole take or of one of its people."""
+
+    level: Level
+    text: str
+    is_of_take: bool
+
+
+@dataclass(frozen=True)
+class JudgedCapture:
+    """Verdicts on a take and on each of its people."""
+
+    take: Verdict
+    people: tuple[Verdict, ...]
+
+
+def judge_capture(people: Sequence[PersonCapture], limits: CaptureLimits, names: Sequence[str] = ()) -> JudgedCapture:
+    """Return the verdicts on a take; what is said of the whole take stands in the verdict of each of its people.
+
+    Args:
+        people: Figures of each person.
+        limits: What is allowed.
+        names: Names of the files of the people, where there are any: those of different takes are a warning.
+    """
+    apart = _names_apart(*names) if len(names) == 2 else ""
+    shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
+    found = [shared + person.complaints(limits) for person in people]
+    everybody = [
+        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{'AB'[person]}: {one.text}")
+        for person, own in enumerate(found)
+        for one in own
+    ]
+    return JudgedCapture(_verdict(everybody), tuple(_verdict(own) for own in found))
+
+
+def _verdict(complaints: Sequence[Complaint]) -> Verdict:
+    """Return the worst level, and what is said of each level, failures first, nothing twice."""
+    said = dict.fromkeys(sorted(complaints, key=lambda one: one.level is not Level.FAIL))
+    return Verdict(next(iter(said)).level if said else Level.PASS, "; ".join(one.text for one in said))
+
+
+def _names_apart(one: str, other: str) -> str:
+    """Say why files of these names may not be one take: names of partners differ in one part, `60_03` and `61_03`.
+
+    Names of a single part say nothing.
+    """
+    first, second = (re.findall("[a-z0-9]+", name.rsplit(".", 1)[0].lower()) for name in (one, other))
+    if first == second:
+        return f"{one} and {other} have one name: one performance twice"
+    is_apart = min(len(first), len(second)) > 1 and (Counter(first) - Counter(second)).total() > 1
+    return f"{one} and {other} are named as files of two takes" if is_apart else ""
+
+
+def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
+    """Return the figures of each person of a take.
+
+    Args:
+        body22_m: Positions (frame, person, 22, 3) of one or two people, y up, metres, at the capture's own rate; at
+            least one frame.
+        rate_hz: Frames per second.
+
+    Somebody who never touches the floor has no feet that slide; motions of fewer than 4 steps of 1/30 s have no jerk.
+    """
+    low = body22_m[..., _UP].min(axis=-1)
+    floor = np.percentile(body22_m[:, :, _FEET, _UP].min(axis=(1, 2)), _FLOOR_PERCENT)
+    rise = body22_m[:, :, _NECK] - body22_m[:, :, _ANKLES].mean(axis=2)
+    ankles = body22_m[:, :, _ANKLES]
+    standing = ankles[..., _UP][find_standing(ankles, rate_hz=rate_hz, settings=_STANDING)]
+    of_take = {
+        "floor_spread_m": float(np.ptp(np.percentile(standing, [5.0, 95.0]))) if len(standing) else 0.0,
+        "upright_share": float((rise[..., _UP] > _UPRIGHT * _norm(rise)).any(axis=1).mean()),
+    }
+    statures = body_height_m(BODY22, np.median(bone_lengths(BODY22, body22_m), axis=0))
+    some = body22_m[:: max(1, round(rate_hz * _SAMPLE_S))]
+    is_high = some[..., _UP].min(axis=-1) > floor + _AIR_M
+    if body22_m.shape[1] == 2:
+        closest = closest_joint_distance(some)
+        is_high &= closest[:, None] >= _HELD_M
+        axes = surface_gaps(some, np.zeros((2, BODY22.num_joints)), BODY22)
+        is_trunk = np.isin(axes.bones, _TRUNK)
+        of_take |= {
+            "distance_m": float(closest.min()),
+            "trunk_m": float(axes.gap_m[:, is_trunk][:, :, is_trunk].min()),
+            "twin_m": _difference(*(some * (USUAL_HEIGHT_M / statures[:, None, None])).swapaxes(0, 1)),
+        }
+    step = max(1, round(rate_hz * _STEP_S))
+    found = []
+    for person in range(body22_m.shape[1]):
+        own = body22_m[:, person]
+        speed = _norm(own[step:] - own[:-step]) * (rate_hz / step)
+        third = _norm(own[3 * step :] - 3 * own[2 * step : -step] + 3 * own[step : -2 * step] - own[: -3 * step])
+        speed, third = (values if len(values) else np.zeros((1, BODY22.num_joints)) for values in (speed, third))
+        jerk = np.percentile(third, _JERK_PERCENT, axis=0) * (rate_hz / step) ** 3
+        frame, jumping = np.unravel_index(np.argmax(third), third.shape)
+        found.append(
+            PersonCapture(
+                stature_m=float(statures[person]),
+                speed_m_s=float(speed.max()),
+                speed_joint=BODY22.joint_names[int(speed.max(axis=0).argmax())],
+                jerk_m_s3=float(jerk.max()),
+                jerk_joint=BODY22.joint_names[int(jerk.argmax())],
+                jump_m=float(third[frame, jumping]) / 2,
+                jump_joint=BODY22.joint_names[jumping],
+                jump_s=float((frame + 1.5 * step) / rate_hz),
+                skate_m_s=_skate(own[:, _FEET], step) * rate_hz / step,
+                sunk_m=float(np.percentile(floor - low[:, person], 95.0)),
+                floating_share=float(is_high[:, person].mean()),
+                **of_take,
+            )
+        )
+    return found
+
+
+def _norm(vectors: Array) -> Array:
+    return np.asarray(np.linalg.norm(vectors, axis=-1))
+
+
+def _skate(feet_m: Array, step: int) -> float:
+    """Return how far the stiller of the feet joints (frame, joint, 3) that carry moves in so many frames, median."""
+    is_low = feet_m[..., _UP] < np.percentile(feet_m[..., _UP].min(axis=1), _FLOOR_PERCENT) + _LOW_M
+    moved = _norm((feet_m[step:] - feet_m[:-step])[..., _LEVEL])
+    least = np.where(is_low[step:] & is_low[:-step], moved, np.inf).min(axis=1)
+    carries = np.isfinite(least)
+    return float(np.median(least[carries])) if carries.any() else 0.0
+
+
+def _difference(one: Array, other: Array) -> float:
+    """Return how far the poses (frame, joint, 3) of two people differ, turned about y; 95th percentile of frames."""
+    one, other = one - one[:, :1], other - other[:, :1]
+    a, b = one[..., 0] + 1j * one[..., 2], other[..., 0] + 1j * other[..., 2]
+    turn = (a * b.conj()).sum(axis=1, keepdims=True)
+    turn /= np.maximum(np.abs(turn), 1e-12)
+    squared = np.abs(a - turn * b) ** 2 + (one[..., _UP] - other[..., _UP]) ** 2
+    return float(np.percentile(np.sqrt(squared.mean(axis=1)), 95.0))

@@ -1,0 +1,140 @@
+"""The check of a capture: good takes pass, each planted fault is named, whatever place, heading and rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from pasdedeux.choreography import DUETS, make_duet
+from pasdedeux.plausibility.capture import CaptureLimits, check_capture, judge_capture
+from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level, Verdict
+
+Array = npt.NDArray[np.float64]
+
+LIMITS = CaptureLimits()
+TURNED = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+Z_READ_AS_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+@cache
+def duet(name: str, rate_hz: float) -> Array:
+    return make_duet(name, rate_hz=rate_hz, duration_s=8.0).positions_m()
+
+
+def judged(body22_m: Array, rate_hz: float, names: Sequence[str] = ()) -> Verdict:
+    return judge_capture(check_capture(body22_m, rate_hz=rate_hz), LIMITS, names).take
+
+
+def one_changed(change: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda pair: np.stack([change(pair[:, 0]), pair[:, 1]], axis=1)
+
+
+def foot_jumps(body: Array) -> Array:
+    jumped = body.copy()
+    jumped[len(body) // 2 :, BODY22.index("left_toe"), 0] += 0.58
+    return jumped
+
+
+def knee_sinks(body: Array) -> Array:
+    sunk = body.copy()
+    sunk[:, BODY22.index("left_knee"), 1] = -0.3
+    return sunk
+
+
+FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
+    "a foot jumps": (one_changed(foot_jumps), "A: the left_toe jumps by 0.58 m at"),
+    "z up read as y up": (lambda pair: pair @ Z_READ_AS_Y.T, "nobody is upright: up_axis may be wrong"),
+    "one motion twice": (lambda pair: np.stack([pair[:, 0], pair[:, 0] + [0.9, 0.0, 0.0]], axis=1), "one motion twice"),
+    "one person at two scales": (
+        lambda pair: np.stack([pair[:, 0], 0.9 * pair[:, 0] @ TURNED + [0.9, 0.0, 0.0]], axis=1),
+        "one motion twice",
+    ),
+    "scale 0.01": (lambda pair: 0.01 * pair, "A: is 0.0182 m tall"),
+    "another's unit": (one_changed(lambda body: 2.54 * body), "A: is 4.62 m tall"),
+    "one floats": (lambda pair: pair + np.array([[[0.0, 0.5, 0.0]], [[2.0, 0.0, 0.0]]]), "A: is in the air for 100%"),
+    "a knee under the floor": (one_changed(knee_sinks), "m deep in the floor"),
+    "feet slide": (
+        one_changed(lambda body: body + np.linspace(0.0, 8.0, len(body))[:, None, None] * [1.0, 0.0, 0.0]),
+        "A: the feet slide at 1.0",
+    ),
+    "noise": (
+        one_changed(lambda body: body + np.random.default_rng(1).normal(0.0, 0.03, body.shape)),
+        "m/s3",
+    ),
+    "partners far apart": (lambda pair: pair + np.array([[[0.0, 0.0, 0.0]], [[9.0, 0.0, 0.0]]]), "come no nearer than"),
+    "through each other": (
+        lambda pair: pair - pair[:, :, :1] * [1.0, 0.0, 1.0],
+        "the partners' spines come to",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DUETS)
+def test_the_built_in_duets_pass_at_any_rate(name: str) -> None:
+    for rate_hz in (30.0, 50.0, 120.0):
+        assert judged(duet(name, rate_hz), rate_hz) == Verdict(Level.PASS)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_a_failure_and_named_at_any_rate(fault: str) -> None:
+    plant, said = FAULTS[fault]
+    for rate_hz in (30.0, 120.0):
+        verdict = judged(plant(duet("waltz", rate_hz)), rate_hz)
+        assert verdict.level is Level.FAIL
+        assert said in verdict.reason
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    fault=st.sampled_from([None, *FAULTS]),
+    yaw=st.floats(-np.pi, np.pi),
+    shift=st.tuples(st.floats(-50.0, 50.0), st.floats(-2.0, 2.0), st.floats(-50.0, 50.0)),
+)
+def test_a_verdict_is_blind_to_place_and_heading(fault: str | None, yaw: float, shift: tuple[float, ...]) -> None:
+    pair = duet("hug", 30.0)
+    pair = FAULTS[fault][0](pair) if fault else pair
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turned = pair @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]).T + np.array(shift)
+    found, moved = (judge_capture(check_capture(one, rate_hz=30.0), LIMITS) for one in (pair, turned))
+    assert [verdict.level for verdict in found.people] == [verdict.level for verdict in moved.people]
+    for one, other in zip(check_capture(pair, rate_hz=30.0), check_capture(turned, rate_hz=30.0), strict=True):
+        assert one.complaints(LIMITS) == other.complaints(LIMITS)
+
+
+def test_a_limit_is_what_the_study_says() -> None:
+    pair = FAULTS["a foot jumps"][0](duet("waltz", 30.0))
+    wide = LIMITS.model_copy(update={"jump_m": (0.5, 1.0), "speed_m_s": (50.0, 50.0)})
+    assert judge_capture(check_capture(pair, rate_hz=30.0), wide).take.level is Level.WARN
+    for wrong in ({"jump_m": (0.4, 0.2)}, {"twin_m": (0.01, 0.02)}, {"sunk_m": (-1.0, 1.0)}):
+        with pytest.raises(ValidationError, match="allowed is 0 <="):
+            CaptureLimits(**wrong)
+
+
+def test_one_person_and_a_single_frame_have_figures() -> None:
+    for frames in (1, 2, 5, 240):
+        (alone,) = check_capture(duet("waltz", 30.0)[:frames, :1], rate_hz=30.0)
+        assert np.isnan([alone.distance_m, alone.trunk_m, alone.twin_m]).all()
+        assert not alone.complaints(LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("names", "level"),
+    [
+        (("60_01.bvh", "61_01.bvh"), Level.PASS),
+        (("High_five_S1.bvh", "High_five_S2.bvh"), Level.PASS),
+        (("anna.bvh", "bert_take_3.bvh"), Level.PASS),
+        (("60_01.bvh", "61_03.bvh"), Level.WARN),
+        (("push_up001_S1.bvh", "stack_push_up002_S2.bvh"), Level.WARN),
+        (("60_01.amc", "60_01.bvh"), Level.WARN),
+    ],
+)
+def test_names_of_two_takes_are_a_warning(names: tuple[str, str], level: Level) -> None:
+    assert judged(duet("waltz", 30.0), 30.0, names).level is level

@@ -28,7 +28,7 @@ from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, art
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
 
-VERSION = 8
+VERSION = 9
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -192,6 +192,7 @@ def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Varian
         "scale_b": variant.variation.uniform_scale(1),
         "num_frames": frames,
         **{field.name: getattr(quality, field.name) for field in fields(quality)},
+        "estimated_gap_m": variant.estimated_gap_m,
         "num_iterations": variant.num_iterations,
         "solver": variant.solver,
         "num_warn_frames": int((variant.frame_verdicts == 1).sum()),

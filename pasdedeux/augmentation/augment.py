@@ -1,4 +1,4 @@
-"""Augmentation of a take: variants solved in bulk, the bad ones again by guaranteed descent, every one measured."""
+"""Augmentation of a take: variants solved in bulk, every one measured."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pasdedeux.augmentation.source import (
     scaled_lengths,
 )
 from pasdedeux.augmentation.variations import Variation
-from pasdedeux.augmentation.window_solver import SOLVERS, SolvedWindow, WindowSolver
+from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.plausibility import JointLimits
@@ -53,7 +53,8 @@ class Variant:
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
         energy: Energy of the motion.
         energy_fk: Energy of plain forward kinematics, which is never lower.
-        solver: `bulk`, `bulk+descent`, or `plain_fk` when both failed.
+        estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None where bulk failed.
+        solver: `bulk`, `polished`, or `plain_fk` when bulk failed.
         num_iterations: Iterations of the solver.
         verdict: Whether it is good, and why not.
     """
@@ -66,6 +67,7 @@ class Variant:
     frame_verdicts: npt.NDArray[np.int64]
     energy: float
     energy_fk: float
+    estimated_gap_m: float | None
     solver: str
     num_iterations: int
     verdict: Verdict
@@ -118,13 +120,7 @@ class Augmenter:
         if not variations:
             return []
         bone_scale = complete_scales(self.source, np.stack([variation.bone_scale for variation in variations]))
-        parts: list[SolvedWindow] = []
-        for number, window in enumerate(self._windows):
-            before = None
-            if parts:
-                last = self._windows[number - 1]
-                before = parts[-1].positions[:, window.start - last.start :]
-            parts.append(self._solver(number).solve(bone_scale, before))
+        parts = [self._solver(number).solve(bone_scale) for number in range(len(self._windows))]
         lengths = scaled_lengths(self.source, bone_scale)
         shares = blend_weights(self._windows)
         variants = []
@@ -157,6 +153,9 @@ class Augmenter:
                     frame_verdicts=frame_verdicts,
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
+                    estimated_gap_m=(
+                        None if solver == "plain_fk" else max(float(part.estimated_gap_m[index]) for part in parts)
+                    ),
                     solver=solver,
                     num_iterations=max(part.num_iterations[index] for part in parts),
                     verdict=self._judge(measured.quality, frame_verdicts, solver),
@@ -171,7 +170,7 @@ class Augmenter:
             window = self._windows[number]
             within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
             user = [contact for contact in within if contact is not None]
-            source = self.source if len(self._windows) == 1 else self.source.slice(window.start, window.stop)
+            source = self.source if len(self._windows) == 1 else self.source.take_frames(window)
             self._ready[number] = WindowSolver(source, self.settings, user)
         return self._ready[number]
 
@@ -180,7 +179,7 @@ class Augmenter:
         level, reasons = verdict.level, [verdict.reason] if verdict.reason else []
         if solver == "plain_fk":
             level = Level.FAIL
-            reasons.insert(0, "neither solver gave a finite motion: this is plain forward kinematics")
+            reasons.insert(0, "the solver gave nothing finite that is better: this is plain forward kinematics")
         failed = np.flatnonzero(frame_verdicts == _FAILED)
         if level is not Level.PASS and len(failed):
             reasons.append(f"{len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}")

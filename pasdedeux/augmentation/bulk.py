@@ -1,30 +1,38 @@
 """The bulk solver: ADMM on positions, one factor for all variants of a take, batched over variants.
 
 The splitting z_e = p_child - p_parent puts the exact bone length (and the girdle's rigidity) on z, where it is a
-projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.  A forward-kinematics
-projection ends it, so that bones are exact whatever the iteration left.  The energy need not fall meanwhile: callers
-look at the residual and hand bad variants to guaranteed descent.
+projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.
+
+What is left of the error after a few iterations is smooth in time and takes hundreds more to go.  So most of the work
+is done at a few frames a second (`coarse`), where an iteration costs little, with Anderson acceleration (Anderson 1965;
+Zhang et al. 2019 for ADMM), whose least squares look a second or two around: what holds a variant up in one place does
+not wait for another.  A few iterations at all frames end it, and a forward-kinematics projection makes bones exact.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk_kernels import (
     add_stencils,
+    advance,
     assemble,
     assemble_pairs,
-    project_edges,
-    project_near,
+    compare,
+    fade_over_time,
+    mix,
+    project,
+    sum_squares,
 )
+from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
 from pasdedeux.augmentation.contacts import aim_contacts
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS, points_of
-from pasdedeux.augmentation.terms import right_hand_side
+from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.kinematics import bone_directions, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -38,18 +46,53 @@ _BONES = np.array(
 )
 _EDGES = np.ascontiguousarray(np.concatenate([_BONES, GIRDLE_PAIRS]))
 _NUM_BONES = len(_BONES)
+_NUM_EDGES = len(_EDGES)
 _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 
 
-_PENALTY = 8.0
-"""ADMM penalty on bone vectors, in units of the Laplacian weight."""
-_CONTACT_PENALTY = 0.15
-"""What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the iteration
-swings wherever contacts are dense."""
-_CLEARANCE_PENALTY = 0.12
-"""Penalty of near bones per unit of their weight."""
+@dataclass(frozen=True)
+class _Penalties:
+    """ADMM penalties.
+
+    Args:
+        bone: On bone vectors, in units of the Laplacian weight.
+        contact: What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the
+            iteration swings wherever contacts are dense.
+        near: On near bones, per unit of their weight.
+    """
+
+    bone: float
+    contact: float
+    near: float
+
+
+_COARSE = _Penalties(4.0, 0.1, 0.1)
+_FINE = _Penalties(8.0, 0.15, 0.12)
+"""Small ones converge sooner and swing where bones are pushed together, which acceleration catches."""
 _RELAXATION = 1.4
 """Over-relaxation, 1 (none) to 1.8."""
+_COARSE_HZ = 7.5
+"""Rate at which most of the work is done."""
+_FEWEST_COARSE = 8
+"""Takes of fewer frames than this at that rate are not thinned out."""
+_MEMORY = 8
+"""Moves that Anderson acceleration looks back on."""
+_REACH_S = 2.0
+"""How far its least squares look around: a frame counts by 1/e less for every such time."""
+_RIDGE = 1e-7
+"""Ridge of the least squares, as a share of the trace."""
+_FIRST_MIX = 5
+"""Iterations before the first acceleration."""
+_CHECKED_EVERY = 10
+_SETTLED_M = 2e-5
+"""At every tenth iteration those variants end whose edges change by less than this, root mean square."""
+_STALLED_M, _STILL_M = 1e-4, 1e-4
+"""So do those that change by less than the first while joints moved by less than the second in the last ten: somewhere
+bones swing between touching and not, which moves nothing else."""
+_FINE_ITERATIONS = 12
+"""Iterations at all frames, which see what is faster than the coarse rate shows."""
+_GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 40.0, 10.0
+"""Mean joint distance from the optimum over the last change of the edges at either rate."""
 
 
 @dataclass(frozen=True)
@@ -58,29 +101,44 @@ class BulkResult:
 
     Args:
         positions: Positions with exact bones (variant, T, 44, 3), metres.
-        residual_m: Root mean square bone error before the final projection (variant,), metres.
+        estimated_gap_m: Estimate of the mean joint distance from the optimum (variant,), metres.
+        num_iterations: Iterations at the coarse rate (variant,).
     """
 
     positions: Array
-    residual_m: Array
+    estimated_gap_m: Array
+    num_iterations: npt.NDArray[np.int64]
 
 
-class BulkSolver:
-    """The factor of a take, ready for any number of batches of variants.
+@dataclass(frozen=True)
+class _Iteration:
+    """Arrays of the iteration, variants last; `state` and `aim` as in `bulk_kernels`."""
 
-    The number of iterations is that of the problem's settings, the same for all: stopping each variant at a tolerance
-    makes results jump where the count does, and a model that learns how motion changes with scale learns the jumps.
+    offsets: AnyFloat
+    linear: AnyFloat
+    reference: AnyFloat
+    lengths: AnyFloat
+    limits: AnyFloat
+    between: AnyFloat
+    kept: AnyFloat
+    contact_aim: AnyFloat
+    state: AnyFloat
+    aim: AnyFloat
+    change: AnyFloat
 
-    Args:
-        problem: What the variants share.
-        dtype: Precision of the iteration; targets and the final projection stay in 64 bits.
-    """
+    def select(self, variants: npt.NDArray[np.intp]) -> _Iteration:
+        """Return what belongs to some of the variants."""
+        return _Iteration(**{f.name: np.ascontiguousarray(getattr(self, f.name)[..., variants]) for f in fields(self)})
 
-    def __init__(self, problem: Problem, *, dtype: type[np.floating] = np.float32) -> None:
-        self.problem = problem
-        penalties = _penalties(problem)
+
+class _Level:
+    """A problem with its factor, at which variants are iterated."""
+
+    def __init__(self, problem: Problem, chosen: _Penalties, dtype: type[np.floating]) -> None:
+        self.problem, self.dtype = problem, dtype
+        self.penalties = penalties = _edge_penalties(problem, chosen)
         near = problem.clearance
-        near_penalties = _CLEARANCE_PENALTY * near.weights
+        near_penalties = chosen.near * near.weights
         stencils = np.zeros(problem.matrix.shape[1:])
         edges = np.tile(_EDGES, (len(penalties), 1, 1))
         add_stencils(edges, np.tile([1.0, -1.0], (*penalties.shape, 1)), penalties, stencils)
@@ -89,109 +147,259 @@ class BulkSolver:
         self._factors: list[Factor] = [
             factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
-        self._penalties: AnyFloat = penalties.astype(dtype)
-        self._shares: AnyFloat = near.shares.astype(dtype)
-        self._normals: AnyFloat = near.normals.astype(dtype)
-        self._near_penalties: AnyFloat = near_penalties.astype(dtype)
-        self._constants: AnyFloat = np.array([_RELAXATION, _CLEARANCE_PENALTY]).astype(dtype)
-        self._contact_shares: AnyFloat = problem.contacts.shares.astype(dtype)
-        self._contact_weights: AnyFloat = problem.contact_weights.astype(dtype)
-        self._direction: AnyFloat = np.array([problem.weights.contact_direction]).astype(dtype)
-        self._girdle: AnyFloat = np.array([problem.weights.girdle]).astype(dtype)
-        self._dtype = dtype
+        self._penalties, self._near_penalties = self._narrow(penalties), self._narrow(near_penalties)
+        self._shares, self._normals = self._narrow(near.shares), self._narrow(near.normals)
+        self._relaxation, self._share = self._narrow([_RELAXATION]), self._narrow([chosen.near])
+        self._girdle = self._narrow([problem.weights.girdle])
+        self._contact_shares = self._narrow(problem.contacts.shares)
+        self._contact_weights = self._narrow(problem.contact_weights)
+        self._direction = self._narrow([problem.weights.contact_direction])
 
-    def solve(self, targets: Targets) -> BulkResult:
-        """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
-        problem, dtype = self.problem, self._dtype
+    def _narrow(self, values: npt.ArrayLike) -> AnyFloat:
+        """Return values in the precision of the iteration."""
+        return np.ascontiguousarray(values, dtype=self.dtype)
+
+    def begin(self, targets: Targets, start: AnyFloat | None = None) -> _Iteration:
+        """Return where the iteration starts.
+
+        Args:
+            targets: What the variants are to reach.
+            start: x and v of the edges (3, T, 44 + edge, variant); plain forward kinematics where not given.
+        """
+        problem, dtype = self.problem, self.dtype
         frames, count = problem.num_frames, targets.num_variants
-        blocks, near = self._factors[0].num_blocks, problem.clearance
-        shape = (3, 2 * blocks, NUM_POINTS, count)
+        near = problem.clearance
+        shape = (3, 2 * self._factors[0].num_blocks, NUM_POINTS, count)
         linear: AnyFloat = np.zeros(shape, dtype)
         for variant in range(count):
             # One by one: BLAS sums in another order for another number of columns.
             linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
         edges = targets.reference[:, :, _EDGES[:, 1]] - targets.reference[:, :, _EDGES[:, 0]]
-        lengths = np.empty((frames, len(_EDGES), count), dtype)
+        lengths = np.empty((frames, _NUM_EDGES, count), dtype)
         lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
         lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
-        touching = problem.contacts.points
-        between: AnyFloat = np.ascontiguousarray(
-            np.transpose(problem.contacts.vectors(targets.reference), (3, 1, 2, 0)), dtype
-        )
-        kept: AnyFloat = np.ascontiguousarray(np.transpose(targets.contact_m, (3, 1, 2, 0)), dtype)
-        contact_aim = kept - between
-        state = _Iteration(
+        rows = _NUM_EDGES + near.weights.shape[1]
+        between = self._narrow(np.transpose(problem.contacts.vectors(targets.reference), (3, 1, 2, 0)))
+        kept = self._narrow(np.transpose(targets.contact_m, (3, 1, 2, 0)))
+        begun = _Iteration(
             offsets=np.zeros(shape, dtype),
             linear=linear,
-            reference=np.ascontiguousarray(np.transpose(edges, (3, 1, 2, 0)), dtype),
-            dual=np.zeros((3, frames, len(_EDGES), count), dtype),
-            aim=np.zeros((3, frames, len(_EDGES), count), dtype),
+            reference=self._narrow(np.transpose(edges, (3, 1, 2, 0))),
             lengths=lengths,
-            limits=np.ascontiguousarray(np.transpose(targets.clearance_m, (1, 2, 0)), dtype),
-            near_dual=np.zeros((3, *near.weights.shape, count), dtype),
-            near_aim=np.zeros((3, *near.weights.shape, count), dtype),
+            limits=self._narrow(np.transpose(targets.clearance_m, (1, 2, 0))),
+            between=between,
+            kept=kept,
+            contact_aim=kept - between,
+            state=np.zeros((3, frames, NUM_POINTS + rows, count), dtype),
+            aim=np.zeros((3, frames, rows, count), dtype),
+            change=np.zeros((3, frames, rows, count), dtype),
         )
-        squared: AnyFloat = np.zeros((frames, count), dtype)
-        self._project(state, squared, is_first=True)
-        for iteration in range(problem.settings.num_iterations):
-            if iteration > 0:
-                aim_contacts(
-                    *(state.offsets, between, touching, self._contact_shares, kept),
-                    *(self._contact_weights, self._direction, contact_aim),
-                )
-            assemble(state.linear, state.reference, state.aim, _EDGES, self._penalties, state.offsets)
-            assemble_pairs(state.near_aim, near.points, self._shares, self._near_penalties, state.offsets)
-            assemble_pairs(contact_aim, touching, self._contact_shares, self._contact_weights, state.offsets)
-            for group, axes in enumerate(_AXES):
-                solve(self._factors[group], state.offsets.reshape(3, blocks, 2 * NUM_POINTS, count), axes)
-            self._project(state, squared, is_first=False)
-        residual = np.sqrt(np.array([column.mean() for column in squared.T.astype(np.float64)]) / _NUM_BONES)
-        points = targets.reference + np.transpose(state.offsets[:, :frames], (3, 1, 2, 0))
-        positions = project_to_bones(points, targets.lengths_m)
-        return BulkResult(positions=positions, residual_m=residual)
+        if start is None:
+            begun.state[:, :, NUM_POINTS : NUM_POINTS + _NUM_EDGES] = begun.reference
+        else:
+            begun.state[:, :, : NUM_POINTS + _NUM_EDGES] = start
+            self._lean_on_near(begun)
+            self._aim_contacts(begun)
+        self._project(begun)
+        return begun
 
-    def _project(self, state: _Iteration, squared: AnyFloat, *, is_first: bool) -> None:
-        project_edges(
-            state.offsets,
-            state.reference,
-            state.dual,
-            state.aim,
-            state.lengths,
+    def iterate(self, now: _Iteration) -> None:
+        """Do one iteration; `project` or `accelerate` must follow."""
+        contacts, near = self.problem.contacts, self.problem.clearance
+        count = now.lengths.shape[-1]
+        assemble(now.linear, now.reference, now.aim, _EDGES, self._penalties, now.offsets)
+        assemble_pairs(now.aim, _NUM_EDGES, near.points, self._shares, self._near_penalties, now.offsets)
+        assemble_pairs(now.contact_aim, 0, contacts.points, self._contact_shares, self._contact_weights, now.offsets)
+        for group, axes in enumerate(_AXES):
+            solve(self._factors[group], now.offsets.reshape(3, -1, 2 * NUM_POINTS, count), axes)
+        advance(
+            now.offsets,
+            now.reference,
             _EDGES,
+            near.points,
+            self._shares,
+            self._relaxation,
+            now.aim,
+            now.state,
+            now.change,
+        )
+
+    def settle(self, now: _Iteration) -> None:
+        """Make the aims of the next iteration from the state."""
+        self._project(now)
+        self._aim_contacts(now)
+
+    def _project(self, now: _Iteration) -> None:
+        project(
+            now.state,
+            now.lengths,
+            now.limits,
+            self._normals,
             _NUM_BONES,
             self._girdle,
             self._penalties,
-            self._constants,
-            is_first,
-            squared,
-        )
-        project_near(
-            state.offsets,
-            state.near_dual,
-            state.near_aim,
-            state.limits,
-            self.problem.clearance.points,
-            self._shares,
-            self._normals,
-            self._near_penalties,
-            self._constants,
-            is_first,
+            self._share,
+            now.aim,
         )
 
+    def _aim_contacts(self, now: _Iteration) -> None:
+        aim_contacts(
+            now.state,
+            now.between,
+            self.problem.contacts.points,
+            self._contact_shares,
+            now.kept,
+            self._contact_weights,
+            self._direction,
+            now.contact_aim,
+        )
 
-@dataclass(frozen=True)
-class _Iteration:
-    """Arrays of the iteration, variants last."""
+    def _lean_on_near(self, now: _Iteration) -> None:
+        """Give near bones the v they have when their vectors stay where x puts them: its dual is the pull they feel."""
+        near = self.problem.clearance
+        frames = np.arange(len(near.weights))[:, None, None]
+        x = now.state[:, frames, near.points]
+        vectors = (self._shares[None, ..., None] * x).sum(axis=3)
+        reach = (np.moveaxis(self._normals, -1, 0)[..., None] * vectors).sum(axis=0)
+        pull = np.maximum(now.limits - reach, 0.0) / self._share[0]
+        now.state[:, :, NUM_POINTS + _NUM_EDGES :] = vectors - np.moveaxis(self._normals, -1, 0)[..., None] * pull
 
-    offsets: AnyFloat
-    linear: AnyFloat
-    reference: AnyFloat
-    dual: AnyFloat
-    aim: AnyFloat
-    lengths: AnyFloat
-    limits: AnyFloat
-    near_dual: AnyFloat
-    near_aim: AnyFloat
+
+class _Acceleration:
+    """Anderson acceleration of one iteration: the moves it looks back on and their inner products."""
+
+    def __init__(self, now: _Iteration, rate_hz: float) -> None:
+        frames, count = now.lengths.shape[0], now.lengths.shape[-1]
+        self._keep = float(np.exp(-1.0 / (_REACH_S * rate_hz)))
+        self._moves = np.zeros((_MEMORY, *now.state.shape), now.state.dtype)
+        self._changes = np.zeros((_MEMORY, *now.change.shape), now.state.dtype)
+        self._gram = np.zeros((_MEMORY, _MEMORY, frames, count))
+        self._shares = np.zeros((_MEMORY, count), now.state.dtype)
+        self._last_state: AnyFloat | None = None
+        self._last_change: AnyFloat | None = None
+        self._made = 0
+
+    def select(self, variants: npt.NDArray[np.intp]) -> None:
+        """Go on with some of the variants."""
+        for name in ("_moves", "_changes", "_gram", "_shares", "_last_state", "_last_change"):
+            setattr(self, name, np.ascontiguousarray(getattr(self, name)[..., variants]))
+
+    def mix(self, now: _Iteration) -> None:
+        """Take what the last moves explain of this change out of the state."""
+        if self._last_state is None or self._last_change is None:
+            self._last_state, self._last_change = np.array(now.state), np.array(now.change)
+            return
+        slot = self._made % _MEMORY
+        self._made += 1
+        used = min(self._made, _MEMORY)
+        np.subtract(now.state, self._last_state, out=self._moves[slot])
+        np.subtract(now.change, self._last_change, out=self._changes[slot])
+        self._last_state[...], self._last_change[...] = now.state, now.change
+        products = np.empty((2, _MEMORY, *self._gram.shape[2:]), now.state.dtype)
+        compare(self._changes, slot, used, now.change, products[0], products[1])
+        summed = products.astype(np.float64)
+        for part in summed:
+            fade_over_time(part, self._keep)
+        self._gram[slot] = summed[0]
+        self._gram[:, slot] = summed[0]
+        mix(self._gram, summed[1], used, _RIDGE, self._moves, self._shares, now.state)
+
+
+class BulkSolver:
+    """The factors of a take, ready for any number of batches of variants.
+
+    Args:
+        problem: What the variants share.
+        dtype: Precision of the iteration; targets and the final projection stay in 64 bits.
+    """
+
+    def __init__(self, problem: Problem, *, dtype: type[np.floating] = np.float32) -> None:
+        self.problem = problem
+        rate = problem.source.rate_hz
+        stride = max(round(rate / _COARSE_HZ), 1)
+        if problem.num_frames < _FEWEST_COARSE * stride:
+            stride = 1
+        self._thinning: Thinning | None = thin_out(problem, stride) if stride > 1 else None
+        self._coarse = _Level(self._thinning.problem if self._thinning else problem, _COARSE, dtype)
+        self._fine = _Level(problem, _FINE, dtype)
+
+    def solve(self, targets: Targets) -> BulkResult:
+        """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
+        level = self._coarse
+        ended, change_m, iterations = self._settle(
+            targets if self._thinning is None else build_targets(level.problem, targets.bone_scale)
+        )
+        offsets, last_m = ended[:, :, :NUM_POINTS], np.zeros(targets.num_variants)
+        if self._thinning is not None:
+            now = self._fine.begin(targets, interpolate(self._thinning, ended))
+            for _ in range(_FINE_ITERATIONS):
+                self._fine.iterate(now)
+                self._fine.settle(now)
+            offsets, last_m = now.state[:, :, :NUM_POINTS], _edge_change(now)
+        points = targets.reference + np.transpose(offsets, (3, 1, 2, 0))
+        return BulkResult(
+            positions=project_to_bones(points, targets.lengths_m),
+            estimated_gap_m=_GAP_PER_COARSE_CHANGE * change_m + _GAP_PER_FINE_CHANGE * last_m,
+            num_iterations=iterations,
+        )
+
+    def _settle(self, targets: Targets) -> tuple[AnyFloat, Array, npt.NDArray[np.int64]]:
+        """Iterate every variant until it hardly moves, at the coarse rate.
+
+        Returns:
+            x and v of the edges for the fine level (3, n, 44 + edge, variant), how far edges still change at the last
+            iteration (variant,), metres, and its number (variant,).
+        """
+        level = self._coarse
+        count = targets.num_variants
+        now = level.begin(targets)
+        ended = np.zeros((3, level.problem.num_frames, NUM_POINTS + _NUM_EDGES, count), level.dtype)
+        change_m, iterations = np.zeros(count), np.zeros(count, np.int64)
+        left, before = np.arange(count), np.array(now.state[:, :, :NUM_POINTS])
+        acceleration = _Acceleration(now, level.problem.source.rate_hz)
+        for iteration in range(1, self.problem.settings.num_iterations + 1):
+            level.iterate(now)
+            if iteration > _FIRST_MIX:
+                acceleration.mix(now)
+            level.settle(now)
+            is_last = iteration == self.problem.settings.num_iterations
+            if iteration % _CHECKED_EVERY and not is_last:
+                continue
+            change, moved = _edge_change(now), _moved(now.state, before)
+            before = np.array(now.state[:, :, :NUM_POINTS])
+            is_done = (change <= _SETTLED_M) | ((change <= _STALLED_M) & (moved <= _STILL_M)) | is_last
+            if is_done.any():
+                done = np.flatnonzero(is_done)
+                ended[..., left[done]] = self._handed_on(now.select(done))
+                change_m[left[done]], iterations[left[done]] = change[done], iteration
+                if is_done.all():
+                    break
+                kept = np.flatnonzero(~is_done)
+                left, now, before = left[kept], now.select(kept), np.ascontiguousarray(before[..., kept])
+                acceleration.select(kept)
+        return ended, change_m, iterations
+
+    def _handed_on(self, now: _Iteration) -> AnyFloat:
+        """Return x and v of the edges (3, n, 44 + edge, variant) for the fine level, where duals weigh differently."""
+        handed = np.array(now.state[:, :, : NUM_POINTS + _NUM_EDGES])
+        if self._thinning is None:
+            return handed
+        ratio = self._coarse.penalties / self._fine.penalties[self._thinning.frames]
+        aim = now.aim[:, :, :_NUM_EDGES]
+        dual = 0.5 * (handed[:, :, NUM_POINTS:] - aim)
+        handed[:, :, NUM_POINTS:] = aim + dual + ratio[..., None].astype(dual.dtype) * dual
+        return handed
+
+
+def _edge_change(now: _Iteration) -> Array:
+    """Return how far the edges' v moved in the last iteration, root mean square (variant,), metres."""
+    return np.sqrt(sum_squares(now.change, _NUM_EDGES) / (now.lengths.shape[0] * _NUM_EDGES))
+
+
+def _moved(state: AnyFloat, before: AnyFloat) -> Array:
+    """Return how far joints moved since, root mean square (variant,), metres."""
+    moved = state[:, :, :NUM_POINTS] - before
+    return np.sqrt(sum_squares(moved, NUM_POINTS) / (moved.shape[1] * NUM_POINTS))
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
@@ -204,10 +412,10 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
     return points_of(place_bones(BODY22, pairs[..., BODY22.root, :], bone_directions(BODY22, pairs), lengths))
 
 
-def _penalties(problem: Problem) -> Array:
+def _edge_penalties(problem: Problem, chosen: _Penalties) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.zeros((problem.num_frames, NUM_POINTS))
     pull = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), pull)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
-    return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)
+    return np.asarray(chosen.bone * problem.weights.laplacian + chosen.contact * stiffness)

@@ -136,9 +136,9 @@ class Source:
             *(self.positions_m, self.radii_m, BODY22), rate_hz=self.rate_hz, touch_m=touch_m, stated=stated
         )
 
-    def slice(self, start: int, stop: int) -> Source:
-        """Return frames `start` to `stop` (exclusive) with the bones, floor and feet of the whole take."""
-        part = replace(self, positions_m=self.positions_m[start:stop])
+    def take_frames(self, frames: slice, *, rate_hz: float | None = None) -> Source:
+        """Return some frames with the bones, floor and feet of the whole take; thinned out, they have another rate."""
+        part = replace(self, positions_m=self.positions_m[frames], rate_hz=rate_hz or self.rate_hz)
         # What is measured over the whole take takes the place of the part's own cached properties.
         whole = {name: getattr(self, name) for name in ("lengths_m", "floor_m", "rest_heights_m")}
         part.__dict__.update(whole)

@@ -48,6 +48,7 @@ __all__ = [
     "build_problem",
     "build_targets",
     "right_hand_side",
+    "temporal_couplings",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -96,22 +97,8 @@ def build_problem(
     shared += weights.bending * bends.T @ bends
     shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
     matrix = np.stack([shared, shared])
-    lag1 = np.zeros((2, max(frames - 1, 0), NUM_POINTS))
-    lag2 = np.zeros((2, max(frames - 2, 0), NUM_POINTS))
-    diagonal = np.zeros((2, frames, NUM_POINTS))
+    diagonal, lag1, lag2 = temporal_couplings(stance, smoothness, frames)
     diagonal[1] += floor
-    if frames > 1:
-        diagonal[0, 1:] += stance
-        diagonal[0, :-1] += stance
-        lag1[0] -= stance
-    if frames > 2:
-        for group in (0, 1):
-            diagonal[group, :-2] += smoothness
-            diagonal[group, 1:-1] += 4.0 * smoothness
-            diagonal[group, 2:] += smoothness
-            lag1[group, :-1] -= 2.0 * smoothness
-            lag1[group, 1:] -= 2.0 * smoothness
-            lag2[group] += smoothness
     matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
     return Problem(
         source=source,
@@ -129,6 +116,34 @@ def build_problem(
         clearance=find_clearance(source, weights.clearance, weights.clearance_self, settings.girth),
         coupling=weights.laplacian * np.swapaxes(laplacian, -1, -2) @ mesh.cross_laplacian,
     )
+
+
+def temporal_couplings(stance: Array, smoothness: float, frames: int) -> tuple[Array, Array, Array]:
+    """Return what terms between frames add to the quadratic form.
+
+    That is its diagonal (group=2, T, 44) and its couplings between frames one (group, T-1, 44) and two (group, T-2, 44)
+    apart.
+
+    Args:
+        stance: Weights of each point's horizontal velocity between frames (T-1, 44).
+        smoothness: Weight of the second difference.
+        frames: T.
+    """
+    lag1 = np.zeros((2, max(frames - 1, 0), NUM_POINTS))
+    lag2 = np.zeros((2, max(frames - 2, 0), NUM_POINTS))
+    diagonal = np.zeros((2, frames, NUM_POINTS))
+    if frames > 1:
+        diagonal[0, 1:] += stance
+        diagonal[0, :-1] += stance
+        lag1[0] -= stance
+    if frames > 2:
+        diagonal[:, :-2] += smoothness
+        diagonal[:, 1:-1] += 4.0 * smoothness
+        diagonal[:, 2:] += smoothness
+        lag1[:, :-1] -= 2.0 * smoothness
+        lag1[:, 1:] -= 2.0 * smoothness
+        lag2 += smoothness
+    return diagonal, lag1, lag2
 
 
 def build_targets(problem: Problem, bone_scale: Array) -> Targets:

@@ -16,7 +16,7 @@ from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.source import NUM_POINTS, Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
-from pasdedeux.augmentation.window_solver import FALLBACK
+from pasdedeux.augmentation.window_solver import POLISH
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
 from pasdedeux.fitting import FitSettings
 from pasdedeux.kinematics import place_bones
@@ -109,7 +109,7 @@ def guaranteed() -> BenchmarkResult:
     solver, targets = BulkSolver(problem), build_targets(problem, _scales(1))
 
     def solve(start: Array | None) -> None:
-        descend(targets, 0, fit_terms(problem, targets, 0), start, FALLBACK)
+        descend(targets, 0, fit_terms(problem, targets, 0), start, POLISH)
 
     return BenchmarkResult(
         name="augmentation: guaranteed solve of one variant",
@@ -118,7 +118,7 @@ def guaranteed() -> BenchmarkResult:
         fast_per_s=measure_rate(lambda: solve(solver.solve(targets).positions[0]), count=_FRAMES),
         plain_name="descent from plain FK",
         plain_per_s=measure_rate(lambda: solve(None), count=_FRAMES),
-        note=f"{_FRAMES} frames, energy falls at every step, until it falls by less than {FALLBACK.tolerance:g}",
+        note=f"{_FRAMES} frames, energy falls at every step, until it falls by less than {POLISH.tolerance:g}",
     )
 
 

@@ -52,6 +52,8 @@ def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: b
         "joint_names": [list(BODY22.joint_names)] * num_persons,
         "joint_parents": [np.array(BODY22.parents, np.int32)] * num_persons,
         "rest_offset_m": [np.zeros(66)] * num_persons,
+        "body22_weight": [np.eye(22).reshape(-1)] * num_persons,
+        "body22_offset_m": [np.zeros(22 * 22 * 3)] * num_persons,
         "body22_rest_m": np.stack([standing_person()] * num_persons),
         "licence": ["CC0"] * num_persons,
         "credit": ["nobody"] * num_persons,
@@ -180,7 +182,7 @@ def test_polished_variants_end_with_descent_and_failures_name_their_frames(store
     strict = {"limits": {"jerk_ratio": (0.0, 0.0)}, "frame_limits": {"jerk_ratio": (0.0, 0.0)}}
     (made,) = augment(store, [take], scales=(0.8,), solver="polished", **strict)
     quality = store.read(made.ref, "variant_quality")
-    assert list(quality["solver"]) == ["bulk+descent"]
+    assert list(quality["solver"]) == ["polished"]
     assert list(quality["verdict"]) == ["fail"]
     assert f"{FRAMES} of {FRAMES} frames fail, the first is 0" in quality["reason"][0]
 

@@ -6,13 +6,18 @@ from pydantic import ValidationError
 from scipy.optimize import least_squares
 
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.bulk import BulkSolver
+from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
 from pasdedeux.augmentation.energy import descend, fit_terms, total_energy
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.problem import Problem, Targets
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.augmentation.variations import Variation, bone_variations
-from pasdedeux.augmentation.window_solver import POLISH
+from pasdedeux.augmentation.variations import (
+    DrawnScales,
+    Variation,
+    bone_variations,
+    drawn_variations,
+    group_variations,
+)
 from pasdedeux.choreography import make_duet
 from pasdedeux.fitting import BoneForest, FitSettings
 from pasdedeux.kinematics import bone_lengths
@@ -90,15 +95,15 @@ def test_the_shared_factor_solves_its_matrix(frames: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.75, 1.25])
 def test_bulk_and_descent_reach_the_optimum_of_a_slow_plain_solver(scale: float) -> None:
-    problem, targets = _problem(3, scale, num_iterations=3000)
+    problem, targets = _problem(3, scale)
     terms = fit_terms(problem, targets, 0)
     best = _oracle_energy(problem, targets, targets.reference[0])
     descent = descend(targets, 0, terms, settings=FitSettings(max_iterations=200, tolerance=1e-9))
     bulk = BulkSolver(problem, dtype=np.float64).solve(targets)
     assert descent.energies[-1] <= best * (1.0 + 1e-3)
     assert total_energy(terms, bulk.positions[0]) <= best * (1.0 + 1e-3)
-    start = BulkSolver(_problem(3, scale)[0]).solve(targets).positions[0]
-    assert descend(targets, 0, terms, start, POLISH).energies[-1] <= best * (1.0 + 1e-3)
+    single = BulkSolver(_problem(3, scale)[0]).solve(targets).positions[0]
+    assert total_energy(terms, single) <= best * (1.0 + 1e-3)
 
 
 def test_energy_never_rises_in_the_guaranteed_solver_whatever_the_scales() -> None:
@@ -166,24 +171,28 @@ def test_solving_is_equivariant_under_turns_about_the_vertical_and_shifts_over_t
         problem = build_problem(Source(pair, 30.0))
         return BulkSolver(problem, dtype=np.float64).solve(build_targets(problem, scales)).positions
 
-    np.testing.assert_allclose(solve(positions) @ turn.T + shift, solve(positions @ turn.T + shift), atol=1e-7)
+    # Iterations blow rounding errors up, most where they are accelerated.
+    np.testing.assert_allclose(solve(positions) @ turn.T + shift, solve(positions @ turn.T + shift), atol=1e-5)
 
 
 def test_single_and_double_precision_agree() -> None:
     problem, targets = _problem(20)
     single = BulkSolver(problem).solve(targets)
     double = BulkSolver(problem, dtype=np.float64).solve(targets)
-    np.testing.assert_allclose(single.positions, double.positions, atol=2e-4)
+    apart_m = np.linalg.norm(single.positions - double.positions, axis=-1).mean()
+    assert apart_m < single.estimated_gap_m[0] + double.estimated_gap_m[0] < 0.003
 
 
-def test_a_variant_is_the_same_to_the_last_bit_alone_and_in_any_batch() -> None:
-    augmenter = Augmenter(Source(swaying_pair(9, apart_m=0.3), 30.0), AugmentationSettings(num_iterations=12))
+@pytest.mark.parametrize("rate_hz", [5.0, 30.0])
+def test_a_variant_is_the_same_to_the_last_bit_alone_and_in_any_batch(rate_hz: float) -> None:
+    """Variants end at different iterations and leave the batch; at 30 Hz the take is thinned out, at 5 Hz it is not."""
+    augmenter = Augmenter(Source(swaying_pair(33, apart_m=0.3), rate_hz), AugmentationSettings(num_iterations=40))
     variations = [
         *bone_variations([0.6, 0.95], ["A"]),
         *uniform_variations([0.5, 1.02, 1.5], ["AB"]),
     ]
     together = augmenter.solve(variations)
-    assert {variant.solver for variant in together} == {"bulk", "bulk+descent"}
+    assert len({variant.num_iterations for variant in together}) > 2
     order = np.random.default_rng(0).permutation(len(variations))
     shuffled = augmenter.solve([variations[index] for index in order])
     for place, index in enumerate(order):
@@ -192,7 +201,41 @@ def test_a_variant_is_the_same_to_the_last_bit_alone_and_in_any_batch() -> None:
         (alone,) = augmenter.solve(variations[index : index + 1])
         assert alone.positions_m.tobytes() == together[index].positions_m.tobytes()
         assert alone.quality == together[index].quality
-        assert (alone.energy, alone.num_iterations) == (together[index].energy, together[index].num_iterations)
+        for figure in ("energy", "estimated_gap_m", "num_iterations"):
+            assert getattr(alone, figure) == getattr(together[index], figure)
+
+
+@pytest.mark.parametrize("name", ["waltz", "hug"])
+def test_bulk_ends_where_guaranteed_descent_does(name: str) -> None:
+    """Within 2 mm and 5 % of the energy, for shrunk and grown people, limbs and bones; the estimate says so."""
+    source = Source(make_duet(name, rate_hz=30.0).positions_m()[:90], 30.0)
+    variations = [
+        *uniform_variations([0.75, 1.25], ["A", "B"]),
+        *group_variations([0.75], ["A"], ["arms"]),
+        *drawn_variations(np.random.default_rng(0), DrawnScales(count=1, low=0.75, high=1.25)),
+    ]
+    bulk = Augmenter(source).solve(variations)
+    polished = Augmenter(source, AugmentationSettings(solver="polished")).solve(variations)
+    for found, best in zip(bulk, polished, strict=True):
+        assert (found.solver, best.solver) == ("bulk", "polished")
+        assert best.energy <= found.energy <= 1.05 * best.energy
+        gap_m = np.linalg.norm(found.positions_m - best.positions_m, axis=-1).mean()
+        assert gap_m < 0.002
+        assert found.estimated_gap_m is not None
+        assert gap_m < found.estimated_gap_m < 0.005
+
+
+def test_results_are_continuous_in_scale() -> None:
+    """No step between neighbouring scales is 20 % above that of guaranteed descent, though iterations differ."""
+    source = Source(make_duet("hug", rate_hz=30.0).positions_m()[:60], 30.0)
+    scales = uniform_variations(np.linspace(0.78, 0.9, 7).round(3).tolist(), ["A"])
+
+    def steps(solver: Literal["bulk", "polished"]) -> np.ndarray:
+        variants = Augmenter(source, AugmentationSettings(solver=solver)).solve(scales)
+        motions = np.array([variant.positions_m for variant in variants])
+        return np.linalg.norm(np.diff(motions, axis=0), axis=-1).mean(axis=(1, 2, 3))
+
+    assert (steps("bulk") < 1.2 * steps("polished")).all()
 
 
 def test_people_do_not_sink_into_each_other_where_contacts_are_dense() -> None:
@@ -225,12 +268,32 @@ def test_a_pair_in_one_plane_is_solved() -> None:
     assert np.isfinite(variant.positions_m).all()
 
 
-def test_a_bad_bulk_result_falls_back_to_guaranteed_descent() -> None:
-    source = Source(swaying_pair(6), 30.0)
-    settings = AugmentationSettings(num_iterations=1)
-    (variant,) = Augmenter(source, settings).solve(uniform_variations([0.75], ["A"]))
-    assert variant.solver == "bulk+descent"
-    assert variant.energy < variant.energy_fk
+def test_where_bulk_has_nothing_to_offer_plain_forward_kinematics_stays_and_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def solve(solver: BulkSolver, targets: Targets) -> BulkResult:
+        found = np.full(targets.reference.shape, np.nan)
+        return BulkResult(found, np.zeros(len(found)), np.zeros(len(found), np.int64))
+
+    monkeypatch.setattr(BulkSolver, "solve", solve)
+    (variant,) = Augmenter(Source(swaying_pair(6), 30.0)).solve(uniform_variations([0.75], ["A"]))
+    assert (variant.solver, variant.estimated_gap_m) == ("plain_fk", None)
+    assert variant.energy == variant.energy_fk
+    assert variant.verdict.level is Level.FAIL
+    assert "plain forward kinematics" in variant.verdict.reason
+
+
+def test_iterations_have_a_ceiling_and_the_estimate_says_when_it_was_too_low() -> None:
+    source = Source(swaying_pair(40), 30.0)
+    few, enough = (
+        Augmenter(source, AugmentationSettings(num_iterations=ceiling)).solve(uniform_variations([0.75], ["A"]))[0]
+        for ceiling in (6, 300)
+    )
+    assert few.num_iterations == 6
+    assert enough.num_iterations < 300
+    assert few.estimated_gap_m is not None
+    assert enough.estimated_gap_m is not None
+    assert few.estimated_gap_m > 5.0 * enough.estimated_gap_m
 
 
 def test_a_person_held_fixed_stays_with_the_source() -> None:

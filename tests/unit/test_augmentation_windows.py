@@ -51,20 +51,22 @@ def test_seams_of_windows_cannot_be_found_by_jitter() -> None:
             np.sqrt((np.diff(variant.positions_m, n=3, axis=0) ** 2).sum(axis=-1).mean(axis=(1, 2)))[is_seam[3:]]
             for variant in (one, other)
         )
-        # Single precision leaves half a micrometre, which is what jitter is where a sway turns round.
-        assert (jitter_parts <= 1.15 * jitter_whole + 1e-6).all()
-        assert np.sqrt((jitter_parts**2).mean() / (jitter_whole**2).mean()) < 1.01
-        np.testing.assert_allclose(other.positions_m, one.positions_m, atol=0.003)
+        # Coarse frames of another window are other frames, which leaves micrometres, and jitter is less than that where
+        # a sway turns round.
+        assert (jitter_parts <= 1.15 * jitter_whole + 6e-6).all()
+        assert np.sqrt((jitter_parts**2).mean() / (jitter_whole**2).mean()) < 1.02
+        np.testing.assert_allclose(other.positions_m, one.positions_m, atol=0.01)
+        assert np.linalg.norm(other.positions_m - one.positions_m, axis=-1).mean() < 0.001
         assert other.quality.laplacian_error_m == pytest.approx(one.quality.laplacian_error_m, rel=0.02)
 
 
-def test_windows_that_fall_back_to_descent_agree_where_they_meet_and_bones_stay_exact() -> None:
+def test_windows_that_are_polished_agree_where_they_meet_and_bones_stay_exact() -> None:
     source = Source(swaying_pair(90, apart_m=0.5), 10.0)
     settings = AugmentationSettings(window_s=6.1, solver="polished")
     variations = uniform_variations([0.75, 1.25], ["A"])
     whole = Augmenter(source, AugmentationSettings(solver="polished")).solve(variations)
     for variant, same in zip(Augmenter(source, settings).solve(variations), whole, strict=True):
-        assert variant.solver == "bulk+descent"
+        assert variant.solver == "polished"
         wanted = source.lengths_m * variant.bone_scale
         wanted[:, BODY22.root] = 0.0
         lengths = bone_lengths(BODY22, variant.positions_m)
@@ -85,7 +87,7 @@ def test_a_users_contact_is_cut_to_each_window() -> None:
 
 def test_a_part_of_a_take_has_the_bones_and_the_floor_of_the_whole() -> None:
     source = Source(swaying_pair(30), 30.0)
-    part = source.slice(10, 20)
+    part = source.take_frames(slice(10, 20))
     np.testing.assert_array_equal(part.lengths_m, source.lengths_m)
     assert part.floor_m == source.floor_m
     np.testing.assert_array_equal(part.positions_m, source.positions_m[10:20])

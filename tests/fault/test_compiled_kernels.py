@@ -1,0 +1,67 @@
+"""Kernels whose results are stored give the same bits whatever else was compiled before, and in whatever process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.builders.toy_runs import ROOT
+
+pytestmark = pytest.mark.slow
+
+SCRIPT = """
+import hashlib, sys
+import numpy as np
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.sampling.growth import ViewedImages
+from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+
+def residuals(rng):
+    images, is_seen = rng.normal(size=(150, 2, 34)), rng.random((150, 34)) > 0.1
+    images = np.where(is_seen[:, None], images, 0.0)
+    return ViewedImages(images, is_seen, rng.normal(size=(150, 3))).residuals(rng.normal(size=(2, 17, 3)))
+
+def bones(rng):
+    out, parents = np.empty((2, 5, 3)), np.arange(-1, 4)
+    arrays = (rng.normal(size=(2, 5, 2)), rng.normal(size=(2, 5)), rng.random((2, 5)) + 0.1)
+    place_bones(*arrays, np.arange(5), parents, rng.random((2, 5)) + 0.5, out)
+    return out
+
+def lists(rng):
+    best, which = np.sort(rng.random((40, 4)), axis=1), np.tile(np.arange(4), (40, 1))
+    keep_nearest(rng.random(40), 9, best, which)
+    return best + which
+
+def draws(rng):
+    pairs = rng.normal(size=(300, 2, 17, 3))
+    found = DrawIndex(pairs).nearest(rng.normal(size=(2, 17, 2)), rng.normal(size=(3, 3)), count=5)
+    return np.concatenate([found.draw, found.distance_m])
+
+parts = {part.__name__: part for part in (residuals, bones, lists, draws)}
+for name in sys.argv[1:]:
+    values = parts[name](np.random.default_rng(7))
+    print(name, hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest())
+"""
+
+
+def test_two_caches_that_were_filled_in_different_orders_agree(tmp_path: Path) -> None:
+    names = ["residuals", "bones", "lists", "draws"]
+    found = []
+    for order in (names, names[::-1]):
+        cache = tmp_path / order[0]
+        for _ in ("compiled", "loaded"):
+            said = subprocess.run(
+                [sys.executable, "-c", SCRIPT, *order],
+                env={**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)},
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            found.append(sorted(said.stdout.split("\n")))
+        assert list(cache.rglob("*.nbc"))
+    assert found[0] == found[1] == found[2] == found[3]
+    assert len([line for line in found[0] if line]) == len(names)

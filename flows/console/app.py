@@ -11,7 +11,7 @@ from typing import Any
 import typer
 import typer.core
 
-from flows.console import bench, datasets, deploy, doctor, reconstruct, restart, run, show, status, studies
+from flows.console import bench, datasets, deploy, doctor, reconstruct, restart, retarget, run, show, status, studies
 from flows.console.context import Context
 from flows.planning import PlanError
 from flows.renamed import RENAMED_COMMANDS
@@ -113,6 +113,8 @@ def command_line() -> typer.Typer:
 
     reconstruction = typer.Typer(rich_markup_mode=None)
     reconstruct.register(reconstruction)
-    for part in (run, status, show, datasets, studies, restart, deploy, reconstruction, bench, doctor):
+    retargeting = typer.Typer(rich_markup_mode=None)
+    retarget.register(retargeting)
+    for part in (run, status, show, datasets, studies, restart, deploy, reconstruction, retargeting, bench, doctor):
         app.add_typer(part if isinstance(part, typer.Typer) else part.app)
     return app

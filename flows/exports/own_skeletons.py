@@ -37,12 +37,14 @@ class Person:
         letter: A, B, ...
         own: The motion on the source's own skeleton.
         metres_per_unit: Length of one unit of the source's file.
+        layout: Name of the layout of its joints.
     """
 
     take_id: str
     letter: str
     own: OwnSkeleton
     metres_per_unit: float
+    layout: str
 
 
 def take_of(store: Store, ref: ArtifactRef) -> ArtifactRef:
@@ -75,7 +77,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
         )
         letter = LETTERS[int(take["person"])]
         own = OwnSkeleton(motion, body)
-        people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"])))
+        people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"]), str(take["layout"])))
     return people
 
 

@@ -121,6 +121,12 @@ class OwnSkeleton:
     motion: Motion
     body: BodyMap
 
+    @cached_property
+    def rest_body22_m(self) -> Array:
+        """body22 in the rest pose (22, 3), metres, the root at the origin."""
+        still = identity_unitquat(1, self.motion.skeleton.num_joints)
+        return self.body.positions(self.motion.rest_positions_m()[None], still)[0]
+
     def scaled_offsets(self, bone_scale: Array) -> Array:
         """Return rest offsets (J, 3), metres, with which the bones of body22 have `bone_scale` (22,) of their lengths.
 
@@ -128,9 +134,7 @@ class OwnSkeleton:
         of the source keep their distances to each other exactly where that is possible; bones that body22 says nothing
         of, such as fingers, are scaled as the bone before them.  The root's entry of `bone_scale` is not used.
         """
-        skeleton, offsets = self.motion.skeleton, self.motion.rest_offsets_m
-        still = identity_unitquat(1, skeleton.num_joints)
-        rest = self.body.positions(self.motion.rest_positions_m()[None], still)[0]
+        skeleton, offsets, rest = self.motion.skeleton, self.motion.rest_offsets_m, self.rest_body22_m
         wanted = place_bones(
             BODY22, np.zeros(3), rest - rest[[max(parent, 0) for parent in BODY22.parents]], bone_scale
         )
@@ -301,7 +305,7 @@ def standing(own: OwnSkeleton) -> OwnSkeleton:
     whoever counts from the source's rest pose.
     """
     motion, skeleton = own.motion, own.motion.skeleton
-    rest = own.body.positions(motion.rest_positions_m()[None], identity_unitquat(1, skeleton.num_joints))[0]
+    rest = own.rest_body22_m
     lengths = np.linalg.norm(rest - rest[[max(parent, 0) for parent in BODY22.parents]], axis=-1)
     tee = np.array([t_pose(joint) for joint in BODY22.joint_names])
     directions = tee - tee[[max(parent, 0) for parent in BODY22.parents]]

@@ -1,0 +1,59 @@
+"""`retarget`: a take for the bodies of other people, from a store or straight from motion files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.exports import RestPose, Units
+
+__all__ = ["register"]
+
+_HELP = """Give a take the bodies of other people, its contacts kept, and write it on its own skeletons.
+
+TAKE is STUDY/TAKE of a store, a reference to poses, or two motion files that need no study (BVH, AMC with its ASF,
+positions), person A first.  The first --to is for person A, the second for B; `source` keeps somebody as captured.
+A body is a BVH or ASF file of another person, a table of joint distances in metres (CSV with the columns from, to,
+distance_m), or joint positions with the names of body22 or SMPL (npz, JSON).
+
+\b
+  pasdedeux retarget duets/waltz --to tall.bvh --out waltz_tall
+  pasdedeux retarget a.bvh b.bvh --to source --to 02.asf --out b_as_02
+
+A BVH and an npz file a person are written, as by `export`, with UNITS.txt and CREDITS.txt.
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("retarget", help=_HELP)(retarget)
+
+
+def retarget(
+    take: Annotated[list[str], typer.Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or two motion files.")],
+    to: Annotated[list[str], typer.Option("--to", metavar="BODY", help="Body of person A, then of person B.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
+    store: Annotated[Path, typer.Option(metavar="DIR", help="Store that TAKE is looked up in.")] = Path("store"),
+    unit: Annotated[
+        list[float] | None,
+        typer.Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the motion files, where not told."),
+    ] = None,
+    body_unit: Annotated[
+        list[float] | None,
+        typer.Option("--body-unit", min=1e-6, metavar="M", help="Metres per unit of each BVH after --to."),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=1000.0, metavar="HZ", help="True rate of the motion files, if they lie."),
+    ] = None,
+    rest_pose: Annotated[RestPose, typer.Option(help="The source's, or a standing T-pose.")] = "source",
+    units: Annotated[Units, typer.Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
+) -> None:
+    """Run the command."""
+    # Here, because the solver's kernels take a second that the other commands need not wait for.
+    from flows.console.retargeting import FileOptions, retarget_take
+
+    options = FileOptions(units_m=tuple(unit or ()), body_units_m=tuple(body_unit or ()), rate_hz=rate)
+    retarget_take(tuple(take), tuple(to), store, out, options, rest_pose=rest_pose, units=units)

@@ -1,0 +1,199 @@
+"""The work of `retarget`: a take and bodies are found, scales are fitted, the take is solved and written."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from flows.console.context import open_store
+from flows.console.display import print_table, verdict_text
+from flows.exports import RestPose, Units, write_credits
+from flows.exports.own_skeletons import Person, RigFiles, people_of_take
+from pasdedeux.augmentation import Augmenter
+from pasdedeux.augmentation.variations import Variation
+from pasdedeux.errors import InputError
+from pasdedeux.formats import MOTION_FORMATS, FileStart, SourceMotion, check_layout, guess_unit, read_asf
+from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
+from pasdedeux.skeletons import BODY22
+from storage_schema import ArtifactRef, Store, parse_reference, resolve
+from tasks.augmentation import read_pair
+from tasks.ingest import STAGE, IngestParameters
+from tasks.ingest.known_sources import known_source
+from tasks.ingest.parameters import TakeParameters
+from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
+from tasks.stage import StageInputs
+
+__all__ = ["FileOptions", "retarget_take"]
+
+KEPT = "source"
+"""Word for the body of somebody who stays as captured."""
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """What files do not say themselves.
+
+    Args:
+        units_m: Metres per unit of the motion files, one for all or one each; told from the files where empty.
+        body_units_m: The same of the bodies that are BVH files, in their order.
+        rate_hz: True rate of the motion files.
+    """
+
+    units_m: tuple[float, ...] = ()
+    body_units_m: tuple[float, ...] = ()
+    rate_hz: float | None = None
+
+
+def retarget_take(
+    take: Sequence[str],
+    bodies: Sequence[str],
+    store_root: Path,
+    out: Path,
+    options: FileOptions,
+    *,
+    rest_pose: RestPose = "source",
+    units: Units = "cm",
+) -> None:
+    """Find take and bodies, solve, write, and say what came of it.
+
+    Raises:
+        InputError: The take is not there or not of two people, or a body cannot be read or be anybody's.
+    """
+    if len(bodies) > 2:
+        raise InputError(f"{len(bodies)} bodies are given; a take has two people: --to BODY_A --to BODY_B")
+    body_units = iter(options.body_units_m)
+    targets = [None if body == KEPT else _read_target(Path(body), body_units) for body in bodies]
+    if len(take) > 1 or Path(take[0]).is_file():
+        with _take_of_files(take, options) as (store, ref):
+            _retarget(store, ref, targets, out, rest_pose, units)
+        return
+    store = open_store(store_root)
+    text = take[0] if re.match(r"\w+[:@]", take[0]) else f"poses:{take[0]}"
+    reference = parse_reference(text)
+    refs = resolve(reference, store)
+    if reference.table != "poses" or len(refs) != 1:
+        raise InputError(
+            f"'{take[0]}' names {len(refs)} artifacts of {reference.table}; one take is needed: STUDY/TAKE"
+        )
+    _retarget(store, refs[0], targets, out, rest_pose, units)
+
+
+@contextmanager
+def _take_of_files(files: Sequence[str], options: FileOptions) -> Iterator[tuple[Store, ArtifactRef]]:
+    """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
+    if len(files) != 2:
+        raise InputError(f"{len(files)} motion file is given; two people are needed, a file each, person A first")
+    if len(options.units_m) > 2:
+        raise InputError(f"--unit is given {len(options.units_m)} times for two files")
+    units = [options.units_m[min(person, len(options.units_m) - 1)] if options.units_m else None for person in (0, 1)]
+    take = {
+        "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-") or "take",
+        "files": [str(Path(file).resolve()) for file in files],
+        "rate_hz": options.rate_hz,
+        "persons": [{"metres_per_unit": unit} for unit in units],
+    }
+    section = IngestParameters.model_validate({"takes": [take]})
+    try:
+        planned = STAGE.plan(StageInputs(manifests={}, seed=0), section)[0].parameters
+        assert isinstance(planned, TakeParameters)
+        rate_hz = min(person.rate_hz for person in planned.persons)
+        shard = STAGE.plan(StageInputs(manifests={}, seed=0), section.model_copy(update={"rate_hz": rate_hz}))[0]
+    except InputError as error:
+        said = str(error).replace("set metres_per_unit for this take", "say --unit")
+        raise type(error)(said.replace("set rate_hz for this take", "say --rate")) from None
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store(Path(folder))
+        yield store, STAGE.run_shard(shard, store)
+
+
+def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
+    """Read a body from whatever kind of file it is."""
+    data = load_file(path).data
+    start = FileStart(data)
+    try:
+        if MOTION_FORMATS["bvh"].recognises(start):
+            rest = MOTION_FORMATS["bvh"].read_head(data).rest
+        elif MOTION_FORMATS["asf_amc"].is_companion(start):
+            asf = read_asf(data)
+            rest = SourceMotion.at_rest(asf.skeleton, asf.rest_offsets, metres_per_unit=asf.metres_per_unit)
+        elif MOTION_FORMATS["asf_amc"].recognises(start):
+            raise InputError("an AMC file holds no body; give its ASF file")
+        else:
+            return read_body(path.name, data)
+        layout = layout_named("auto", rest.skeleton.joint_names, {})
+        unit_m = rest.metres_per_unit or next(units_m, None) or known_source(path.name, layout.name).metres_per_unit
+        if unit_m is None:
+            guess = guess_unit(rest)
+            if guess.confidence < MIN_UNIT_CONFIDENCE:
+                raise InputError(f"its length unit cannot be told ({guess.reason}); say --body-unit")
+            unit_m = guess.metres_per_unit
+        motion = rest.to_motion(metres_per_unit=unit_m, rate_hz=1.0)
+        check_layout(motion, layout)
+        body = body_map(layout, motion.skeleton, motion.rest_offsets_m)
+        return body_of_skeleton(path.name, OwnSkeleton(motion, body), layout.name)
+    except InputError as error:
+        said = str(error).replace("; name a layout, or write one under [ingest.mappings]", "")
+        raise type(error)(said if said.startswith(path.name) else f"{path.name}: {said}") from None
+
+
+def _retarget(
+    store: Store,
+    ref: ArtifactRef,
+    targets: Sequence[TargetBody | None],
+    out: Path,
+    rest_pose: RestPose,
+    units: Units,
+) -> None:
+    manifest = store.manifest(ref)
+    take_id, num_persons = manifest.facts["take_id"], int(manifest.facts["num_persons"])
+    if num_persons != 2:
+        raise InputError(f"take {take_id} has {num_persons} people; two are needed")
+    source = read_pair(store, ref).source
+    people = people_of_take(store, ref)
+    bone_scale = np.ones((2, BODY22.num_joints))
+    rows = []
+    for index, (person, target) in enumerate(zip(people, targets, strict=False)):
+        if target is None:
+            continue
+        who = f"person {person.letter} of take {take_id}"
+        fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
+        bone_scale[index] = fit.bone_scale
+        rows.append(_said(person, target, fit))
+    variant = Augmenter(source).solve([Variation("retarget", bone_scale)])[0]
+    out.mkdir(parents=True, exist_ok=True)
+    files = RigFiles(out, rest_pose=rest_pose, units=units)
+    for index, person in enumerate(people):
+        wanted_m = variant.positions_m[:, index]
+        own = person.own.worn(wanted_m, variant.bone_scale[index])
+        files.write(f"{take_id}_retarget_{person.letter}", person, own, wanted_m)
+    for path in (*files.close(), write_credits(store, [ref], f"take {take_id}", out)):
+        typer.echo(str(path))
+    if rows:
+        print_table(
+            ("person", "body", "size", "bones", "misfit mean", "greatest", "between"), rows, text_columns=(0, 1, 3, 6)
+        )
+    typer.echo(verdict_text(variant.verdict))
+
+
+def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:
+    """Return what is said of a fitted body: size, scales of bones, and how far they are from what was asked."""
+    misfit_m = {ends: abs(value) for ends, value in fit.misfit_m.items()}
+    worst = max(misfit_m, key=misfit_m.__getitem__)
+    return (
+        person.letter,
+        target.name,
+        f"{np.median(fit.bone_scale[1:]):.3f}",
+        f"{fit.bone_scale[1:].min():.2f}-{fit.bone_scale[1:].max():.2f}"
+        + (f", {fit.num_guessed} not told" if fit.num_guessed else ""),
+        f"{1e3 * np.mean(list(misfit_m.values())):.1f} mm",
+        f"{1e3 * misfit_m[worst]:.1f} mm",
+        " and ".join(BODY22.joint_names[joint] for joint in worst),
+    )

@@ -1,0 +1,290 @@
+"""Somebody's body as distances between joints: read from a motion file, a table or joint positions, and fitted to."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.npz import is_npz, read_npz
+from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
+from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["BodyFit", "TargetBody", "body_of_skeleton", "fit_body", "read_body"]
+
+Array = npt.NDArray[np.float64]
+Distances = Mapping[tuple[int, int], float]
+"""Metres between two joints of body22, by their indices."""
+
+NEEDED = [
+    f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+]
+"""Joints that positions of a body must have; what others are not there is scaled like the rest of the body."""
+OTHER_NAMES = {f"{side}_foot": f"{side}_toe" for side in ("left", "right")}
+"""Names of SMPL's joints that body22 calls otherwise; all others are the same."""
+DISTANCE_M = (0.01, 2.5)
+"""Distances outside these are no person's: mostly another unit."""
+SIZE = (1.0 / 3.0, 3.0)
+"""Overall sizes against the source outside these are no person's either."""
+
+_COLUMNS = ("from", "to", "distance_m")
+_TRUNK = [
+    BODY22.indices(["spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]),
+    BODY22.indices(["spine2", "spine3", "neck", "head", "left_shoulder", "right_shoulder"]),
+]
+"""Bones that are one length of the body: the spine with neck and head, each shoulder."""
+_HOLD_TRUNK_M, _HOLD_SIDES_M, _HOLD_BODY_M = 0.1, 0.02, 0.002
+"""What a difference of 1 between scales counts against a misfit: in the trunk, of both sides, of any bone and all."""
+_LIMBS = {joint for limb in BODY22.limbs for joint in limb}
+_NUM_ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class TargetBody:
+    """A body.
+
+    Args:
+        name: Where it is from, for messages.
+        distances_m: Distance between two joints of body22, by their indices, metres, standing with limbs straight.
+        layout: Layout whose people have their joints in the same places of the trunk; empty for nobody's.
+        bones_m: The bones between those joints, for people of that layout in place of `distances_m`.
+        checks_m: Distances that are not fitted to, only compared with.
+    """
+
+    name: str
+    distances_m: Distances
+    layout: str = ""
+    bones_m: Distances = field(default_factory=dict)
+    checks_m: Distances = field(default_factory=dict)
+
+    def of(self, layout: str) -> Distances:
+        """Return what people of a layout are measured by."""
+        return self.bones_m if self.bones_m and layout == self.layout else self.distances_m
+
+
+@dataclass(frozen=True)
+class BodyFit:
+    """A person's bones made those of a body.
+
+    Args:
+        bone_scale: Scale of each bone (22,); 1 for the root.
+        misfit_m: How much longer each distance of the body is with these bones, in the person's own T-pose, metres.
+        num_guessed: Bones that no distance tells anything of.
+    """
+
+    bone_scale: Array
+    misfit_m: Distances
+    num_guessed: int
+
+
+def body_of_skeleton(name: str, own: OwnSkeleton, layout: str) -> TargetBody:
+    """Return the body of a motion file's skeleton, whose joints a layout names.
+
+    Layouts put pelvis and spine at places of their own, so between people of different ones a trunk is measured by how
+    broad and long it is, limbs bone by bone.
+    """
+    body = _of_positions(name, standing(own).rest_body22_m[None], BODY22.joint_names, layout)
+    lengths = bone_lengths(BODY22, own.rest_body22_m)
+    return replace(body, bones_m={bone: float(lengths[bone[1]]) for bone in BODY22.bones})
+
+
+def read_body(name: str, data: bytes) -> TargetBody:
+    """Read a body from a table of joint distances (CSV) or joint positions (npz, JSON), metres.
+
+    The table has the columns `from`, `to`, `distance_m`.  An npz has `positions_m` (joint, 3) or (frame, joint, 3) and
+    `joint_names`, and may have `parents`; a JSON object the same keys, or a joint's name with its three numbers each.
+    Joints have the names of body22 or of SMPL; distances of frames are their medians.
+
+    Raises:
+        FormatError: The file is mangled, a joint that is needed is missing or not known, its tree is another one, or a
+            distance is no person's.
+    """
+    if is_npz(data):
+        return _of_arrays(name, read_npz(data, "archive of joint positions"))
+    text = data.decode("utf-8-sig", errors="replace").strip()
+    if text[:1] in ("{", "["):
+        try:
+            tree = json.loads(text)
+        except ValueError as error:
+            raise FormatError(f"{name}: this is not JSON: {error}") from None
+        if not isinstance(tree, dict):
+            raise FormatError(f"{name}: an object of joints is expected, each [x, y, z] in metres")
+        if "positions_m" not in tree:
+            tree = {"joint_names": list(tree), "positions_m": list(tree.values())}
+        try:
+            arrays = {key: np.array(tree[key]) for key in ("joint_names", "positions_m", "parents") if key in tree}
+            arrays["positions_m"] = arrays["positions_m"].astype(np.float64)
+        except (ValueError, TypeError):
+            raise FormatError(f"{name}: each joint needs three numbers, metres") from None
+        return _of_arrays(name, arrays)
+    return _of_table(name, text)
+
+
+def fit_body(target: TargetBody, own: OwnSkeleton, lengths_m: Array, *, layout: str, who: str) -> BodyFit:
+    """Return the bone scales with which a person has a body's distances.
+
+    Least squares (Gauss-Newton) over the scales of 21 bones, the person standing in a T-pose; bones of which nothing is
+    known are as those of the other side, the spine as a whole, and else as the whole body.
+
+    Args:
+        target: The body.
+        own: The person.
+        lengths_m: The person's bones (22,), metres.
+        layout: Layout of the person's joints.
+        who: Who it is, for messages.
+
+    Raises:
+        InputError: The body is more than three times, or less than a third of, the person's size.
+    """
+    directions = bone_directions(BODY22, standing(own).rest_body22_m)
+    asked = target.of(layout)
+    pairs, wanted = np.array(list(asked)), np.array(list(asked.values()))
+    chains = np.zeros((BODY22.num_joints, BODY22.num_joints))  # of joint i, 1 for the bones between it and the root
+    for joint in BODY22.order[1:]:
+        chains[joint] = chains[BODY22.parents[joint]]
+        chains[joint, joint] = 1.0
+    between = chains[pairs[:, 1]] - chains[pairs[:, 0]]
+    scale = np.ones(BODY22.num_joints)
+
+    def found(scale: Array, pairs: Array = pairs) -> tuple[Array, Array]:
+        joints = place_bones(BODY22, np.zeros(3), directions, lengths_m * scale)
+        vector = joints[pairs[:, 1]] - joints[pairs[:, 0]]
+        return np.linalg.norm(vector, axis=-1), vector
+
+    size = float(np.median(wanted / np.maximum(found(scale)[0], 1e-9)))
+    if not SIZE[0] <= size <= SIZE[1]:
+        raise InputError(
+            f"{target.name}: this body would be {size:.3g} times the size of {who}; "
+            f"allowed are {SIZE[0]:.2g} to {SIZE[1]:g}: is it in metres?"
+        )
+    scale *= size
+    every = np.eye(BODY22.num_joints)
+    sides, trunk = every[list(BODY22.mirror)] - every, every[_TRUNK[0]] - every[_TRUNK[1]]
+    alike = np.concatenate([_HOLD_SIDES_M * sides, _HOLD_TRUNK_M * trunk])
+    is_every_bone = set(asked) == set(BODY22.bones)
+    for _ in range(0 if is_every_bone else _NUM_ROUNDS):
+        distances, vector = found(scale)
+        unit = vector / np.maximum(distances, 1e-9)[:, None]
+        slope = between * (unit @ (directions * lengths_m[:, None]).T)
+        rows = [slope, alike, _HOLD_BODY_M * every]
+        values = [wanted - distances, -alike @ scale, _HOLD_BODY_M * (size - scale)]
+        scale += np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
+    if is_every_bone:
+        scale[pairs[:, 1]] = wanted / lengths_m[pairs[:, 1]]
+    scale[BODY22.root] = 1.0
+    told = np.abs(between).sum(axis=0) > 0
+    told |= told[list(BODY22.mirror)]
+    compared = {**target.distances_m, **target.checks_m}
+    misfit = found(scale, np.array(list(compared)))[0] - np.array(list(compared.values()))
+    misfit_m = dict(zip(compared, misfit.tolist(), strict=True))
+    return BodyFit(scale, misfit_m, int((~told[1:]).sum()))
+
+
+def _of_arrays(name: str, arrays: Mapping[str, npt.NDArray[np.generic]]) -> TargetBody:
+    positions, names = arrays.get("positions_m"), arrays.get("joint_names")
+    is_good = positions is not None and positions.dtype.kind in "fiu" and positions.ndim in (2, 3)
+    if positions is None or not is_good or positions.shape[-1] != 3:
+        raise FormatError(f"{name}: 'positions_m' (joint, 3) or (frame, joint, 3) is needed, metres")
+    if names is None or names.dtype.kind != "U" or names.shape != positions.shape[-2:-1]:
+        raise FormatError(f"{name}: 'joint_names' with {positions.shape[-2]} texts is needed")
+    joint_names = [OTHER_NAMES.get(str(one), str(one)) for one in names]
+    parents = arrays.get("parents")
+    if parents is not None and parents.shape == names.shape and parents.dtype.kind in "iu":
+        _check_tree(name, joint_names, [int(one) for one in parents])
+    values = positions.astype(np.float64).reshape(-1, len(joint_names), 3)
+    known = [at for at, joint in enumerate(joint_names) if joint in BODY22.joint_names]
+    if not np.isfinite(values[:, known]).all():
+        raise FormatError(f"{name}: the position of '{joint_names[known[0]]}' or another joint is not finite")
+    return _of_positions(name, values[:, known], [joint_names[at] for at in known], BODY22.name)
+
+
+def _check_tree(name: str, joint_names: Sequence[str], parents: Sequence[int]) -> None:
+    """Refuse joints that hang on others than in body22; joints that it does not have may lie between."""
+    for joint, parent in zip(joint_names, parents, strict=True):
+        if joint not in BODY22.joint_names or joint == BODY22.joint_names[BODY22.root]:
+            continue
+        above, seen = parent, 0
+        while 0 <= above < len(parents) and joint_names[above] not in BODY22.joint_names and seen < len(parents):
+            above, seen = parents[above], seen + 1
+        ours = BODY22.parents[BODY22.index(joint)]
+        while ours >= 0 and BODY22.joint_names[ours] not in joint_names:
+            ours = BODY22.parents[ours]
+        its = joint_names[above] if 0 <= above < len(parents) else "nothing"
+        if ours >= 0 and its != BODY22.joint_names[ours]:
+            expected = BODY22.joint_names[ours]
+            raise FormatError(
+                f"{name}: its tree is another one: '{joint}' hangs on '{its}'; in body22 it hangs on '{expected}'"
+            )
+
+
+def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layout: str) -> TargetBody:
+    """Return the body whose joints lie at positions (frame, joint, 3), metres."""
+    missing = [joint for joint in NEEDED if joint not in joint_names]
+    if missing:
+        named = "', '".join(missing[:3]) + "'" + (f" and {len(missing) - 3} more" if len(missing) > 3 else "")
+        is_are = "are" if len(missing) > 1 else "is"
+        raise FormatError(f"{name}: joint '{named} {is_are} missing; needed are {', '.join(NEEDED)}")
+    at = {BODY22.index(joint): place for place, joint in enumerate(joint_names)}
+
+    def measured(pairs: Iterable[tuple[int, int]]) -> Distances:
+        distances = {}
+        for first, second in pairs:
+            apart = np.linalg.norm(positions[:, at[first]] - positions[:, at[second]], axis=-1)
+            distances[first, second] = _checked(name, first, second, float(np.median(apart)))
+        return distances
+
+    top = "head" if "head" in joint_names else "{side}_shoulder"
+    across = [("left_hip", "right_hip"), ("left_shoulder", "right_shoulder")]
+    across += [(f"{side}_hip", top.format(side=side)) for side in ("left", "right")]
+    trunk = [(BODY22.index(one), BODY22.index(other)) for one, other in across]
+    limbs = [bone for bone in BODY22.bones if bone[1] in at and bone[0] in _LIMBS]
+    is_whole = len(at) == BODY22.num_joints
+    shoulders = [(BODY22.index(f"{side}_hip"), BODY22.index(f"{side}_shoulder")) for side in ("left", "right")]
+    return TargetBody(
+        name, measured(trunk + limbs), layout, measured(BODY22.bones) if is_whole else {}, measured(shoulders)
+    )
+
+
+def _of_table(name: str, text: str) -> TargetBody:
+    rows = csv.DictReader(io.StringIO(text))
+    if not set(_COLUMNS) <= set(rows.fieldnames or ()):
+        raise FormatError(
+            f"{name}: no body is recognised: a BVH or ASF file, a table with the columns {', '.join(_COLUMNS)}, or "
+            "positions (npz, JSON) with joint names are"
+        )
+    distances: dict[tuple[int, int], float] = {}
+    for line, row in enumerate(rows, start=2):
+        ends = [OTHER_NAMES.get((row[key] or "").strip(), (row[key] or "").strip()) for key in _COLUMNS[:2]]
+        for joint in ends:
+            if joint not in BODY22.joint_names:
+                raise FormatError(
+                    f"{name}: line {line}: joint '{joint}' is not known; known: {', '.join(BODY22.joint_names)}"
+                )
+        if ends[0] == ends[1]:
+            raise FormatError(f"{name}: line {line}: a distance of '{ends[0]}' from itself")
+        try:
+            value = float(row["distance_m"] or "")
+        except ValueError:
+            raise FormatError(f"{name}: line {line}: '{row['distance_m']}' is not a number of metres") from None
+        first, second = BODY22.indices(ends)
+        distances[first, second] = _checked(f"{name}: line {line}", first, second, value)
+    if not distances:
+        raise FormatError(f"{name}: the table has no rows")
+    return TargetBody(name, distances)
+
+
+def _checked(name: str, first: int, second: int, value: float) -> float:
+    if not DISTANCE_M[0] <= value <= DISTANCE_M[1]:
+        ends = f"'{BODY22.joint_names[first]}' and '{BODY22.joint_names[second]}'"
+        raise FormatError(
+            f"{name}: {ends} are {value:.4g} m apart; allowed are {DISTANCE_M[0]:g} to {DISTANCE_M[1]:g} m: "
+            "is it in metres?"
+        )
+    return value

@@ -1,0 +1,136 @@
+"""`pasdedeux retarget`: a take of a store or of files, for the bodies of other people."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.app import run_command_line
+from pasdedeux.formats import read_bvh, write_bvh
+from pasdedeux.kinematics import Motion
+from pasdedeux.skeletons import BODY22
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.own_sources import write_walk
+from tests.builders.source_samples import bvh_text, figure_motion
+
+ELBOWS, KNEES = BODY22.indices(["left_elbow", "right_elbow"]), BODY22.indices(["left_ankle", "right_ankle"])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, str]:
+    """Return a store with half a second of waltz, and a reference to it."""
+    store = Store(tmp_path_factory.mktemp("retarget") / "store")
+    section = IngestParameters.model_validate({"duets": [{"name": "waltz", "duration_s": 0.5}]})
+    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=1), section)[0], store)
+    return store, f"poses@{ref.key[:12]}"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with two people a metre apart, somebody with long arms, an ASF file, a table, and a dog."""
+    folder = tmp_path_factory.mktemp("bodies")
+    (folder / "a.bvh").write_text(bvh_text(num_frames=12, rate_hz=30.0))
+    there = figure_motion(num_frames=12, seed=1)
+    moved = Motion(BODY22, there.rest_offsets_m, there.root_translation_m + np.eye(3)[2], there.local_unitquat, 30.0)
+    (folder / "b.bvh").write_text(write_bvh(moved))
+    offsets = there.rest_offsets_m.copy()
+    offsets[ELBOWS] *= 1.3
+    long = Motion(BODY22, offsets, there.root_translation_m, there.local_unitquat, 30.0)
+    (folder / "long.bvh").write_text(write_bvh(long))
+    (folder / "dog.bvh").write_text(write_bvh(there).replace("left_knee", "left_paw"))
+    (folder / "legs.csv").write_text("from,to,distance_m\nleft_hip,left_ankle,0.7\nright_hip,right_ankle,0.7\n")
+    (folder / "tiny.csv").write_text("from,to,distance_m\nleft_hip,left_ankle,0.1\n")
+    write_walk(folder)
+    return folder
+
+
+def lengths_m(path: Path, joints: list[int]) -> np.ndarray:
+    motion = read_bvh(path.read_bytes()).to_motion(metres_per_unit=0.01, rate_hz=30.0)
+    at = [motion.skeleton.index(BODY22.joint_names[joint]) for joint in joints]
+    return np.asarray(np.linalg.norm(motion.rest_offsets_m[at], axis=-1))
+
+
+def test_files_become_the_same_people_with_the_bones_of_others(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    take = [str(files / "a.bvh"), str(files / "b.bvh")]
+    assert (
+        run_command_line(["retarget", *take, "--to", "source", "--to", str(files / "long.bvh"), "--out", str(tmp_path)])
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert "long.bvh" in said
+    first, second = tmp_path / "a_retarget_A.bvh", tmp_path / "a_retarget_B.bvh"
+    np.testing.assert_allclose(lengths_m(first, ELBOWS), lengths_m(files / "a.bvh", ELBOWS), atol=1e-5)
+    np.testing.assert_allclose(lengths_m(second, ELBOWS), lengths_m(files / "long.bvh", ELBOWS), atol=1e-4)
+    np.testing.assert_allclose(lengths_m(second, KNEES), lengths_m(files / "b.bvh", KNEES), atol=1e-4)
+    assert {path.name for path in tmp_path.iterdir()} >= {"UNITS.txt", "CREDITS.txt", "a_retarget_A.npz"}
+    assert read_bvh(first.read_bytes()).num_frames == 12
+
+
+def test_a_take_of_a_store_takes_a_table_and_an_asf(
+    store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bodies = ["--to", str(files / "legs.csv"), "--to", str(files / "90.asf")]
+    words = [
+        "retarget",
+        store[1],
+        *bodies,
+        "--store",
+        str(store[0].root),
+        "--out",
+        str(tmp_path),
+        "--rest-pose",
+        "standing",
+    ]
+    assert run_command_line(words) == 0
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("A "))
+    assert "legs.csv" in row
+    leg = BODY22.indices(["left_knee", "left_ankle"])
+    assert lengths_m(tmp_path / "waltz_retarget_A.bvh", leg).sum() == pytest.approx(0.7, abs=2e-3)
+    # As the ASF file was written: 0.42 m from knee to ankle.
+    np.testing.assert_allclose(lengths_m(tmp_path / "waltz_retarget_B.bvh", KNEES), 0.42, atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "sentence"),
+    [
+        (["dog.bvh"], "error: dog.bvh: its joints fit none of the known layouts"),
+        (["90_01.amc"], "error: 90_01.amc: an AMC file holds no body; give its ASF file"),
+        (["tiny.csv"], "error: tiny.csv: this body would be 0."),
+        (["none.bvh"], "none.bvh does not exist"),
+        (["a.bvh", "b.bvh", "a.bvh"], "error: 3 bodies are given; a take has two people"),
+    ],
+)
+def test_bodies_that_are_none_end_with_a_sentence(
+    store: tuple[Store, str],
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    bodies: list[str],
+    sentence: str,
+) -> None:
+    to = [word for body in bodies for word in ("--to", str(files / body))]
+    assert (
+        run_command_line(["retarget", store[1], *to, "--store", str(store[0].root), "--out", str(tmp_path / "o")]) == 2
+    )
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_takes_that_are_none_end_with_a_sentence(
+    store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest = ["--to", str(files / "long.bvh"), "--store", str(store[0].root), "--out", str(tmp_path / "o")]
+    for words, sentence in (
+        ([str(files / "a.bvh")], "1 motion file is given; two people are needed"),
+        ([str(files / "a.bvh"), str(files / "dog.bvh")], "dog.bvh: its joints fit none of the known layouts"),
+        (["nowhere/waltz"], "nowhere"),
+        ([store[1].replace("poses", "takes")], "one take is needed: STUDY/TAKE"),
+    ):
+        assert run_command_line(["retarget", *words, *rest]) == 2
+        assert sentence in capsys.readouterr().err

@@ -44,6 +44,10 @@ _SHORTEST_M = 1e-3
 """A joint shorter than this has no length to programs that draw it."""
 _HINGES = {limb[1]: limb[2] for limb in BODY22.limbs}
 """Elbows and knees, each with the wrist or ankle that it brings to its place."""
+_HIPS = BODY22.indices(["left_hip", "right_hip"])
+_HIP_WEIGHT = 30.0
+"""Weight of the hips, beside 1 for pelvis and spine, in where the root goes: nearly straight legs cannot give way to
+hips that are off, while arms mostly are bent."""
 _TRUNK = BODY22.indices(["pelvis", "left_hip", "right_hip", "left_shoulder", "right_shoulder", "neck"])
 
 
@@ -203,9 +207,11 @@ class OwnSkeleton:
         for joint in skeleton.order:
             parent, aims = skeleton.parents[joint], self._aims[joint]
             if joint == root:
-                start, end = old_body[:, [pelvis, *aims]], body22_m[:, [pelvis, *aims]]
-                middle, to = start.mean(axis=1), end.mean(axis=1)
-                turn[:, joint] = _turn_onto(start - middle[:, None], end - to[:, None])
+                points = [pelvis, *aims]
+                weight = np.where(np.isin(points, _HIPS), _HIP_WEIGHT, 1.0)[:, None]
+                middle, to = (np.average(one[:, points], axis=1, weights=weight[:, 0]) for one in (old_body, body22_m))
+                start, end = old_body[:, points] - middle[:, None], body22_m[:, points] - to[:, None]
+                turn[:, joint] = _turn_onto(np.sqrt(weight) * start, np.sqrt(weight) * end)
                 place[:, joint] = to - rotate(turn[:, joint], middle - old[:, joint])
             else:
                 carried = np.broadcast_to(offsets[joint], place[:, joint].shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -170,3 +171,18 @@ def test_weights_derive_body22_of_real_files_as_their_layouts_do(data_dir: Path)
             own.body.of(part), derive_working_poses(part, layout).body22_m, atol=1e-9, err_msg=name
         )
         same(own.posed(own.body.of(part), np.ones(BODY22.num_joints)), part, metres=1e-8, degrees=1e-4)
+
+
+def test_straight_legs_stay_straight_when_a_variant_bends_its_back() -> None:
+    own = rig()
+    still = own.motion.local_unitquat.copy()
+    still[:, own.motion.skeleton.indices(["LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg"])] = [0.0, 0.0, 0.0, 1.0]
+    own = OwnSkeleton(replace(own.motion, local_unitquat=still), own.body)
+    ones = np.ones(BODY22.num_joints)
+    wanted = scaled(own, ones)
+    above = BODY22.indices(name for name in BODY22.joint_names if not name.endswith(("hip", "knee", "ankle", "toe")))
+    wanted[::2, above] += [0.0, 0.01, 0.0]  # every other frame the whole trunk is a centimetre further from the hips
+    worn = own.worn(wanted, ones)
+    away_m = np.linalg.norm(worn.body.of(worn.motion) - wanted, axis=-1)
+    assert away_m[:, EXTREMITIES].max() < 1e-3
+    assert away_m[:, BODY22.indices(["left_knee", "right_knee"])].max() < 0.015

@@ -114,6 +114,7 @@ VARIANT_QUALITY = Table(
         float64(
             "estimated_gap_m",
             "Mean joint distance from the optimum that the bulk solver's last changes suggest; null where it failed",
+            unit="m",
             is_nullable=True,
         ),
         integer("num_iterations", "Iterations of the solver, at 7.5 Hz"),

@@ -26,7 +26,7 @@ from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
 from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, artifact_fields, commit, named_refs, stream
 
-__all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "plan", "read_pair", "run_shard"]
+__all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "known_contacts", "plan", "read_pair", "run_shard"]
 
 VERSION = 9
 
@@ -42,7 +42,7 @@ class AugmentationParameters(SolvedParameters):
     """Which variants are made, and how."""
 
     contacts: dict[str, tuple[UserContact, ...]] = Field(
-        {}, description="Contacts stated by the user, by take, in place of what is found"
+        {}, description="Contacts stated by take, in place of what is found between their bones and of a duet's own"
     )
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
 
@@ -85,9 +85,15 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         names = [variation.variant_id for variation in make_variations(parameters, _generators(inputs.seed, take_id))]
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
-            chosen = BatchParameters(**common, contacts=parameters.contacts.get(take_id, ()), variants=batch)
+            stated = parameters.contacts.get(take_id) or known_contacts(take)
+            chosen = BatchParameters(**common, contacts=stated, variants=batch)
             shards.append(_shard(take, f"{batch[0]} to {batch[-1]}", chosen, inputs.seed))
     return shards
+
+
+def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
+    """Return the contacts that are known of a take because it was built that way."""
+    return tuple(UserContact(**contact) for contact in take.facts.get("contacts", ()))
 
 
 def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shard:
@@ -138,6 +144,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
         "closest_m": take.source.closest_m,
+        "girth": parameters.girth,
     }
     verdicts: list[Verdict] = []
     with store.writer(**artifact_fields(shard, store), facts=facts) as writer:

@@ -29,8 +29,9 @@ _SMALLEST_WEIGHT = 1e-2
 """Pairs that weigh less than this share of the full weight are left out."""
 
 
-_NEAR_M = (0.02, 0.06)
-"""Distance of the surfaces of two bones: full weight up to the first, none from the second on."""
+_NEAR_M = (0.05, 0.15)
+"""Distance of the surfaces of two bones in the source: full weight up to the first, none from the second on.  Wide, for
+other bodies come nearer where the source's do not: what stays apart costs nothing."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of nearest points and directions over time."""
 

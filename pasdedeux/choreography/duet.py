@@ -11,6 +11,7 @@ from pydantic import Field
 
 from pasdedeux.choreography.anthropometry import Body, make_body
 from pasdedeux.choreography.figure import SIDES, Figure
+from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
@@ -149,6 +150,17 @@ class Duet:
         time_s = np.arange(self.num_frames) / self.rate_hz
         holds = (time_s >= interval.start_s - 1e-9) & (time_s < interval.stop_s - 1e-9)
         return np.flatnonzero(holds)
+
+    def known_contacts(self, rate_hz: float) -> tuple[UserContact, ...]:
+        """Return the known contacts of the motion resampled to a rate, as they are stated to what keeps contacts."""
+        stated = []
+        for contact in self.contacts:
+            a, b = sorted((contact.point_a, contact.point_b), key=lambda point: point.person)
+            first, stop = (int(np.ceil(time_s * rate_hz - 1e-6)) for time_s in (contact.start_s, contact.stop_s))
+            if first < stop:
+                bones = {"joint_a": a.bone, "share_a": a.fraction, "joint_b": b.bone, "share_b": b.fraction}
+                stated.append(UserContact(**bones, start_frame=first, stop_frame=stop))
+        return tuple(stated)
 
 
 def wrist_contact(

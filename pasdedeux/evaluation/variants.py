@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.source import Girths, Source, points_of, reference_motion, widened_m
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.interaction.contacts import find_contacts
+from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
@@ -19,6 +20,7 @@ from pasdedeux.spread import evenly_spread
 __all__ = [
     "QUALITY_COLUMNS",
     "VariantQualities",
+    "contact_scores",
     "drift_figure",
     "quality_scores",
     "variant_sheet",
@@ -79,6 +81,44 @@ def quality_scores(qualities: VariantQualities) -> list[Score]:
         figures = {f"{metric}_mean": finite.mean(), f"{metric}_worst": finite.max()}
         more = {"is_baseline": is_baseline, "item": qualities.take_id, "count": len(finite)}
         scores += scores_of(figures, method, QUALITY_COLUMNS[name], **more)
+    return scores
+
+
+def contact_scores(
+    contacts: Contacts, source: Source, girth: Girths, variants: Iterable[tuple[Array, Array]], *, item: str
+) -> list[Score]:
+    """Return how far contacts of hands and feet, and of bodies, come from their distance, beside plain FK.
+
+    Median, 95th percentile and worst over contacts, frames and variants.
+
+    Args:
+        contacts: Those of the take: known ones where it has such, otherwise those found.
+        source: The take.
+        girth: How thick the variants' bodies are.
+        variants: Scales (2, 22) and motion (T, 2, 22, 3) of each.
+        item: Name of the take.
+    """
+    held = np.nonzero(contacts.is_held)
+    is_hand, bones = contacts.num_hands[held] > 0, contacts.bones()[held]
+
+    def distances(points: Array) -> Array:
+        return np.asarray(np.linalg.norm(contacts.vectors(points)[held], axis=-1))
+
+    before = distances(points_of(source.positions_m))
+    found: dict[str, list[Array]] = {"interaction_mesh": [], "naive_fk": []}
+    for scale, motion in variants:
+        wanted = widened_m(before, bones, source, girth, scale[None])[0]
+        plain = reference_motion(source, scale[None])[0]
+        for method, moved in zip(found, (motion, plain), strict=True):
+            found[method].append(np.abs(distances(points_of(moved)) - wanted))
+    scores = []
+    for name, is_mine in (("hand", is_hand), ("body", ~is_hand)):
+        for method, drifts in found.items():
+            mine = np.concatenate([drift[is_mine] for drift in drifts]) if drifts else np.zeros(0)
+            if len(mine):
+                values = zip(("median", "p95", "worst"), np.percentile(mine, [50.0, 95.0, 100.0]), strict=True)
+                figures = {f"{name}_contact_drift_{which}": value for which, value in values}
+                scores += scores_of(figures, method, "m", is_baseline=method == "naive_fk", item=item, count=len(mine))
     return scores
 
 

@@ -33,6 +33,7 @@ __all__ = [
     "nearest_on_bones",
     "packer",
     "parents_of",
+    "stated_contacts",
     "stencil_vectors",
     "surface_gaps",
 ]
@@ -260,15 +261,30 @@ def find_contacts(
         share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
         bones = np.concatenate([bones, np.array([ends for ends, *_ in told])])
     frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
-    packed, half, parents = packer(frame, frames), skeleton.num_joints, parents_of(skeleton)
-    children = bones + np.array([0, half])
-    points = np.stack([parents[children], children], axis=-1).reshape(-1, 4)
-    s, t = np.moveaxis(share[frame, column], -1, 0)
+    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton)
+
+
+def stated_contacts(stated: Sequence[UserContact], num_frames: int, skeleton: Skeleton) -> Contacts:
+    """Return contacts just as they are stated, without those found and without averaging."""
+    rows = [(frame, contact) for contact in stated for frame in range(contact.start_frame, contact.stop_frame)]
+    rows.sort(key=lambda row: row[0])
+    bones = np.array([[skeleton.index(c.joint_a), skeleton.index(c.joint_b)] for _, c in rows]).reshape(-1, 2)
+    share = np.array([[c.share_a, c.share_b] for _, c in rows]).reshape(-1, 2)
+    frame = np.array([frame for frame, _ in rows], dtype=np.intp)
+    return _pack(frame, num_frames, bones, share, np.array([c.weight for _, c in rows]), skeleton)
+
+
+def _pack(
+    frame: npt.NDArray[np.intp], num_frames: int, bones: Indices, share: Array, weights: Array, skeleton: Skeleton
+) -> Contacts:
+    """Lay contacts of these frames (n,) out by frame: bones and places on them (n, 2), weights (n,)."""
+    packed, children = packer(frame, num_frames), bones + np.array([0, skeleton.num_joints])
+    s, t = share.T
     return Contacts(
-        points=packed(points[column]),
+        points=packed(np.stack([parents_of(skeleton)[children], children], axis=-1).reshape(-1, 4)),
         shares=packed(np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)),
-        weights=packed(weights[frame, column]),
-        hand=packed(_hands(bones, share, skeleton)[frame, column]),
+        weights=packed(weights),
+        hand=packed(_hands(bones, share, skeleton)),
     )
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
+from pasdedeux.augmentation.source import Girths
 from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
     VariantQualities,
+    contact_scores,
     drift_figure,
     quality_scores,
     variant_sheet,
@@ -14,8 +18,11 @@ from pasdedeux.evaluation.variants import (
     worst_variants,
 )
 from pasdedeux.evaluation.verdicts import Yardstick
-from storage_schema import ArtifactRef, Store
-from tasks.evaluation.topic import Topic, TopicResult, read_people
+from pasdedeux.interaction.contacts import stated_contacts
+from pasdedeux.skeletons import BODY22
+from storage_schema import ArtifactRef, Store, TableData
+from tasks.augmentation import known_contacts, read_pair
+from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC"]
@@ -54,7 +61,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     has_contacts = bool(np.isfinite(qualities.values["contact_drift_m"]).any())
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
-    source = read_people(store, take, "body22_m")
+    pair = read_pair(store, take).source
+    source = pair.positions_m
+    known = known_contacts(store.manifest(take))
+    contacts = stated_contacts(known, pair.num_frames, BODY22) if known else pair.contacts()
+    if contacts.weights.size:
+        whose = "known because the take was built that way" if known else "found in the source"
+        notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
+    kept = contact_scores(contacts, pair, _girth(store, parts), _motions(store, parts, tables), item=take_id)
     drawn = _extremes(qualities)
     sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})
     worst = worst_variants(qualities)
@@ -72,11 +86,27 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"drift-{take_id}.png": f"{take_id}: how far contacts moved apart or together against the source.",
     }
     return TopicResult(
-        scores=[*quality_scores(qualities), *verdict_scores(qualities)],
+        scores=[*kept, *quality_scores(qualities), *verdict_scores(qualities)],
         pictures=pictures,
         captions={name: caption for name, caption in captions.items() if name in pictures},
         notes=notes,
     )
+
+
+def _girth(store: Store, parts: Sequence[ArtifactRef]) -> Girths:
+    """Return how thick the bodies of the variants are."""
+    girth = store.manifest(parts[0]).facts["girth"]
+    return girth if girth == "follow" else (float(girth[0]), float(girth[1]))
+
+
+def _motions(
+    store: Store, parts: Sequence[ArtifactRef], tables: Sequence[TableData]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield scales (2, 22) and motion (T, 2, 22, 3) of every variant."""
+    for ref, table in zip(parts, tables, strict=True):
+        motions = store.read(ref, "variants", columns=["variant_id", "body22_m"])
+        for variant_id, scale in zip(table["variant_id"], table["bone_scale"], strict=True):
+            yield scale, motions["body22_m"][motions["variant_id"] == variant_id].astype(np.float64)
 
 
 def _extremes(qualities: VariantQualities) -> list[int]:
@@ -101,5 +131,10 @@ TOPIC = Topic(
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
     run=_run,
-    yardsticks=(Yardstick("contact_drift_mean", "contact drift", ("naive_fk",), ("interaction_mesh",)),),
+    yardsticks=(
+        Yardstick(
+            "hand_contact_drift_p95", "drift of hands and feet in contact (95 %)", ("naive_fk",), ("interaction_mesh",)
+        ),
+        Yardstick("contact_drift_mean", "contact drift", ("naive_fk",), ("interaction_mesh",)),
+    ),
 )

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 19
+VERSION = 20
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

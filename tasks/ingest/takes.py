@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -74,7 +76,10 @@ def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> Artifact
         )
         for motion in made.motions
     ]
-    return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS))
+    frames = people[0].motion.num_frames
+    known = (contact.within(0, frames) for contact in made.known_contacts(parameters.rate_hz))
+    contacts = [contact.model_dump() for contact in known if contact is not None]
+    return _commit(shard, store, parameters, people, "keep", Verdict(Level.PASS), {"contacts": contacts})
 
 
 def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> ArtifactRef:
@@ -145,6 +150,7 @@ def _commit(
     people: list[_Person],
     floor: Literal["auto", "keep"],
     verdict: Verdict,
+    more_facts: Mapping[str, Any] = MappingProxyType({}),
 ) -> ArtifactRef:
     """Check the capture, put the take on the floor where asked, derive the working skeletons and commit.
 
@@ -164,6 +170,7 @@ def _commit(
         "rate_hz": parameters.rate_hz,
         "is_held_out": parameters.is_held_out,
         "is_prior": parameters.is_prior,
+        **more_facts,
     }
     tables = {"take_quality": _quality(take_id, found, judged)}
     if judged.take.level is Level.FAIL and parameters.capture.leave_out_failing:

@@ -7,6 +7,7 @@ import pytest
 
 from pasdedeux.choreography import DUETS, Duet, make_duet
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.kinematics import bone_lengths, forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import rotate, rotvec_from_unitquat
 from pasdedeux.skeletons import BODY22
@@ -64,6 +65,18 @@ def test_rotations_recovered_from_positions_give_the_same_positions(duet):
 def test_known_contacts_hold_to_a_tenth_of_a_millimetre(duet, measured):
     assert len(duet.contacts) >= 3
     assert measured.contact_error_m < 1e-4
+
+
+def test_known_contacts_are_stated_for_any_rate(duet):
+    for rate_hz in (24.0, 60.0):
+        positions = np.stack([motion.resample(rate_hz).world()[0] for motion in duet.motions], axis=1)
+        stated = duet.known_contacts(rate_hz)
+        contacts = stated_contacts(stated, len(positions), BODY22)
+        distances = np.linalg.norm(contacts.vectors(positions.reshape(-1, 44, 3)), axis=-1)[contacts.is_held]
+        known = np.array([contact.distance_m for contact in duet.contacts])
+        assert np.abs(distances[:, None] - known).min(axis=1).max() < 2e-3
+        assert contacts.is_held.sum() == sum(contact.stop_frame - contact.start_frame for contact in stated)
+        assert (contacts.num_hands[contacts.is_held] > 0).all()
 
 
 def test_standing_feet_do_not_slide(duet, measured):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.augmentation import Source
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.evaluation.coverage import (
@@ -22,6 +23,7 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
     VariantQualities,
+    contact_scores,
     quality_scores,
     verdict_scores,
     worst_variants,
@@ -30,6 +32,7 @@ from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve
 from tasks.evaluation import reconstruction
+from tests.builders.moving_pairs import swaying_pair
 
 
 def _by_method(scores: list[Score], metric: str) -> dict[str, float]:
@@ -205,6 +208,19 @@ def test_the_floor_grid_lies_under_what_the_camera_looks_at() -> None:
     inside = camera.is_inside(below).any(axis=1)
     assert inside.mean() > 0.2
     assert (below[inside][..., 1].max(axis=-1) > 540).mean() > 0.9
+
+
+def test_contacts_are_scored_by_class_beside_plain_fk_and_the_source_itself_keeps_them() -> None:
+    source = Source(swaying_pair(8), 30.0)
+    scale = np.ones((2, 22))
+    still = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    assert max(score.value for score in still) < 1e-9
+    scale[0] = 0.8
+    scores = contact_scores(source.contacts(), source, (1.0, 1.0), [(scale, source.positions_m)], item="x")
+    assert {score.metric for score in scores} == {f"hand_contact_drift_{name}" for name in ("median", "p95", "worst")}
+    drift = _by_method(scores, "hand_contact_drift_p95")
+    assert drift["naive_fk"] > 0.05
+    assert drift["interaction_mesh"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_the_worst_variant_of_every_column_is_found_once() -> None:

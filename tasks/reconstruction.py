@@ -33,7 +33,7 @@ from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_tak
 
 __all__ = ["MAX_PAIRS", "STAGE", "VERSION", "ReconstructionParameters", "plan", "read_database", "run_shard"]
 
-VERSION = 14
+VERSION = 15
 
 
 MAX_PAIRS = 30_000
@@ -56,15 +56,15 @@ class SequenceSettings(TrackSettings, Parameters):
     )
     has_pairs: bool = Field(
         True,
-        description="Partners are placed by the pairs of the database that look like both; `nearest` leaves them "
-        " where their own size puts them",
+        description="Pairs of the database that look like two partners say how far apart they are, beside the floor, "
+        "people's sizes and what touches",
     )
     camera_height_m: float | None = Field(
         None,
         gt=0,
         le=100,
         description="Height of the camera over the floor where it is known, which gives people their true size (as "
-        "exactly as pitches_deg of [projections] has the true pitch); else everybody is about 1.75 m tall",
+        "exactly as pitches_deg of [projections] has the true pitch); else people are about 1.68 m tall",
     )
     has_clean_up: bool = Field(
         True,
@@ -215,11 +215,12 @@ def _reconstruct(
         has_clean_up=parameters.has_clean_up,
         pairs_m=read_pairs(store, database_refs, max_pairs=MAX_PAIRS) if is_paired else None,
         camera_height_m=parameters.camera_height_m,
+        pitch=pitch,
     )
-    facts["couples"] = [
-        {"person_ids": list(couple), "size_ratio": float(np.divide(*placing.sizes)), "lens_factor": placing.lens_factor}
-        for couple, placing in found.placings.items()
-    ]
+    pitch = found.pitch
+    if found.world is not None:
+        facts["camera_height_m"] = found.world.camera_height_m
+        facts["lens_factor"] = found.world.lens_factor
     facts["camera"] = views.camera
     pitches = [camera.pitch_rad for camera in views.cameras]
     facts["pitch_deg"] = float(np.rad2deg(pitch.pitch_rad))
@@ -229,7 +230,7 @@ def _reconstruct(
     rng = stream(seed, "reconstruction", "recall", sequence_id)
     facts["search_recall"] = measure_recall(chosen.database, chosen.index, rng) if chosen.index.slack else 1.0
     facts["skipped"] += [f"{sequence_id}, person {person_id}: {why}" for person_id, why in found.skipped.items()]
-    upright = np.asarray(suited.camera.camera_from_upright_rotmat)
+    upright = np.asarray(replace(suited.camera, pitch_rad=pitch.pitch_rad).camera_from_upright_rotmat)
     rows = [
         _rows_of(sequence_id, person, made.name, one, made.origin_m, body.turned(upright), take_ids, frames)
         for made in found.methods

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +12,11 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import HumanoidMotion
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
+from pasdedeux.projections.camera import DatabaseCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.reconstruction.body import EmbodiedMotion, embody, hold_hips
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
-from pasdedeux.reconstruction.couples import PairSearcher, Placing, place_couple
+from pasdedeux.reconstruction.couples import PairDepth, PairSearcher, pair_depths
 from pasdedeux.reconstruction.pitch import PitchEstimate, choose_pitch, floor_offset, sized_by_height
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
@@ -28,6 +29,7 @@ from pasdedeux.reconstruction.reconstruct import (
     reconstruct_track,
 )
 from pasdedeux.reconstruction.tracks import PersonTrack
+from pasdedeux.reconstruction.world import Seen, World, estimate_world
 from pasdedeux.skeletons import OP14
 
 __all__ = ["MethodMotions", "ReconstructedTracks", "motions_together", "reconstruct_people"]
@@ -61,9 +63,9 @@ class ReconstructedTracks:
         methods: In the order asked for; the clean-up of the last one comes last.  None when nobody could be searched.
         motions: Motions of the last by person id, upright, floor at 0: all have the same frames.
         skipped: Why the others could not be reconstructed, by person id.
-        searcher: The database as the camera of the sequence sees it.
-        pitch: The pitch of that camera.
-        placings: What was done to two people who were placed by pairs, by their person ids.
+        searcher: The database as the camera was thought to see it, when people were matched.
+        pitch: The pitch of the camera, which says where up is.
+        world: Camera, sizes and places; None when only the baseline was asked for.
     """
 
     methods: tuple[MethodMotions, ...]
@@ -71,7 +73,7 @@ class ReconstructedTracks:
     skipped: dict[int, str]
     searcher: Searcher
     pitch: PitchEstimate
-    placings: Mapping[tuple[int, int], Placing] = field(default_factory=dict)
+    world: World | None = None
 
 
 def reconstruct_people(
@@ -84,11 +86,12 @@ def reconstruct_people(
     pairs_m: npt.NDArray[np.floating] | None = None,
     camera_height_m: float | None = None,
     statures_m: Mapping[int, float] | None = None,
+    pitch: PitchEstimate | None = None,
 ) -> ReconstructedTracks:
     """Reconstruct tracks of one sequence: one pitch for all, each by every method, all in one frame, cleaned up.
 
-    Two people who are partners are placed by pairs that look like both, see `couples`; `nearest`, the baseline,
-    leaves everybody where their own size puts them.
+    Camera, sizes and places of all are one estimate, see `world`, from what the last method but the baseline made of
+    the poses; `nearest`, the baseline, leaves everybody where their own size puts them.
 
     Args:
         searchers: Databases made ready, one per camera; from several the pitch that suits best is found.
@@ -99,13 +102,15 @@ def reconstruct_people(
         pairs_m: Pairs (row, person, 14, 3) that have not seen the sequence, as `pairs.centre_pairs` gives them.
         camera_height_m: Height of the camera over the floor where it is known, which gives people their size.
         statures_m: Stature of people, by person id, where it is known; gives them their size, and the others with them.
+        pitch: What is known of the camera's pitch, of one searcher; with several they are tried.
     """
     statures_m = statures_m or {}
     options = options or ReconstructionOptions()
-    searcher, pitch = searchers[0], PitchEstimate(0, searchers[0].database.camera.pitch_rad)
+    searcher = searchers[0]
     if len(searchers) > 1:
         pitch = choose_pitch(searchers, [one.track for one in people], options)
         searcher = searchers[pitch.index].pitched(pitch.pitch_rad)
+    pitch = pitch or PitchEstimate(0, searcher.database.camera.pitch_rad)
     camera = searcher.database.camera
     skipped: dict[int, str] = {}
     matched = []
@@ -114,20 +119,43 @@ def reconstruct_people(
             matched.append((person, match_track(searcher, person.track, options)))
         except InputError as error:
             skipped[person.person_id] = str(error)
-    made = []
-    placings: dict[tuple[int, int], Placing] | None = None
-    for method in methods if matched else ():
-        found = tuple(
-            (person, hold_hips(reconstruct_track(searcher, person.track, method, options, matches=matches)))
+    tried = {
+        method: [
+            hold_hips(reconstruct_track(searcher, person.track, method, options, matches=matches))
             for person, matches in matched
-        )
+        ]
+        for method in (methods if matched else ())
+    }
+    persons = [person for person, _ in matched]
+    world = None
+    fitted = [method for method in tried if method is not Method.NEAREST]
+    if fitted:
+        first_thought = tried[fitted[-1]]
+        known = dict(statures_m)
         if camera_height_m is not None:
+            for person, one in zip(persons, first_thought, strict=True):
+                known.setdefault(person.person_id, _stature_m(sized_by_height(one, camera, camera_height_m)))
+        world = estimate_world(
+            [
+                Seen(person.first_frame, one, person.track.rate_hz, known.get(person.person_id))
+                for person, one in zip(persons, first_thought, strict=True)
+            ],
+            pitch,
+            pairs=_pair_depths(searcher, [matches for _, matches in matched], persons, first_thought, pairs_m),
+            camera_height_m=camera_height_m,
+            is_lens_known=all(person.track.lens.is_known for person in persons),
+        )
+        if not pitch.is_given:
+            pitch = PitchEstimate(pitch.index, world.pitch_rad, world.pitch_deviation_rad)
+            camera = replace(camera, pitch_rad=world.pitch_rad)
+    made = []
+    for method, ones in tried.items():
+        found = tuple(zip(persons, ones, strict=True))
+        if world is not None and method is not Method.NEAREST:
+            found = tuple((person, world.moved(number, one)) for number, (person, one) in enumerate(found))
+        elif camera_height_m is not None:
             found = tuple((person, sized_by_height(one, camera, camera_height_m)) for person, one in found)
-        found = sized_by_stature(found, statures_m)
-        if method is not Method.NEAREST:
-            if placings is None:
-                placings = _place(searcher, [matches for _, matches in matched], found, pairs_m)
-            found = sized_by_stature(_moved(found, placings), statures_m, has_one_size=True)
+        found = sized_by_stature(found, statures_m, has_one_size=method is not Method.NEAREST)
         made.append(MethodMotions(method.value, found, floor_offset([one for _, one in found], camera)))
     if made and has_clean_up:
         last = made[-1]
@@ -135,14 +163,16 @@ def reconstruct_people(
         cleaned = clean_reconstructions(seen, last.origin_m, camera, rate_hz=last.people[0][0].track.rate_hz)
         people_clean = tuple((person, one) for (person, _), one in zip(last.people, cleaned, strict=True))
         made.append(MethodMotions(f"{last.name}_clean", people_clean, last.origin_m))
-    made = [_embodied(one, searcher.database, options) for one in made]
+    made = [_embodied(one, searcher.database, camera, options) for one in made]
     motions = _motions(made[-1]) if made else {}
-    return ReconstructedTracks(tuple(made), motions, skipped, searcher, pitch, placings or {})
+    return ReconstructedTracks(tuple(made), motions, skipped, searcher, pitch, world)
 
 
-def _embodied(made: MethodMotions, database: Database, options: ReconstructionOptions) -> MethodMotions:
+def _embodied(
+    made: MethodMotions, database: Database, camera: DatabaseCamera, options: ReconstructionOptions
+) -> MethodMotions:
     """Give the people of a method their whole bodies."""
-    upright = np.asarray(database.camera.camera_from_upright_rotmat)
+    upright = np.asarray(camera.camera_from_upright_rotmat)
     bodies = []
     for person, one in made.people:
         window = 1 if made.name == Method.NEAREST else odd_window(options.smoothing_s, person.track.rate_hz)
@@ -198,10 +228,7 @@ def sized_by_stature(
         statures_m: Stature by person id; the others grow as these do in the mean.
         has_one_size: Everybody grows alike, so that all keep their places to each other.
     """
-    own = {
-        person.person_id: float(np.median(body_height_m(OP14, bone_lengths(OP14, one.positions_m))))
-        for person, one in people
-    }
+    own = {person.person_id: _stature_m(one) for person, one in people}
     growth = {name: stature / own[name] for name, stature in statures_m.items() if own.get(name, 0.0) > 0}
     if not growth:
         return tuple(people)
@@ -210,25 +237,28 @@ def sized_by_stature(
     return tuple((person, one.scaled(sizes[person.person_id])) for person, one in people)
 
 
-def _place(
+def _stature_m(found: Reconstruction) -> float:
+    return float(np.median(body_height_m(OP14, bone_lengths(OP14, found.positions_m))))
+
+
+def _pair_depths(
     searcher: Searcher,
     matches: Sequence[Matches],
-    found: Sequence[tuple[PersonTrack, Reconstruction]],
+    persons: Sequence[PersonTrack],
+    found: Sequence[Reconstruction],
     pairs_m: npt.NDArray[np.floating] | None,
-) -> dict[tuple[int, int], Placing]:
-    """Place the couples of a sequence by pairs, by person ids."""
-    couples = _couples([person for person, _ in found]) if pairs_m is not None and len(pairs_m) else []
+) -> list[PairDepth]:
+    """Return what pairs that look like both say of the couples of a sequence."""
+    couples = _couples(persons) if pairs_m is not None and len(pairs_m) else []
     if pairs_m is None or not couples:
-        return {}
+        return []
     database = searcher.database
     pairs = PairSearcher.of(pairs_m, num_yaws=database.num_yaws, pitch_rad=database.camera.pitch_rad)
-    placings = {}
+    depths = []
     for first, second in couples:
-        one, other = ((found[place][0], matches[place], found[place][1]) for place in (first, second))
-        placing = place_couple(pairs, (one, other))
-        if placing is not None:
-            placings[one[0].person_id, other[0].person_id] = placing
-    return placings
+        one, other = ((persons[place], matches[place], found[place]) for place in (first, second))
+        depths.append(pair_depths(pairs, (one, other), (first, second)))
+    return [one for one in depths if one is not None]
 
 
 def _couples(people: Sequence[PersonTrack]) -> list[tuple[int, int]]:
@@ -236,16 +266,3 @@ def _couples(people: Sequence[PersonTrack]) -> list[tuple[int, int]]:
     place = {one.person_id: number for number, one in enumerate(people)}
     partners = [-1 if one.partner_id is None else place.get(one.partner_id, -1) for one in people]
     return [(first, second) for first, second in enumerate(partners) if first < second]
-
-
-def _moved(
-    found: Sequence[tuple[PersonTrack, Reconstruction]], placings: Mapping[tuple[int, int], Placing]
-) -> tuple[tuple[PersonTrack, Reconstruction], ...]:
-    moves = {
-        person_id: (number, placing) for couple, placing in placings.items() for number, person_id in enumerate(couple)
-    }
-    moved = []
-    for person, one in found:
-        number, placing = moves.get(person.person_id, (0, None))
-        moved.append((person, one if placing is None else placing.moved(number, person, one)))
-    return tuple(moved)

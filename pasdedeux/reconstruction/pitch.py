@@ -68,9 +68,14 @@ class PitchEstimate:
     pitch_rad: float
     deviation_rad: float = 0.0
 
+    @property
+    def is_given(self) -> bool:
+        """Tell whether it was stated, not estimated."""
+        return self.deviation_rad == 0.0
+
     def in_words(self) -> str:
         """Say it."""
-        deviation = f" +- {np.rad2deg(self.deviation_rad):.1f}" if self.deviation_rad else ""
+        deviation = "" if self.is_given else f" +- {np.rad2deg(self.deviation_rad):.1f}"
         return f"camera pitch {np.rad2deg(self.pitch_rad):.3g}{deviation} degrees"
 
 

@@ -29,7 +29,7 @@ _SMALLEST_WEIGHT = 1e-2
 """Pairs that weigh less than this share of the full weight are left out."""
 
 
-_NEAR_M = (0.05, 0.15)
+_NEAR_M = (0.03, 0.1)
 """Distance of the surfaces of two bones in the source: full weight up to the first, none from the second on.  Wide, for
 other bodies come nearer where the source's do not: what stays apart costs nothing."""
 _SMOOTHING_S = 0.1

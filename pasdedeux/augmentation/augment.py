@@ -22,7 +22,7 @@ from pasdedeux.augmentation.source import (
 )
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
-from pasdedeux.augmentation.windows import blend_weights, plan_windows
+from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
@@ -36,8 +36,12 @@ FAR_APART_M = 1.0
 """People whose joints never come closer than this do not interact; their variants are solved all the same."""
 _FAILED = 2
 """Verdict of a frame that failed."""
-_KEPT_WINDOWS = 4
-"""Windows of a take whose factors are kept: some 200 MB for 30 s each."""
+_LONGEST_FRAMES = 1200
+"""Windows of a fast take are shorter."""
+_FRAME_BYTES = 200_000
+"""What a window that is ready keeps a frame: terms, mesh, factors of both rates."""
+_KEPT_BYTES = 300_000_000
+"""Windows of a take are kept ready up to this."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class Augmenter:
         if self.settings.floor_m is not None:
             source = replace(source, ground_m=self.settings.floor_m)
         self.source = source
-        self._windows = plan_windows(source.num_frames, source.rate_hz, self.settings.window_s)
+        self._windows = plan_windows(source.num_frames, source.rate_hz, self._longest_s(source.rate_hz))
         check_contacts(source, user_contacts)
         self._user_contacts = user_contacts
         joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
@@ -163,11 +167,15 @@ class Augmenter:
             )
         return variants
 
+    def _longest_s(self, rate_hz: float) -> float:
+        return min(self.settings.window_s, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
+
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:
-            while len(self._ready) >= _KEPT_WINDOWS:
-                self._ready.pop(next(iter(self._ready)))
             window = self._windows[number]
+            each = _FRAME_BYTES * (window.stop - window.start)
+            while self._ready and (len(self._ready) + 1) * each > _KEPT_BYTES:
+                self._ready.pop(next(iter(self._ready)))
             within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
             user = [contact for contact in within if contact is not None]
             source = self.source if len(self._windows) == 1 else self.source.take_frames(window)

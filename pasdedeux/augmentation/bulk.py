@@ -4,7 +4,7 @@ The splitting z_e = p_child - p_parent puts the exact bone length (and the girdl
 projection onto a sphere; what is left for p is the quadratic energy, whose matrix never changes.
 
 What is left of the error after a few iterations is smooth in time and takes hundreds more to go.  So most of the work
-is done at a few frames a second (`coarse`), where an iteration costs little, with Anderson acceleration (Anderson 1965;
+is done at 10 frames a second (`coarse`), where an iteration costs little, with Anderson acceleration (Anderson 1965;
 Zhang et al. 2019 for ADMM), whose least squares look a second or two around: what holds a variant up in one place does
 not wait for another.  A few iterations at all frames end it, and a forward-kinematics projection makes bones exact.
 """
@@ -23,9 +23,9 @@ from pasdedeux.augmentation.bulk_kernels import (
     assemble_pairs,
     compare,
     fade_over_time,
+    mean_change,
     mix,
     project,
-    sum_squares,
 )
 from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
 from pasdedeux.augmentation.contacts import aim_contacts
@@ -50,28 +50,16 @@ _NUM_EDGES = len(_EDGES)
 _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 
 
-@dataclass(frozen=True)
-class _Penalties:
-    """ADMM penalties.
-
-    Args:
-        bone: On bone vectors, in units of the Laplacian weight.
-        contact: What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the
-            iteration swings wherever contacts are dense.
-        near: On near bones, per unit of their weight.
-    """
-
-    bone: float
-    contact: float
-    near: float
-
-
-_COARSE = _Penalties(4.0, 0.1, 0.1)
-_FINE = _Penalties(8.0, 0.15, 0.12)
-"""Small ones converge sooner and swing where bones are pushed together, which acceleration catches."""
+_PENALTY = 8.0
+"""ADMM penalty on bone vectors, in units of the Laplacian weight."""
+_CONTACT_PENALTY = 0.15
+"""What an edge's penalty gains per unit of contact weight at its ends; with one penalty for all edges the iteration
+swings wherever contacts are dense."""
+_CLEARANCE_PENALTY = 0.12
+"""Penalty of near bones per unit of their weight."""
 _RELAXATION = 1.4
 """Over-relaxation, 1 (none) to 1.8."""
-_COARSE_HZ = 7.5
+_COARSE_HZ = 10.0
 """Rate at which most of the work is done."""
 _FEWEST_COARSE = 8
 """Takes of fewer frames than this at that rate are not thinned out."""
@@ -83,15 +71,31 @@ _RIDGE = 1e-7
 """Ridge of the least squares, as a share of the trace."""
 _FIRST_MIX = 5
 """Iterations before the first acceleration."""
-_CHECKED_EVERY = 10
-_SETTLED_M = 2e-5
-"""At every tenth iteration those variants end whose edges change by less than this, root mean square."""
-_STALLED_M, _STILL_M = 1e-4, 1e-4
-"""So do those that change by less than the first while joints moved by less than the second in the last ten: somewhere
-bones swing between touching and not, which moves nothing else."""
-_FINE_ITERATIONS = 12
-"""Iterations at all frames, which see what is faster than the coarse rate shows."""
-_GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 40.0, 10.0
+
+
+@dataclass(frozen=True)
+class _End:
+    """When a variant has settled; means over frames, of edges and of joints.
+
+    Args:
+        checked_every: Iterations after which that is asked.
+        change_m: It has when edges change by less than this in an iteration, metres.
+        stalled_m: It also has when they change by less than this,
+        moved_m: and joints moved by less than this since it was asked last: somewhere bones swing between touching and
+            not, which moves nothing else.
+    """
+
+    checked_every: int
+    change_m: float
+    stalled_m: float
+    moved_m: float
+
+
+_COARSE_END = _End(10, 1e-5, 1e-4, 1e-4)
+_FINE_END = _End(8, 5e-5, 1e-4, 1e-4)
+_MOST_FINE = 48
+"""Most iterations at all frames, which see what is faster than the coarse rate shows."""
+_GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 100.0, 10.0
 """Mean joint distance from the optimum over the last change of the edges at either rate."""
 
 
@@ -134,11 +138,11 @@ class _Iteration:
 class _Level:
     """A problem with its factor, at which variants are iterated."""
 
-    def __init__(self, problem: Problem, chosen: _Penalties, dtype: type[np.floating]) -> None:
+    def __init__(self, problem: Problem, dtype: type[np.floating]) -> None:
         self.problem, self.dtype = problem, dtype
-        self.penalties = penalties = _edge_penalties(problem, chosen)
+        penalties = _edge_penalties(problem)
         near = problem.clearance
-        near_penalties = chosen.near * near.weights
+        near_penalties = _CLEARANCE_PENALTY * near.weights
         stencils = np.zeros(problem.matrix.shape[1:])
         edges = np.tile(_EDGES, (len(penalties), 1, 1))
         add_stencils(edges, np.tile([1.0, -1.0], (*penalties.shape, 1)), penalties, stencils)
@@ -149,7 +153,7 @@ class _Level:
         ]
         self._penalties, self._near_penalties = self._narrow(penalties), self._narrow(near_penalties)
         self._shares, self._normals = self._narrow(near.shares), self._narrow(near.normals)
-        self._relaxation, self._share = self._narrow([_RELAXATION]), self._narrow([chosen.near])
+        self._relaxation, self._share = self._narrow([_RELAXATION]), self._narrow([_CLEARANCE_PENALTY])
         self._girdle = self._narrow([problem.weights.girdle])
         self._contact_shares = self._narrow(problem.contacts.shares)
         self._contact_weights = self._narrow(problem.contact_weights)
@@ -320,86 +324,74 @@ class BulkSolver:
         if problem.num_frames < _FEWEST_COARSE * stride:
             stride = 1
         self._thinning: Thinning | None = thin_out(problem, stride) if stride > 1 else None
-        self._coarse = _Level(self._thinning.problem if self._thinning else problem, _COARSE, dtype)
-        self._fine = _Level(problem, _FINE, dtype)
+        self._coarse = _Level(self._thinning.problem if self._thinning else problem, dtype)
+        self._fine = _Level(problem, dtype)
 
     def solve(self, targets: Targets) -> BulkResult:
         """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
         level = self._coarse
-        ended, change_m, iterations = self._settle(
-            targets if self._thinning is None else build_targets(level.problem, targets.bone_scale)
-        )
-        offsets, last_m = ended[:, :, :NUM_POINTS], np.zeros(targets.num_variants)
+        now = level.begin(targets if self._thinning is None else build_targets(level.problem, targets.bone_scale))
+        most = self.problem.settings.num_iterations
+        ended, change_m, iterations = _settle(level, now, _COARSE_END, most, is_accelerated=True)
+        estimate = _GAP_PER_COARSE_CHANGE * change_m
         if self._thinning is not None:
             now = self._fine.begin(targets, interpolate(self._thinning, ended))
-            for _ in range(_FINE_ITERATIONS):
-                self._fine.iterate(now)
-                self._fine.settle(now)
-            offsets, last_m = now.state[:, :, :NUM_POINTS], _edge_change(now)
-        points = targets.reference + np.transpose(offsets, (3, 1, 2, 0))
-        return BulkResult(
-            positions=project_to_bones(points, targets.lengths_m),
-            estimated_gap_m=_GAP_PER_COARSE_CHANGE * change_m + _GAP_PER_FINE_CHANGE * last_m,
-            num_iterations=iterations,
-        )
+            ended, change_m, _ = _settle(self._fine, now, _FINE_END, min(most, _MOST_FINE), is_accelerated=False)
+            estimate += _GAP_PER_FINE_CHANGE * change_m
+        points = targets.reference + np.transpose(ended[:, :, :NUM_POINTS], (3, 1, 2, 0))
+        positions = project_to_bones(points, targets.lengths_m)
+        return BulkResult(positions=positions, estimated_gap_m=estimate, num_iterations=iterations)
 
-    def _settle(self, targets: Targets) -> tuple[AnyFloat, Array, npt.NDArray[np.int64]]:
-        """Iterate every variant until it hardly moves, at the coarse rate.
 
-        Returns:
-            x and v of the edges for the fine level (3, n, 44 + edge, variant), how far edges still change at the last
-            iteration (variant,), metres, and its number (variant,).
-        """
-        level = self._coarse
-        count = targets.num_variants
-        now = level.begin(targets)
-        ended = np.zeros((3, level.problem.num_frames, NUM_POINTS + _NUM_EDGES, count), level.dtype)
-        change_m, iterations = np.zeros(count), np.zeros(count, np.int64)
-        left, before = np.arange(count), np.array(now.state[:, :, :NUM_POINTS])
-        acceleration = _Acceleration(now, level.problem.source.rate_hz)
-        for iteration in range(1, self.problem.settings.num_iterations + 1):
-            level.iterate(now)
-            if iteration > _FIRST_MIX:
-                acceleration.mix(now)
-            level.settle(now)
-            is_last = iteration == self.problem.settings.num_iterations
-            if iteration % _CHECKED_EVERY and not is_last:
-                continue
-            change, moved = _edge_change(now), _moved(now.state, before)
-            before = np.array(now.state[:, :, :NUM_POINTS])
-            is_done = (change <= _SETTLED_M) | ((change <= _STALLED_M) & (moved <= _STILL_M)) | is_last
-            if is_done.any():
-                done = np.flatnonzero(is_done)
-                ended[..., left[done]] = self._handed_on(now.select(done))
-                change_m[left[done]], iterations[left[done]] = change[done], iteration
-                if is_done.all():
-                    break
-                kept = np.flatnonzero(~is_done)
-                left, now, before = left[kept], now.select(kept), np.ascontiguousarray(before[..., kept])
-                acceleration.select(kept)
-        return ended, change_m, iterations
+def _settle(
+    level: _Level, now: _Iteration, end: _End, most: int, *, is_accelerated: bool
+) -> tuple[AnyFloat, Array, npt.NDArray[np.int64]]:
+    """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch.
 
-    def _handed_on(self, now: _Iteration) -> AnyFloat:
-        """Return x and v of the edges (3, n, 44 + edge, variant) for the fine level, where duals weigh differently."""
-        handed = np.array(now.state[:, :, : NUM_POINTS + _NUM_EDGES])
-        if self._thinning is None:
-            return handed
-        ratio = self._coarse.penalties / self._fine.penalties[self._thinning.frames]
-        aim = now.aim[:, :, :_NUM_EDGES]
-        dual = 0.5 * (handed[:, :, NUM_POINTS:] - aim)
-        handed[:, :, NUM_POINTS:] = aim + dual + ratio[..., None].astype(dual.dtype) * dual
-        return handed
+    Returns:
+        x and v of the edges (3, T, 44 + edge, variant), how far edges still change at the last iteration (variant,),
+        metres, and its number (variant,).
+    """
+    count = now.lengths.shape[-1]
+    ended = np.zeros((3, level.problem.num_frames, NUM_POINTS + _NUM_EDGES, count), level.dtype)
+    change_m, iterations = np.zeros(count), np.zeros(count, np.int64)
+    left, before = np.arange(count), np.array(now.state[:, :, :NUM_POINTS])
+    acceleration = _Acceleration(now, level.problem.source.rate_hz) if is_accelerated else None
+    for iteration in range(1, most + 1):
+        level.iterate(now)
+        if acceleration is not None and iteration > _FIRST_MIX:
+            acceleration.mix(now)
+        level.settle(now)
+        is_last = iteration == most
+        if iteration % end.checked_every and not is_last:
+            continue
+        change, moved = _edge_change(now), _moved(now.state, before)
+        before = np.array(now.state[:, :, :NUM_POINTS])
+        is_done = (change <= end.change_m) | ((change <= end.stalled_m) & (moved <= end.moved_m)) | is_last
+        if not is_done.any():
+            continue
+        done, kept = np.flatnonzero(is_done), np.flatnonzero(~is_done)
+        ended[..., left[done]] = now.state[:, :, : NUM_POINTS + _NUM_EDGES, done]
+        change_m[left[done]], iterations[left[done]] = change[done], iteration
+        if not len(kept):
+            break
+        left, now, before = left[kept], now.select(kept), np.ascontiguousarray(before[..., kept])
+        if acceleration is not None:
+            acceleration.select(kept)
+    return ended, change_m, iterations
 
 
 def _edge_change(now: _Iteration) -> Array:
-    """Return how far the edges' v moved in the last iteration, root mean square (variant,), metres."""
-    return np.sqrt(sum_squares(now.change, _NUM_EDGES) / (now.lengths.shape[0] * _NUM_EDGES))
+    """Return how far the edges' v moved in the last iteration (variant,), metres.
+
+    It is the mean of each frame's root mean square, as a few frames may swing for ever.
+    """
+    return mean_change(now.change, _NUM_EDGES)
 
 
 def _moved(state: AnyFloat, before: AnyFloat) -> Array:
-    """Return how far joints moved since, root mean square (variant,), metres."""
-    moved = state[:, :, :NUM_POINTS] - before
-    return np.sqrt(sum_squares(moved, NUM_POINTS) / (moved.shape[1] * NUM_POINTS))
+    """Return how far joints moved since (variant,), metres, likewise."""
+    return mean_change(state[:, :, :NUM_POINTS] - before, NUM_POINTS)
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
@@ -412,10 +404,10 @@ def project_to_bones(points: Array, lengths_m: Array) -> Array:
     return points_of(place_bones(BODY22, pairs[..., BODY22.root, :], bone_directions(BODY22, pairs), lengths))
 
 
-def _edge_penalties(problem: Problem, chosen: _Penalties) -> Array:
+def _edge_penalties(problem: Problem) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.zeros((problem.num_frames, NUM_POINTS))
     pull = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), pull)
     stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
-    return np.asarray(chosen.bone * problem.weights.laplacian + chosen.contact * stiffness)
+    return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)

@@ -20,9 +20,9 @@ __all__ = [
     "assemble_pairs",
     "compare",
     "fade_over_time",
+    "mean_change",
     "mix",
     "project",
-    "sum_squares",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -261,8 +261,8 @@ def mix(gram: Array, pulls: Array, used: int, ridge: float, moves: AnyFloat, sha
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def sum_squares(change: AnyFloat, num_rows: int) -> Array:
-    """Return the sum of squares of the first rows of `change` (3, T, rows, variant), for each variant."""
+def mean_change(change: AnyFloat, num_rows: int) -> Array:
+    """Return the mean over frames of the root mean square of the first rows of `change` (3, T, rows, variant)."""
     _, frames, _, count = change.shape
     total, part = np.zeros(count), np.zeros(count, change.dtype)
     for t in range(frames):
@@ -273,7 +273,7 @@ def sum_squares(change: AnyFloat, num_rows: int) -> Array:
                 for n in range(count):
                     part[n] += moved[n] * moved[n]
         for n in range(count):
-            total[n] += part[n]
+            total[n] += np.sqrt(part[n] / num_rows) / frames
     return total
 
 

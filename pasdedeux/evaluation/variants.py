@@ -31,6 +31,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 QUALITY_COLUMNS = {
+    "estimated_gap_m": "m",
     "bone_error_m": "m",
     "contact_drift_m": "m",
     "contact_drift_extremity_m": "m",

@@ -117,7 +117,7 @@ VARIANT_QUALITY = Table(
             unit="m",
             is_nullable=True,
         ),
-        integer("num_iterations", "Iterations of the solver, at 7.5 Hz"),
+        integer("num_iterations", "Iterations of the solver, at the coarse rate"),
         text("solver", "bulk, polished (bulk, then guaranteed descent) or plain_fk (bulk failed)"),
         *VERDICT,
     ),

@@ -233,7 +233,7 @@ def test_results_are_continuous_in_scale() -> None:
     def steps(solver: Literal["bulk", "polished"]) -> np.ndarray:
         variants = Augmenter(source, AugmentationSettings(solver=solver)).solve(scales)
         motions = np.array([variant.positions_m for variant in variants])
-        return np.linalg.norm(np.diff(motions, axis=0), axis=-1).mean(axis=(1, 2, 3))
+        return np.asarray(np.linalg.norm(np.diff(motions, axis=0), axis=-1).mean(axis=(1, 2, 3)))
 
     assert (steps("bulk") < 1.2 * steps("polished")).all()
 

@@ -166,7 +166,7 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
 
 def _fault(data: bytes, skeleton: Path | None) -> str | None:
     """Say what is wrong with a file, nothing if it can be read."""
-    from pasdedeux.formats import read_amc, read_asf  # scipy comes with it, which `--help` must not wait for
+    from pasdedeux.formats.asf_amc import read_amc, read_asf  # scipy comes with it, which `--help` must not wait for
 
     try:
         if skeleton is None:

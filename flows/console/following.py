@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats import OpenPoseFrame, openpose_frame_number, read_openpose_frame
+from pasdedeux.formats.openpose import OpenPoseFrame, openpose_frame_number, read_openpose_frame
 
 __all__ = ["STOP_NAME", "FollowedFile", "follow_folder", "list_frames"]
 

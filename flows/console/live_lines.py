@@ -17,9 +17,9 @@ import typer
 
 from flows.console.following import FollowedFile
 from pasdedeux.errors import InputError
-from pasdedeux.formats import OpenPoseFrame, check_anatomy, in_pixels, join_openpose_frames
-from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE
+from pasdedeux.formats.annotated_frames import MIN_CONFIDENCE, check_anatomy, in_pixels
 from pasdedeux.formats.humanoid import AXES
+from pasdedeux.formats.openpose import OpenPoseFrame, join_openpose_frames
 from pasdedeux.reconstruction.body import Body
 from pasdedeux.reconstruction.live.chain import LivePeople, LivePose
 from pasdedeux.skeletons import BODY22, OP14

@@ -19,9 +19,14 @@ from flows.exports.own_skeletons import Person, RigFiles, people_of_take
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
-from pasdedeux.formats import MOTION_FORMATS, FileStart, SourceMotion, check_layout, guess_unit, read_asf
+from pasdedeux.formats.asf_amc import read_asf
+from pasdedeux.formats.file_format import FileStart
+from pasdedeux.formats.guess import guess_unit
 from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map
+from pasdedeux.formats.registry import MOTION_FORMATS
+from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
+from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, parse_reference, resolve
 from tasks.augmentation import read_pair

@@ -11,17 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import (
-    ANNOTATION_FORMATS,
-    MOTION_FORMATS,
-    AnnotationFormat,
-    MotionGuess,
-    common_up_axis,
-    guess_motion,
-    is_companion,
-    recognise_format,
-)
-from pasdedeux.formats.guess import USUAL_HEIGHT_M
+from pasdedeux.formats.file_format import AnnotationFormat
+from pasdedeux.formats.guess import USUAL_HEIGHT_M, MotionGuess, common_up_axis, guess_motion
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, is_companion, recognise_format
 from pasdedeux.people.video import why_no_video
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.cameras import refuse_film

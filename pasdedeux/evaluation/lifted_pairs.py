@@ -7,13 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.completion import (
-    blend_onto,
-    complete_pair,
-    fill_between,
-    nearest_rigid,
-    straight_between,
-)
+from pasdedeux.completion.in_betweens import fill_between, straight_between
+from pasdedeux.completion.neighbours import nearest_rigid
+from pasdedeux.completion.occlusion import blend_onto, complete_pair
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity

@@ -23,7 +23,6 @@ from pydantic import Field
 
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_STATURE_M
-from pasdedeux.projections.scale import bounding_box_height
 from pasdedeux.projections.search import Neighbours, prepare_query
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
@@ -32,6 +31,7 @@ __all__ = [
     "BOX_HEIGHT_M",
     "Codebook",
     "PublishedSettings",
+    "bounding_box_height",
     "build_codebook",
     "scale_to_box",
     "search_published",
@@ -98,6 +98,15 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
     members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     middles = np.array([one[np.argmin(distance[one])] for one in members])
     return Codebook(scale_to_box(database.projections(middles)), tuple(members))
+
+
+def bounding_box_height(keypoints: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Return the height (*batch,) of the box of the seen joints (*batch, 14, 2), as the paper scales; NaN for none."""
+    y = keypoints[..., 1]
+    is_seen = np.isfinite(y)
+    high = np.max(np.where(is_seen, y, -np.inf), axis=-1)
+    low = np.min(np.where(is_seen, y, np.inf), axis=-1)
+    return np.where(is_seen.any(axis=-1), high - low, np.nan)
 
 
 def scale_to_box(projections: Floats32) -> Floats32:

@@ -187,11 +187,9 @@ def person_number(content: dict[str, Any]) -> int | None:
     value = next((content[key] for key in _ID_KEYS if content.get(key) is not None), None)
     while isinstance(value, list):
         value = value[0] if value else None
-    return (
-        int(value)
-        if isinstance(value, float) and value.is_integer() and _is_count(int(value))
-        else (value if isinstance(value, int) and _is_count(value) else None)
-    )
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return value if _is_count(value) else None
 
 
 def _places_of_ids(items: list[_Item]) -> dict[int | str, Place]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -30,12 +31,8 @@ def place_motion(motion: Motion, *, translation_m: Sequence[float], yaw_rad: flo
     local = motion.local_unitquat.copy()
     local[:, root] = multiply(np.broadcast_to(turn, local[:, root].shape), local[:, root])
     turned = rotate(np.broadcast_to(turn, (motion.num_frames, 4)), motion.root_translation_m)
-    return Motion(
-        skeleton=motion.skeleton,
-        rest_offsets_m=motion.rest_offsets_m,
-        root_translation_m=turned + np.asarray(translation_m, dtype=np.float64),
-        local_unitquat=local,
-        rate_hz=motion.rate_hz,
+    return replace(
+        motion, root_translation_m=turned + np.asarray(translation_m, dtype=np.float64), local_unitquat=local
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,10 @@ from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.kinematics.rotations import slerp
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["Motion"]
+__all__ = ["Motion", "frames_at_rate"]
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -79,38 +80,33 @@ class Motion:
 
     def slice(self, start: int, stop: int) -> Motion:
         """Return frames `start` to `stop` (exclusive)."""
-        return Motion(
-            skeleton=self.skeleton,
-            rest_offsets_m=self.rest_offsets_m,
+        return replace(
+            self,
             root_translation_m=self.root_translation_m[start:stop],
             local_unitquat=self.local_unitquat[start:stop],
-            rate_hz=self.rate_hz,
         )
 
     def resample(self, rate_hz: float) -> Motion:
         """Return motion at another rate: positions linearly, rotations on the short arc, from the first frame on."""
         if rate_hz == self.rate_hz or self.num_frames < 2:
-            return Motion(
-                skeleton=self.skeleton,
-                rest_offsets_m=self.rest_offsets_m,
-                root_translation_m=self.root_translation_m,
-                local_unitquat=self.local_unitquat,
-                rate_hz=rate_hz,
-            )
-        count = int(np.floor(self.duration_s * rate_hz + 1e-9)) + 1
-        at = np.arange(count) * (self.rate_hz / rate_hz)
-        before = np.minimum(np.floor(at + 1e-9).astype(int), self.num_frames - 1)
-        after = np.minimum(before + 1, self.num_frames - 1)
-        fraction = np.clip(at - before, 0.0, 1.0)
-        roots = self.root_translation_m
-        return Motion(
-            skeleton=self.skeleton,
-            rest_offsets_m=self.rest_offsets_m,
-            root_translation_m=roots[before] + fraction[:, None] * (roots[after] - roots[before]),
+            return replace(self, rate_hz=rate_hz)
+        before, after, share = frames_at_rate(self.num_frames, from_hz=self.rate_hz, to_hz=rate_hz)
+        share, roots = share[:, None], self.root_translation_m
+        return replace(
+            self,
+            root_translation_m=roots[before] + share * (roots[after] - roots[before]),
             local_unitquat=slerp(
                 self.local_unitquat[before],
                 self.local_unitquat[after],
-                np.broadcast_to(fraction[:, None], (count, self.skeleton.num_joints)),
+                np.broadcast_to(share, (len(share), self.skeleton.num_joints)),
             ),
             rate_hz=rate_hz,
         )
+
+
+def frames_at_rate(num_frames: int, *, from_hz: float, to_hz: float) -> tuple[Indices, Indices, Array]:
+    """Return where the frames of another rate lie, from the first on: between which two frames, and how far, 0 to 1."""
+    count = int(np.floor((num_frames - 1) * to_hz / from_hz + 1e-9)) + 1
+    at = np.arange(count) * (from_hz / to_hz)
+    before = np.minimum(np.floor(at + 1e-9).astype(int), num_frames - 1)
+    return before, np.minimum(before + 1, num_frames - 1), np.clip(at - before, 0.0, 1.0)

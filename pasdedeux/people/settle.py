@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import AnnotatedFrames
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.decisions import Decision, decide, spans_of
 from pasdedeux.people.identity import IdentityOptions, follow_people, mean_of_two
 from pasdedeux.people.pairs import Paired, choose_pairs

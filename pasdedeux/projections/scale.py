@@ -21,7 +21,6 @@ from pasdedeux.skeletons import OP14
 __all__ = [
     "Placement",
     "ScaleReference",
-    "bounding_box_height",
     "match_scale",
     "place_track",
     "refine_placement",
@@ -214,15 +213,6 @@ def _smooth_path(place: Array, window: int) -> Array:
 
     smooth = savgol_filter(path, length, _PATH_ORDER, axis=0, mode="interp")
     return np.where(is_known[:, None], smooth, np.nan)
-
-
-def bounding_box_height(keypoints: Array) -> Array:
-    """Return the height (*batch,) of the box of the seen joints (*batch, 14, 2), as the paper scales; NaN for none."""
-    y = keypoints[..., 1]
-    is_seen = np.isfinite(y)
-    high = np.max(np.where(is_seen, y, -np.inf), axis=-1)
-    low = np.min(np.where(is_seen, y, np.inf), axis=-1)
-    return np.where(is_seen.any(axis=-1), high - low, np.nan)
 
 
 def running_median(values: Array, window: int) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
+from pasdedeux.kinematics.motion import frames_at_rate
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import OP14, Skeleton
 
@@ -49,9 +50,6 @@ def resample_positions(positions: Array, *, from_hz: float, to_hz: float) -> Arr
         raise InputError(f"frame rates must be positive: {from_hz} Hz to {to_hz} Hz")
     if from_hz == to_hz or len(positions) < 2:
         return np.array(positions, dtype=np.float64)
-    count = int(np.floor((len(positions) - 1) * to_hz / from_hz + 1e-9)) + 1
-    at = np.arange(count) * (from_hz / to_hz)
-    before = np.minimum(np.floor(at + 1e-9).astype(int), len(positions) - 1)
-    after = np.minimum(before + 1, len(positions) - 1)
-    share = np.clip(at - before, 0.0, 1.0).reshape(-1, *([1] * (positions.ndim - 1)))
+    before, after, share = frames_at_rate(len(positions), from_hz=from_hz, to_hz=to_hz)
+    share = share.reshape(-1, *([1] * (positions.ndim - 1)))
     return np.asarray(positions[before] + share * (positions[after] - positions[before]), dtype=np.float64)

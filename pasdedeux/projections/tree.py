@@ -144,18 +144,8 @@ def search_trees(
 def _search_one(
     tree: Tree, query: Floats32, weight: Floats32, found: Integers, summed: Floats32, factor: np.float32
 ) -> None:
-    _search_batch(
-        query,
-        weight,
-        tree.number,
-        tree.leaves,
-        tree.centre,
-        tree.half,
-        tree.level_start,
-        found,
-        summed,
-        factor,
-    )
+    nodes = (tree.number, tree.leaves, tree.centre, tree.half, tree.level_start)
+    _search_batch(query, weight, *nodes, found, summed, factor)
 
 
 def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Integers]:

@@ -35,7 +35,6 @@ __all__ = [
     "POSITION_INDICES",
     "ROTATION_INDICES",
     "PairChart",
-    "block_indices",
     "gauge_fix",
 ]
 
@@ -45,7 +44,7 @@ NUM_JOINTS = PAIR17.num_joints
 NUM_PER_PERSON = 6 + 3 * (NUM_JOINTS - 1)
 NUM_PARAMETERS = 2 * NUM_PER_PERSON
 NUM_BLOCKS = 2 * NUM_JOINTS
-"""Blocks that a proposal moves as a whole: for each person the root and each of the other joints."""
+"""Blocks that a proposal moves as a whole: 0..16 are person A's root and joints 1..16, 17..33 person B's."""
 
 ROTATION_INDICES = np.array([[NUM_PER_PERSON * p + k for k in range(3)] for p in range(2)])
 POSITION_INDICES = ROTATION_INDICES + 3
@@ -57,13 +56,6 @@ MIRRORED_LENGTH = LENGTH_INDICES[:, [PAIR17.mirror[j] - 1 for j in range(1, NUM_
 _PELVIS = PAIR17.root
 _ORDER = np.array(PAIR17.order)
 _PARENTS = np.array(PAIR17.parents)
-
-
-def block_indices(block: int) -> npt.NDArray[np.int64]:
-    """Return the parameters of a block: blocks 0..16 are person A's root and joints 1..16, 17..33 person B's."""
-    person, joint = divmod(block, NUM_JOINTS)
-    start = NUM_PER_PERSON * person
-    return np.arange(start, start + 6) if joint == 0 else np.arange(start + 3 + 3 * joint, start + 6 + 3 * joint)
 
 
 @dataclass(frozen=True)

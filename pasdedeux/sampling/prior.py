@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.plausibility import MAX_INVALID_ANGLES, CapsuleModel, JointLimits, capsule_model, pair_penetration
+from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model, pair_penetration
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
 from pasdedeux.settings import Settings
@@ -83,18 +83,12 @@ class PriorTerms:
         num_invalid: Joint angles out of range, of both people.
         limit_distance_m: Distance to the nearest poses within joint limits, root of the sum of squares, metres.
         penetration_m: Sum of penetration depths, metres.
-        length_change: Greatest relative change of a bone against the seed.
-        is_tied: Left and right bones changed alike.
-        is_turned_over: A joint was turned by half a turn or more from the seed: outside the chart.
     """
 
     log_prior: float
     num_invalid: int
     limit_distance_m: float
     penetration_m: float
-    length_change: float
-    is_tied: bool
-    is_turned_over: bool
 
 
 class PhysicalPrior:
@@ -109,9 +103,8 @@ class PhysicalPrior:
     def __init__(self, chart: PairChart, limits: JointLimits, settings: PriorSettings | None = None) -> None:
         self.settings = settings or PriorSettings()
         self._limits = limits
-        model: CapsuleModel = capsule_model(PAIR17)
-        self._model = model
-        self._radii = np.ascontiguousarray(model.radii_of(chart.seed_m[None]))
+        self._model = capsule_model(PAIR17)
+        self._radii = np.ascontiguousarray(self._model.radii_of(chart.seed_m[None]))
         self._work = np.empty((2, NUM_ANGLES))
         self._valid = np.empty((NUM_JOINTS, 3))
         self._sums = np.empty(3)
@@ -119,10 +112,10 @@ class PhysicalPrior:
     def terms(self, parameters: Array, pair_m: Array) -> PriorTerms:
         """Return the prior and its parts of parameters (108,) that give positions (2, 17, 3), metres."""
         lengths = parameters[LENGTH_INDICES]
-        length_change = float(np.abs(lengths).max())
-        is_tied = bool(np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE)
+        is_tied = np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE
         bones = parameters.reshape(2, NUM_PER_PERSON)[:, 6:].reshape(2, NUM_JOINTS - 1, 3)
-        is_turned_over = bool((bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2)
+        # A joint turned by half a turn or more from the seed is outside the chart.
+        is_outside = (bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2
         num_invalid, squared = 0, 0.0
         for person in range(2):
             count, distance = self._limits.move_pose(pair_m[person], self._work, self._valid)
@@ -133,16 +126,13 @@ class PhysicalPrior:
         )
         is_possible = (
             num_invalid <= self.settings.max_invalid_angles
-            and length_change <= self.settings.length_tolerance
+            and np.abs(lengths).max() <= self.settings.length_tolerance
             and is_tied
-            and not is_turned_over
+            and not is_outside
         )
         return PriorTerms(
             log_prior=self.settings.log_prior(self.settings.violation_m2(squared, depth)) if is_possible else -np.inf,
             num_invalid=int(num_invalid),
             limit_distance_m=float(np.sqrt(squared)),
             penetration_m=float(depth),
-            length_change=length_change,
-            is_tied=is_tied,
-            is_turned_over=is_turned_over,
         )

@@ -9,23 +9,22 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.sampling import (
-    ChainState,
-    Evaluation,
-    Scales,
-    diagnose,
-    generator_from_json,
-    generator_to_json,
-    proposal_from_json,
-    proposal_to_json,
-    run_segment,
-    warm_up,
-)
 from pasdedeux.sampling.annotations import MIN_CANDIDATES
-from pasdedeux.sampling.density import DensityInputs, ImageLikelihood, ImageSettings, Likelihood, PairDensity, Reads
+from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment
+from pasdedeux.sampling.density import (
+    DensityInputs,
+    Evaluation,
+    ImageLikelihood,
+    ImageSettings,
+    Likelihood,
+    PairDensity,
+    Reads,
+)
+from pasdedeux.sampling.diagnostics import diagnose
 from pasdedeux.sampling.parameters import PairChart
-from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs
+from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs, Scales
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.warm_up import proposal_from_json, proposal_to_json, warm_up
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store

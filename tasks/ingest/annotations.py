@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import ANNOTATION_FORMATS, AnnotatedFrames, Footage, read_annotations
-from pasdedeux.formats.detections import UNKNOWN
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
+from pasdedeux.formats.detections import UNKNOWN, Footage
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

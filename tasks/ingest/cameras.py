@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import ANNOTATION_FORMATS, Footage, find_format
-from pasdedeux.formats.detections import number_in_name, places_of_names
+from pasdedeux.formats.detections import Footage, number_in_name, places_of_names
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, find_format
 from tasks.ingest.sources import load_file
 
 __all__ = ["CameraFiles", "find_cameras", "read_header", "refuse_film", "video_beside"]

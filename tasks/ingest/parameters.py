@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle
-from pasdedeux.formats import ANNOTATION_FORMATS, MOTION_FORMATS
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
 from pasdedeux.plausibility.capture import CaptureLimits
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS

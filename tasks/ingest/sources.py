@@ -10,15 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import (
-    MOTION_FORMATS,
-    MotionFormat,
-    MotionHead,
-    UnitGuess,
-    check_layout,
-    find_format,
-    guess_unit,
-)
+from pasdedeux.formats.file_format import MotionFormat, MotionHead
+from pasdedeux.formats.guess import UnitGuess, guess_unit
+from pasdedeux.formats.registry import MOTION_FORMATS, find_format
+from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source

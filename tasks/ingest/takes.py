@@ -13,17 +13,12 @@ import numpy as np
 
 from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
-from pasdedeux.formats import (
-    MOTION_FORMATS,
-    AxisGuess,
-    SourceMotion,
-    WorkingPoses,
-    common_up_axis,
-    derive_working_poses,
-    guess_up_axis,
-)
+from pasdedeux.formats.guess import AxisGuess, common_up_axis, guess_up_axis
 from pasdedeux.formats.own_skeleton import body_map
 from pasdedeux.formats.placement import floor_shift, place_motion
+from pasdedeux.formats.registry import MOTION_FORMATS
+from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.plausibility.capture import JudgedCapture, PersonCapture, check_capture, judge_capture
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout

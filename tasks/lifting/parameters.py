@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from pasdedeux.completion import FitOptions, RetrievalOptions
+from pasdedeux.completion.fit import FitOptions
+from pasdedeux.completion.retrieval import RetrievalOptions
 from tasks.stage import Parameters
 
 __all__ = ["VERSION", "LiftingParameters", "LiftingShard"]

@@ -11,18 +11,12 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.cameras.views import pair_in_metres
-from pasdedeux.completion import (
-    DrawIndex,
-    complete_pair,
-    fill_between,
-    fit_pair,
-    image_residual,
-    lift_by_ik,
-    pooled_lengths,
-    retrieve,
-    sample_naively,
-    straight_between,
-)
+from pasdedeux.completion.baselines import lift_by_ik, sample_naively
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.fit import fit_pair, pooled_lengths
+from pasdedeux.completion.in_betweens import fill_between, straight_between
+from pasdedeux.completion.occlusion import complete_pair
+from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.choreography import make_duet
-from pasdedeux.formats import derive_working_poses, read_bvh
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons.layouts import LAYOUTS
 

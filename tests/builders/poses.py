@@ -6,6 +6,7 @@ import numpy as np
 
 from pasdedeux.cameras import frame_take, proportions_torso_basis, sample_views, true_direction
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
+from pasdedeux.sampling.parameters import NUM_JOINTS, NUM_PER_PERSON
 from pasdedeux.skeletons import PAIR17
 
 BASIS = proportions_torso_basis()
@@ -91,3 +92,10 @@ def direction_of_angles(psi_rad: np.ndarray, phi_rad: np.ndarray) -> np.ndarray:
     """Return views (n, 3) of (psi, phi), lift eq. 4: the inverse of `angles_of_direction`."""
     psi, phi = np.broadcast_arrays(psi_rad, phi_rad)
     return np.stack([np.sin(phi) * np.cos(psi), np.cos(phi), np.sin(phi) * np.sin(psi)], axis=-1)
+
+
+def block_indices(block: int) -> np.ndarray:
+    """Return the parameters of a block of a pair."""
+    person, joint = divmod(block, NUM_JOINTS)
+    start = NUM_PER_PERSON * person
+    return np.arange(start, start + 6) if joint == 0 else np.arange(start + 3 + 3 * joint, start + 6 + 3 * joint)

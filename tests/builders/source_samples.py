@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pasdedeux.formats import read_annotation_csv, write_bvh
+from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22

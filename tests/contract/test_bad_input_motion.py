@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.formats import write_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
 from tests.builders.real_study import call_in_process, never_begun
 from tests.builders.source_samples import ASF, figure_motion

@@ -8,8 +8,9 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility import JointLimits
-from pasdedeux.sampling import GatheredPairs, PairChart, gauge_fix
+from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood, Reads, TargetSettings
+from pasdedeux.sampling.parameters import PairChart, gauge_fix
 from pasdedeux.sampling.proposals import PROPOSALS
 from tasks.chains import DENSITIES, ChainsParameters
 from tests.builders.poses import dancers

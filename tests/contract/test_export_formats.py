@@ -12,7 +12,7 @@ import pytest
 from flows.exports import EXPORT_FORMATS, export_format, export_reference
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.formats import read_bvh
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
 from storage_schema import SourceCredit, Store, open_table, parse_reference
 from tasks.ingest import STAGE, IngestParameters

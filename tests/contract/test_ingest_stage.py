@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats import write_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
 from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17

@@ -11,16 +11,9 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats import (
-    ANNOTATION_FORMATS,
-    MOTION_FORMATS,
-    FileFormat,
-    FileStart,
-    check_anatomy,
-    find_format,
-    is_companion,
-    recognise_format,
-)
+from pasdedeux.formats.annotated_frames import check_anatomy
+from pasdedeux.formats.file_format import FileFormat, FileStart
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, find_format, is_companion, recognise_format
 from tasks.ingest import IngestParameters
 from tests.builders.source_samples import GOOD_ANNOTATIONS, GOOD_MOTIONS
 

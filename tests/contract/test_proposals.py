@@ -14,27 +14,18 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, standing_pair
 from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import (
-    PROPOSALS,
-    ChainState,
-    Correction,
-    Evaluation,
-    InteractionLikelihood,
-    PairChart,
-    PairDensity,
-    PhysicalPrior,
-    Proposed,
-    Speeds,
-    build_bank,
-    gauge_fix,
-    invariants,
-    run_segment,
-    warm_up,
-)
-from pasdedeux.sampling.diagnostics import effective_sample_size
-from pasdedeux.sampling.parameters import POSITION_INDICES, block_indices
-from pasdedeux.sampling.proposals import Context, Proposal, ProposalInputs
+from pasdedeux.sampling.annotations import build_bank
+from pasdedeux.sampling.chain import ChainState, run_segment
+from pasdedeux.sampling.density import Evaluation, PairDensity
+from pasdedeux.sampling.diagnostics import effective_sample_size, invariants
+from pasdedeux.sampling.likelihood import InteractionLikelihood
+from pasdedeux.sampling.parameters import POSITION_INDICES, PairChart, gauge_fix
+from pasdedeux.sampling.prior import PhysicalPrior
+from pasdedeux.sampling.proposals import PROPOSALS, Context, Correction, Proposal, ProposalInputs, Proposed
+from pasdedeux.sampling.speeds import Speeds
+from pasdedeux.sampling.warm_up import warm_up
 from pasdedeux.skeletons import PAIR17
+from tests.builders.poses import block_indices
 
 NUM_ERRORS = 4.5
 MIN_ESS = 90.0

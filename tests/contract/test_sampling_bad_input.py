@@ -12,12 +12,13 @@ import pytest
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
-from pasdedeux.sampling import gauge_fix, proposal_from_json
-from pasdedeux.sampling.parameters import PairChart, block_indices
+from pasdedeux.sampling.parameters import PairChart, gauge_fix
+from pasdedeux.sampling.warm_up import proposal_from_json
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks import chains
 from tasks.chains import ChainsParameters
+from tests.builders.poses import block_indices
 from tests.builders.sampling_store import NUM_FRAMES, QUICK, put_annotations, put_take, run, with_seeds
 
 OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "proposal": "velocity"}

@@ -11,7 +11,10 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import PairChart, PairDensity, PhysicalPrior, proposal_from_json
+from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.parameters import PairChart
+from pasdedeux.sampling.prior import PhysicalPrior
+from pasdedeux.sampling.warm_up import proposal_from_json
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks import chains

@@ -15,7 +15,7 @@ from flows.study import Study
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
-from pasdedeux.sampling import gauge_fix
+from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
 from tasks.graph import Graph

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pasdedeux.formats import read_bvh
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.skeletons import BODY22, Skeleton

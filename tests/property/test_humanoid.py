@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pasdedeux.formats import read_bvh
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.humanoid import HumanoidMotion, write_npz
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics import Motion, bone_lengths, forward_kinematics

@@ -10,17 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import (
-    ANNOTATION_FORMATS,
-    MOTION_FORMATS,
-    AnnotatedFrames,
-    SourceMotion,
-    check_anatomy,
-    guess_motion,
-    read_bvh,
-    read_bvh_header,
-    recognise_format,
-)
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.bvh import read_bvh, read_bvh_header
+from pasdedeux.formats.guess import guess_motion
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
+from pasdedeux.formats.source_motion import SourceMotion
 from tests.builders.source_samples import (
     BVH_SMALL,
     GOOD_ANNOTATIONS,

@@ -11,20 +11,11 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import standing_pair
-from pasdedeux.sampling import (
-    ChainState,
-    Evaluation,
-    GaussianBlocks,
-    PairChart,
-    Proposed,
-    StepSettings,
-    generator_from_json,
-    generator_to_json,
-    run_segment,
-    step,
-)
+from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
+from pasdedeux.sampling.density import Evaluation
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
-from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES
+from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, StepSettings
 
 MIN_ESS = 400.0
 NUM_ERRORS = 4.5

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats import read_amc, read_asf, read_bvh
+from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22, PAIR17

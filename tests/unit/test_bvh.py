@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats import read_bvh, read_bvh_header, write_bvh
-from pasdedeux.formats.bvh import rate_from_frame_time
+from pasdedeux.formats.bvh import rate_from_frame_time, read_bvh, read_bvh_header
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.euler import euler_from_unitquat, unitquat_from_euler
 from pasdedeux.kinematics.rotations import angle_between
 from tests.builders.source_samples import BVH_SMALL, bvh_text, figure_motion

@@ -11,9 +11,10 @@ from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import JointLimits
-from pasdedeux.sampling import PairDensity, PhysicalPrior, diagnose, invariants
-from pasdedeux.sampling.diagnostics import MAX_AT_CEILING
+from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.diagnostics import MAX_AT_CEILING, diagnose, invariants
 from pasdedeux.sampling.parameters import PairChart
+from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.verdict import Level
 
 SEED = standing_pair()

@@ -11,24 +11,13 @@ from pydantic import ValidationError
 from pasdedeux.benchmarks.lifting import plain_nearest
 from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras import project_pair
-from pasdedeux.completion import (
-    DrawIndex,
-    FitOptions,
-    RetrievalOptions,
-    blend_onto,
-    complete_pair,
-    fill_between,
-    fit_pair,
-    image_residual,
-    lift_by_ik,
-    nearest_by_interaction,
-    nearest_rigid,
-    pooled_lengths,
-    retrieve,
-    sample_naively,
-    straight_between,
-)
-from pasdedeux.completion.baselines import resolve_penetration
+from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, sample_naively
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.fit import FitOptions, fit_pair, pooled_lengths
+from pasdedeux.completion.in_betweens import fill_between, straight_between
+from pasdedeux.completion.neighbours import nearest_by_interaction, nearest_rigid
+from pasdedeux.completion.occlusion import blend_onto, complete_pair
+from pasdedeux.completion.retrieval import RetrievalOptions, image_residual, retrieve
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import interaction_dissimilarity
 from pasdedeux.kinematics import align_rigid, bone_lengths

@@ -12,9 +12,8 @@ from pasdedeux.interaction.medoids import choose_medoids, dissimilarity_matrix
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import AnnotatedPairs, lift_seeds
-from pasdedeux.sampling.annotations import shows_enough
-from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
+from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
+from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair, lift_seeds
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 

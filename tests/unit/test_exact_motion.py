@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.formats import read_bvh, write_bvh
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
 from pasdedeux.kinematics import Motion, place_bones
 from pasdedeux.skeletons import BODY22, OP14, PAIR17, Skeleton

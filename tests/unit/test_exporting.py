@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from flows.exports import export_reference
-from pasdedeux.formats import read_amc, read_asf, read_bvh
+from pasdedeux.formats.asf_amc import read_amc, read_asf
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import angle_between
 from pasdedeux.projections.camera import OrthographicCamera

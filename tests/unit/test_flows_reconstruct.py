@@ -19,7 +19,7 @@ from flows.console.app import run_command_line
 from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
 from flows.console.live_lines import follow_lines, told_to_stop
 from pasdedeux.cameras import look_at_camera
-from pasdedeux.formats import read_bvh
+from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.npz import read_npz
 from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.forward import bone_lengths

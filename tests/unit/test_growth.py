@@ -15,10 +15,10 @@ from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import align_rigid, bone_lengths
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import AnnotatedPairs, GrowthOptions, PriorSettings, grow
-from pasdedeux.sampling.annotations import shows_enough
-from pasdedeux.sampling.growth import ViewedImages
+from pasdedeux.sampling.annotations import AnnotatedPairs, shows_enough
+from pasdedeux.sampling.growth import GrowthOptions, ViewedImages, grow
 from pasdedeux.sampling.growth_kernels import keep_nearest, place_bones
+from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
 
 ORDER, PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)

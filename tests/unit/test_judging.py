@@ -20,7 +20,7 @@ from pasdedeux.interaction import cartesian_dissimilarity, plane_residual
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model
-from pasdedeux.sampling import build_bank
+from pasdedeux.sampling.annotations import build_bank
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 

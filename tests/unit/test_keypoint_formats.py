@@ -9,22 +9,14 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats import (
-    ANNOTATION_FORMATS,
-    AnnotatedFrames,
-    Footage,
-    check_anatomy,
-    join_openpose_frames,
-    openpose_frame_number,
-    read_annotation_csv,
-    read_annotation_npz,
-    read_annotations,
-    read_coco,
-    read_openpose_frame,
-    recognise_format,
-)
-from pasdedeux.formats.detections import places_of_names
+from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
+from pasdedeux.formats.annotation_csv import read_annotation_csv
+from pasdedeux.formats.annotation_npz import read_annotation_npz
+from pasdedeux.formats.coco import read_coco
+from pasdedeux.formats.detections import Footage, places_of_names
 from pasdedeux.formats.mediapipe import read_mediapipe
+from pasdedeux.formats.openpose import join_openpose_frames, openpose_frame_number, read_openpose_frame
+from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations, recognise_format
 from pasdedeux.skeletons.layouts import FEET4, KEYPOINT_LAYOUTS, LAYOUT_OF_COUNT
 from tests.builders.annotation_files import write_annotation_csv, write_annotation_npz
 from tests.builders.source_samples import (

@@ -16,7 +16,7 @@ from pasdedeux.experiments.measured_likelihood import (
 )
 from pasdedeux.interaction import interaction_dissimilarity
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling import AnnotatedPairs, build_bank
+from pasdedeux.sampling.annotations import AnnotatedPairs, build_bank
 from tests.builders.poses import dancers
 
 PAIRS = dancers(5, 8)

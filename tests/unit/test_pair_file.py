@@ -19,7 +19,7 @@ from pasdedeux.formats.pair_file import (
     write_pair_bvh,
     write_pair_json,
 )
-from pasdedeux.sampling import gauge_fix
+from pasdedeux.sampling.parameters import gauge_fix
 from pasdedeux.skeletons import PAIR17
 
 PAIRS = random_pairs(np.random.default_rng(1), 30, spread_rad=0.5)

@@ -9,7 +9,7 @@ import pytest
 
 from pasdedeux.errors import InputError
 from pasdedeux.experiments.detections import Detections, film
-from pasdedeux.formats import AnnotatedFrames
+from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.pairs import PairSettings, choose_pairs
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons import OP14

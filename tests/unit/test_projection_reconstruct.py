@@ -17,13 +17,14 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
     scale_free_error_m,
 )
+from pasdedeux.experiments.published_search import bounding_box_height
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.people.video import rate_from_times
 from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face, mid_hip, retarget_proportions
-from pasdedeux.projections.scale import bounding_box_height, running_median
+from pasdedeux.projections.scale import running_median
 from pasdedeux.reconstruction.pitch import choose_pitch, floor_offset
 from pasdedeux.reconstruction.reconstruct import (
     Method,

@@ -10,13 +10,13 @@ from pasdedeux.experiments.published_search import (
     BOX_HEIGHT_M,
     Codebook,
     PublishedSettings,
+    bounding_box_height,
     build_codebook,
     scale_to_box,
     search_published,
 )
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
-from pasdedeux.projections.scale import bounding_box_height
 from pasdedeux.projections.search import Neighbours, recall
 from tests.builders.walkers import walk
 

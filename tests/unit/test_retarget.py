@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
-from pasdedeux.formats import read_bvh, write_bvh
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store

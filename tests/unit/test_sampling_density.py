@@ -13,25 +13,10 @@ from pasdedeux.interaction import interaction_dissimilarity
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling import (
-    AnnotatedPairs,
-    GaussianBlocks,
-    InteractionLikelihood,
-    PairChart,
-    PairDensity,
-    PhysicalPrior,
-    PriorSettings,
-    StepSettings,
-    ViewBank,
-    build_bank,
-    choose_seeds,
-    gather_pairs,
-    gauge_fix,
-    plain_log_likelihood,
-    seed_quality,
-)
-from pasdedeux.sampling.annotations import shows_enough
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
+from pasdedeux.sampling.density import PairDensity
 from pasdedeux.sampling.image_kernels import pair_axes
+from pasdedeux.sampling.likelihood import InteractionLikelihood, plain_log_likelihood
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
     MIRRORED_LENGTH,
@@ -39,9 +24,14 @@ from pasdedeux.sampling.parameters import (
     NUM_PARAMETERS,
     POSITION_INDICES,
     ROTATION_INDICES,
-    block_indices,
+    PairChart,
+    gauge_fix,
 )
+from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
+from pasdedeux.sampling.proposals import GaussianBlocks, StepSettings
+from pasdedeux.sampling.seeds import choose_seeds, seed_quality
 from pasdedeux.skeletons import PAIR17
+from tests.builders.poses import block_indices
 
 SEED = gauge_fix(standing_pair())
 LIMITS = JointLimits.published()

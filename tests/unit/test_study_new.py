@@ -11,7 +11,9 @@ import pytest
 from flows.console.study_new import new_study, write_new_study
 from flows.study import load_study
 from pasdedeux.errors import InputError
-from pasdedeux.formats import guess_motion, read_bvh, write_bvh
+from pasdedeux.formats.bvh import read_bvh
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.formats.guess import guess_motion
 from tasks.graph import load_graph
 from tasks.ingest import IngestParameters
 from tasks.projections import ProjectionsParameters

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.errors import FormatError, InputError
-from pasdedeux.formats import read_asf
+from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.own_skeleton import OwnSkeleton, body_map, standing
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import TargetBody, body_of_skeleton, fit_body, read_body

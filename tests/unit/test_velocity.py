@@ -9,18 +9,11 @@ from hypothesis import strategies as st
 
 from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.errors import InputError
-from pasdedeux.sampling import (
-    PROPOSALS,
-    Scales,
-    Speeds,
-    annotation_speeds,
-    proposal_from_json,
-    proposal_to_json,
-    undo_swaps,
-)
 from pasdedeux.sampling.parameters import NUM_BLOCKS, NUM_JOINTS, PairChart
-from pasdedeux.sampling.proposals import ProposalInputs, VelocitySettings
+from pasdedeux.sampling.proposals import PROPOSALS, ProposalInputs, Scales, VelocitySettings
 from pasdedeux.sampling.proposals.kernels import log_normal_ratio
+from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
+from pasdedeux.sampling.warm_up import proposal_from_json, proposal_to_json
 from pasdedeux.skeletons import PAIR17
 
 ELBOW, WRIST = PAIR17.indices(("left_elbow", "left_wrist"))

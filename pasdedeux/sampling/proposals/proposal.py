@@ -48,7 +48,7 @@ class Proposed:
             bound of it when there is `correct`.
         correct: Prepares the proposal at the proposed point, which is dear, for the ratio itself; None where it is
             known.
-        blocks: Blocks that moved (see `block_indices`), for those who learn scales; None where scales are not learned.
+        blocks: Blocks that moved (see `NUM_BLOCKS`), for those who learn scales; None where scales are not learned.
     """
 
     parameters: Array

@@ -97,9 +97,13 @@ def dataset(
     workers: int | None = None,
     worker_memory_gb: float = 2.0,
     scheduler: str | None = None,
+    folder: str | None = None,
 ) -> dict[str, int]:
-    """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage."""
-    chosen, graph = load_study(study, load_graph(), settings=settings)
+    """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage.
+
+    Relative paths of settings and of a study that ships start from `folder`: a worker's own is another each time.
+    """
+    chosen, graph = load_study(study, load_graph(), settings=settings, folder=None if folder is None else Path(folder))
     run = Run(chosen, graph, Store(store))
     plan = make_plan(chosen, graph, run.store)
     if plan.is_fresh:

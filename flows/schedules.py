@@ -23,10 +23,8 @@ from prefect.workers.process import ProcessWorker
 
 from flows.dataset import dataset
 
-__all__ = ["POOL", "Deployed", "deploy"]
+__all__ = ["Deployed", "deploy"]
 
-POOL = "pasdedeux"
-"""The work pool of all deployments, unless another is named."""
 _HEARTBEAT_S = 30
 _ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
 _ZOMBIES = "pasdedeux: builds whose process is gone"

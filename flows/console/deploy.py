@@ -51,8 +51,16 @@ def deploy(
     if cron is not None and every is not None:
         raise PlanError("--cron and --every are two schedules; give one of them")
     telemetry_off()
+    from prefect.client.schemas.schedules import CronSchedule
     from prefect.settings import get_current_settings
 
+    if cron is not None:
+        try:
+            CronSchedule(cron=cron)
+        except ValueError:
+            raise PlanError(
+                f"--cron '{cron}' is no schedule; allowed are minute, hour, day, month and weekday: '0 2 * * *'"
+            ) from None
     address = get_current_settings().api.url
     if address is None:
         raise PlanError(
@@ -69,6 +77,7 @@ def deploy(
         "settings": list(settings or ()),
         "workers": workers,
         "scheduler": scheduler,
+        "folder": str(Path.cwd()),
     }
     here = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
     when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"

@@ -127,6 +127,7 @@ def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) 
     for more, words in (
         ([], "no Prefect server is named"),
         (["--cron", "0 2 * * *", "--every", "60"], "two schedules"),
+        (["--cron", "61 * * * *"], "--cron '61 * * * *' is no schedule; allowed are minute,"),
     ):
         found = subprocess.run(
             [sys.executable, "-m", "flows.console", "deploy", "duets", "--store", str(tmp_path / "store"), *more],

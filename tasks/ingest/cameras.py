@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ _SUFFIXES = frozenset(end for kind in ANNOTATION_FORMATS.values() for end in kin
 _SEPARATORS = "_-. "
 _EMPTY_LIST = 4
 """Bytes of an image's file in which nobody is: `[]`, which tells nothing of the format."""
+_NUM_TRIED = 20
+"""Files of a folder that may tell its format: the first images may have nobody in them."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,8 @@ def _cameras_in(folder: Path, format_name: str) -> list[CameraFiles]:
     if not paths:
         return []
     candidates = numbered or paths
-    first = next((item for item in candidates if item.stat().st_size > _EMPTY_LIST), candidates[0])
-    name = _frames_format(first, format_name)
+    tried = [item for item in candidates if item.stat().st_size > _EMPTY_LIST][:_NUM_TRIED]
+    name = _frames_format(tried or candidates[:1], format_name)
     if name is None:
         return [CameraFiles(one.stem, _format_of(one, format_name), (one,)) for one in paths]
     frames = numbered or [item for item in paths if item.suffix.lower() == ".json"]
@@ -79,16 +82,20 @@ def _cameras_in(folder: Path, format_name: str) -> list[CameraFiles]:
     return [CameraFiles(camera, name, tuple(files)) for camera, files in sorted(cameras.items())]
 
 
-def _frames_format(first: Path, format_name: str) -> str | None:
-    """Return the format of a folder's files where each is a frame, else None; a damaged file is taken for a frame."""
+def _frames_format(tried: Sequence[Path], format_name: str) -> str | None:
+    """Return the format of a folder's files where each is a frame, else None; damaged files are taken for frames.
+
+    The first of the files `tried` that is recognised tells it.
+    """
     if format_name != "auto":
         return format_name if ANNOTATION_FORMATS[format_name].is_file_per_frame else None
-    if first.suffix.lower() != ".json":
+    if tried[0].suffix.lower() != ".json":
         return None
-    try:
-        name = find_format(ANNOTATION_FORMATS, "auto", load_file(first).data).name
-    except InputError:
-        name = next(name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame)
+    name = next(name for name, kind in ANNOTATION_FORMATS.items() if kind.is_file_per_frame)
+    for item in tried:
+        with suppress(InputError):
+            name = find_format(ANNOTATION_FORMATS, "auto", load_file(item).data).name
+            break
     return name if ANNOTATION_FORMATS[name].is_file_per_frame else None
 
 

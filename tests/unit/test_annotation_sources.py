@@ -54,11 +54,18 @@ def test_folders_of_a_folder_are_cameras_as_pose2sim_writes_them(tmp_path: Path)
     assert [one.read().rate_hz for one in found] == pytest.approx([15.0, 13.0])
 
 
-@pytest.mark.parametrize("tool", ["mmpose", "mmpose demo", "ultralytics"])
+@pytest.mark.parametrize(
+    ("tool", "nobody"),
+    [
+        ("mmpose", "[]"),
+        ("mmpose demo", '{"meta_info": {"num_keypoints": 17}, "instance_info": []}'),
+        ("ultralytics", '[{"name": "dog", "class": 16, "confidence": 0.8}]'),
+    ],
+)
 def test_a_file_for_each_image_is_a_frame_of_one_sequence_even_where_nobody_is_in_the_first(
-    tmp_path: Path, tool: str
+    tmp_path: Path, tool: str, nobody: str
 ) -> None:
-    (tmp_path / "img_0007.json").write_text("[]")
+    (tmp_path / "img_0007.json").write_text(nobody)
     for frame in (8, 9, 12):
         (tmp_path / f"img_{frame:04d}.json").write_text(image_text(tool, seed=frame))
     (one,) = found_in(tmp_path)

@@ -201,8 +201,10 @@ def _verdict(complaints: Sequence[Complaint]) -> Verdict:
 def _names_apart(one: str, other: str) -> str:
     """Say why files of these names may not be one take: names of partners differ in one part, `60_03` and `61_03`.
 
-    Names of a single part say nothing.
+    Names of a single part say nothing, nor do equal ones: their folders tell the people apart.
     """
+    if one == other:
+        return ""
     first, second = (re.findall("[a-z0-9]+", name.rsplit(".", 1)[0].lower()) for name in (one, other))
     if first == second:
         return f"{one} and {other} have one name: one performance twice"

@@ -29,7 +29,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 10
+VERSION = 11
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:

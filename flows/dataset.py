@@ -112,8 +112,8 @@ def dataset(
         worker_bytes = int(worker_memory_gb * GIB)
         cluster = ClusterSettings(num_workers(workers, worker_bytes), worker_bytes, scheduler)
         with _workers(run, cluster) as found:
-            folder = begin(run, plan)
-            outcome = execute(run, folder, plan, partial(_run_stage, found, folder.run_id))
+            record = begin(run, plan)
+            outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
     _publish(chosen.name, outcome)
     refuse_nothing(outcome.missing)
     return {stage.name: stage.num_computed for stage in outcome.stages}

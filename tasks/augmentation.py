@@ -28,7 +28,7 @@ from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, art
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "known_contacts", "plan", "read_pair", "run_shard"]
 
-VERSION = 10
+VERSION = 11
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

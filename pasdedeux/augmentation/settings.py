@@ -52,5 +52,7 @@ class AugmentationSettings(Settings):
         300, ge=1, description="Most iterations of the bulk solver; settled variants end sooner"
     )
     window_s: float = Field(
-        30.0, gt=2.0 * OVERLAP_S, description="Longer takes are solved in overlapping windows of this length, seconds"
+        30.0,
+        gt=2.0 * OVERLAP_S,
+        description="Longer takes are solved in overlapping windows of this length, seconds, at most 1,200 frames",
     )

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 20
+VERSION = 21
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

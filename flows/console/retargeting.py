@@ -28,13 +28,14 @@ from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve
-from tasks.augmentation import read_pair
+from tasks.augmentation import known_contacts, read_pair
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.parameters import TakeParameters
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 
 __all__ = ["FileOptions", "retarget_take"]
 
@@ -172,7 +173,7 @@ def _retarget(
         fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
         bone_scale[index] = fit.bone_scale
         rows.append(_said(person, target, fit))
-    variant = Augmenter(source).solve([Variation("retarget", bone_scale)])[0]
+    variant = Augmenter(source, user_contacts=known_contacts(manifest)).solve([Variation("retarget", bone_scale)])[0]
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)
     for index, person in enumerate(people):
@@ -185,6 +186,9 @@ def _retarget(
         print_table(
             ("person", "body", "size", "bones", "misfit mean", "greatest", "between"), rows, text_columns=(0, 1, 3, 6)
         )
+    captured = verdict_of(manifest)
+    if captured is not None and captured.level is not Level.PASS:
+        typer.echo(f"take {take_id}: {verdict_text(captured)}", err=True)
     typer.echo(verdict_text(variant.verdict))
 
 

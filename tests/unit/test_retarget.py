@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flows.console import retargeting
 from flows.console.app import run_command_line
+from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store
@@ -95,6 +99,30 @@ def test_a_take_of_a_store_takes_a_table_and_an_asf(
     assert lengths_m(tmp_path / "waltz_retarget_A.bvh", leg).sum() == pytest.approx(0.7, abs=2e-3)
     # As the ASF file was written: 0.42 m from knee to ankle.
     np.testing.assert_allclose(lengths_m(tmp_path / "waltz_retarget_B.bvh", KNEES), 0.42, atol=5e-3)
+
+
+def test_what_is_known_of_a_take_is_kept_and_said(
+    store: tuple[Store, str],
+    files: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stated: list[UserContact] = []
+
+    class Watched(Augmenter):
+        def __init__(self, source: Source, *, user_contacts: Sequence[UserContact] = ()) -> None:
+            stated.extend(user_contacts)
+            super().__init__(source, user_contacts=user_contacts)
+
+    monkeypatch.setattr(retargeting, "Augmenter", Watched)
+    rest = ["--to", str(files / "legs.csv"), "--store", str(store[0].root), "--out", str(tmp_path)]
+    assert run_command_line(["retarget", store[1], *rest]) == 0
+    assert stated
+    stated.clear()
+    assert run_command_line(["retarget", *[str(files / "a.bvh")] * 2, *rest]) == 0
+    assert not stated
+    assert "one motion twice" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

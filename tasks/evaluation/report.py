@@ -19,8 +19,8 @@ from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, nam
 __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
 PARTITION = "report"
-READS = ("takes", "training_log")
-"""Tables that the page and the card read beside those of the topics."""
+READS = ("takes", "take_quality", "training_log")
+"""Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
 
 
 class PageSettings(Parameters):

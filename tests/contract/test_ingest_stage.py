@@ -17,6 +17,7 @@ from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
+from tasks.evaluation import STAGE as EVALUATION
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import Shard, StageInputs, verdict_of
 from tests.builders.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
@@ -496,6 +497,7 @@ def test_a_take_whose_capture_fails_is_kept_and_marked_or_left_out_loudly(
     assert all("one motion twice" in reason for reason in quality["reason"])
     assert quality["twin_m"] == pytest.approx(0.0, abs=1e-6)
     assert set(left["d", "take"].tables) == {"take_quality"}
+    assert "take_quality" in EVALUATION.reads, "or the report does not say so"
     for name in ("take", "video", "random_views"):
         (said,) = left["d", name].facts["skipped"]
         assert said.startswith("Take d was left out, its capture fails: ")

@@ -151,12 +151,6 @@ class Matches:
         """Yaw of each candidate (frame, k), in steps of the database."""
         return self.neighbours.yaw_index.astype(np.float64) if self.yaw_steps is None else self.yaw_steps
 
-    @property
-    def mean_distance_m(self) -> float:
-        """Mean distance of the best match over the frames that were searched; inf when none was."""
-        best = self.neighbours.distance_m[:, 0]
-        return float(np.mean(best[np.isfinite(best)])) if np.isfinite(best).any() else float("inf")
-
 
 @dataclass(frozen=True)
 class Reconstruction:

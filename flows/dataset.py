@@ -196,8 +196,9 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
             except BaseException:
                 workers.stop.set()
                 raise
-        shard_errors = [error for error in failures.values() if isinstance(error, ShardError)]
-        for error in failures.values():
+        errors = [failures[partition.name] for partition in partitions if partition.name in failures]
+        shard_errors = [error for error in errors if isinstance(error, ShardError)]
+        for error in errors:
             if not (isinstance(error, ShardError) or (shard_errors and isinstance(error, Stopped))):
                 raise error
         if shard_errors:

@@ -74,7 +74,7 @@ def run_serially(
         Stopped: `stop` was set from elsewhere.
     """
     done: dict[str, ArtifactRef] = {}
-    failed = _Failures()
+    failed = _Failures(shards)
     for shard in _dependency_order(shards):
         if stop is not None and stop.is_set():
             raise Stopped("given up")
@@ -114,7 +114,7 @@ def run_on_cluster(
     here = {shard.key for shard in shards}
     waiting = list(_dependency_order(shards))
     done: dict[str, ArtifactRef] = {}
-    failed = _Failures()
+    failed = _Failures(shards)
     flying: dict[Any, Shard] = {}
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
@@ -161,30 +161,34 @@ def run_on_cluster(
 
 
 class _Failures:
-    """What failed, and so cannot be read by what comes after it."""
+    """What failed, and so cannot be read by what comes after it.
 
-    def __init__(self) -> None:
-        self._keys: set[str] = set()
-        self._errors: list[ShardError] = []
+    Args:
+        shards: All shards, in the order in which those that fail are named.
+    """
+
+    def __init__(self, shards: Sequence[Shard]) -> None:
+        self._order = [shard.key for shard in shards]
+        self._errors: dict[str, ShardError] = {}
+        self._behind: set[str] = set()
 
     def add(self, shard: Shard, error: ShardError) -> None:
         """Note a failure; one after which no other shard can do better is raised."""
-        self._keys.add(shard.key)
-        self._errors.append(error)
+        self._errors[shard.key] = error
         if error.is_fatal:
-            raise joined(self._errors)
+            self.raise_any()
 
     def is_behind(self, shard: Shard) -> bool:
         """Tell whether a shard comes after one that failed; what comes after it then is behind as well."""
-        if self._keys.isdisjoint(shard.after):
+        if not any(key in self._errors or key in self._behind for key in shard.after):
             return False
-        self._keys.add(shard.key)
+        self._behind.add(shard.key)
         return True
 
     def raise_any(self) -> None:
         """Raise what failed, if anything did."""
         if self._errors:
-            raise joined(self._errors)
+            raise joined([self._errors[key] for key in self._order if key in self._errors])
 
 
 def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[ArtifactRef, float]:

@@ -84,7 +84,7 @@ def test_an_old_table_or_column_gets_the_sentence_that_is_kept_for_it(
 
 
 def test_an_unknown_table_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownReference, match="there is no table 'posen'; tables: takes, poses"):
+    with pytest.raises(UnknownReference, match="there is no table 'posen'; tables: takes, take_quality, poses"):
         parse_reference("posen@3fa9")
 
 

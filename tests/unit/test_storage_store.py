@@ -187,7 +187,7 @@ def test_a_missing_column_and_bad_lists_are_refused_by_name(store: Store) -> Non
 
 
 def test_unknown_tables_stages_and_attachments_are_refused(store: Store) -> None:
-    with pytest.raises(StorageError, match="unknown table 'posen'; known tables: takes, poses"):
+    with pytest.raises(StorageError, match="unknown table 'posen'; known tables: takes, take_quality, poses"):
         store.commit(**about(tables={"posen": {}}))
     for stage in ("tmp", "runs", "datasets", "../x", "Ingest", ""):
         with pytest.raises(StorageError, match="cannot name a stage"):

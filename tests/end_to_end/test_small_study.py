@@ -270,7 +270,7 @@ def test_variants_and_motions_go_out_as_bvh_that_our_reader_reads_back(
 @pytest.mark.parametrize(
     ("reference", "names"),
     [
-        ("poses:small/waltz", ("waltz_0", "waltz_1")),
+        ("poses:small/waltz", ("waltz_A", "waltz_B")),
         ("variants:small/waltz", ("waltz_A-uniform-0.95_A", "waltz_A-uniform-0.95_B")),
     ],
 )
@@ -284,14 +284,17 @@ def test_what_goes_out_as_bvh_can_come_in_again(
     text = study.read_text().replace("[study]", '[study]\nstages = ["ingest"]', 1)
     study.write_text(text)
     build_here(study, tmp_path / "store", f"ingest.rate_hz={RATE_HZ}", "ingest.virtual_video.num_random_views=1")
-    found = open_table("poses:again", tmp_path / "store")
+    found = open_table("poses:again", tmp_path / "store")["body22_m"]
     if reference.startswith("poses"):
-        expected = open_table(reference, small.store)["body22_m"]
-    else:
-        variants = open_table(reference, small.store)
-        rows = variants["body22_m"][variants["variant_id"] == "A-uniform-0.95"]
-        expected = np.concatenate([rows[:, 0], rows[:, 1]])
-    np.testing.assert_allclose(found["body22_m"], expected, atol=2e-4)
+        np.testing.assert_allclose(found, open_table(reference, small.store)["body22_m"], atol=2e-4)
+        return
+    variants = open_table(reference, small.store)
+    rows = variants["body22_m"][variants["variant_id"] == "A-uniform-0.95"]
+    off_m = np.linalg.norm(found - np.concatenate([rows[:, 0], rows[:, 1]]), axis=-1)
+    ends = BODY22.indices(["left_wrist", "right_wrist", "left_ankle", "right_ankle"])
+    # A source's hips and spine are stiffer than body22's; hands and feet are met first.
+    assert off_m[:, ends].max() < 0.01
+    assert np.percentile(off_m, 95) < 0.015
 
 
 def joints_of(motion: Motion, skeleton: Skeleton) -> np.ndarray:

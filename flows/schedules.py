@@ -6,7 +6,6 @@ Importing this module imports Prefect: telemetry is off, and `PREFECT_API_URL` (
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
 
@@ -23,23 +22,15 @@ from prefect.workers.process import ProcessWorker
 
 from flows.dataset import dataset
 
-__all__ = ["Deployed", "deploy"]
+__all__ = ["deploy"]
 
 _HEARTBEAT_S = 30
 _ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
 _ZOMBIES = "pasdedeux: builds whose process is gone"
 
 
-@dataclass(frozen=True)
-class Deployed:
-    """A deployment as it stands on the server: its full name, and the work queue of its store."""
-
-    name: str
-    queue: str
-
-
-def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> Deployed:
-    """Put a deployment of the dataset flow on Prefect's server, in place of one of the same name.
+def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: timedelta | None, pool: str) -> str:
+    """Put a deployment of the dataset flow on Prefect's server, in place of one of the same name; return its full name.
 
     A store has a work queue of its own that lets one build run at a time; a build that is due while one of the same
     study waits or runs is not started.  An automation marks builds whose process has vanished as crashed.
@@ -70,7 +61,7 @@ def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: ti
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     deployment.apply()
-    return Deployed(f"{dataset.name}/{name}", queue)
+    return f"{dataset.name}/{name}"
 
 
 def _ensure_pool(client: SyncPrefectClient, pool: str) -> None:

@@ -28,7 +28,7 @@ from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, art
 
 __all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "known_contacts", "plan", "read_pair", "run_shard"]
 
-VERSION = 11
+VERSION = 12
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -85,7 +85,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         names = [variation.variant_id for variation in make_variations(parameters, _generators(inputs.seed, take_id))]
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
-            stated = parameters.contacts.get(take_id) or known_contacts(take)
+            stated = parameters.contacts.get(take_id, known_contacts(take))
             chosen = BatchParameters(**common, contacts=stated, variants=batch)
             shards.append(_shard(take, f"{batch[0]} to {batch[-1]}", chosen, inputs.seed))
     return shards

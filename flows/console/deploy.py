@@ -79,8 +79,8 @@ def deploy(
         "scheduler": scheduler,
         "folder": str(Path.cwd()),
     }
-    here = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
+    name = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)
     when = f"at '{cron}' UTC" if cron else f"every {every:g} s" if every else "when it is asked for"
-    typer.echo(f"{here.name}: {when}, study {parameters['study']}, store {parameters['store']}")
+    typer.echo(f"{name}: {when}, study {parameters['study']}, store {parameters['store']}")
     typer.echo(f"now, if it is not running yet: prefect worker start --pool {pool}")
-    typer.echo(f"at once: prefect deployment run {here.name}; to pause or remove it: prefect deployment --help")
+    typer.echo(f"at once: prefect deployment run {name}; to pause or remove it: prefect deployment --help")

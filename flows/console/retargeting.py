@@ -39,6 +39,8 @@ from tasks.stage import StageInputs, verdict_of
 
 __all__ = ["FileOptions", "retarget_take"]
 
+_MISFIT_M = 0.05
+"""A body that is missed by more than this, in any distance, is warned of."""
 KEPT = "source"
 """Word for the body of somebody who stays as captured."""
 
@@ -166,6 +168,7 @@ def _retarget(
     people = people_of_take(store, ref)
     bone_scale = np.ones((2, BODY22.num_joints))
     rows = []
+    contradictions: list[tuple[Person, float]] = []
     for index, (person, target) in enumerate(zip(people, targets, strict=False)):
         if target is None:
             continue
@@ -173,6 +176,9 @@ def _retarget(
         fit = fit_body(target, person.own, source.lengths_m[index], layout=person.layout, who=who)
         bone_scale[index] = fit.bone_scale
         rows.append(_said(person, target, fit))
+        worst_m = max(map(abs, fit.misfit_m.values()))
+        if worst_m > _MISFIT_M:
+            contradictions.append((person, worst_m))
     variant = Augmenter(source, user_contacts=known_contacts(manifest)).solve([Variation("retarget", bone_scale)])[0]
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)
@@ -185,6 +191,12 @@ def _retarget(
     if rows:
         print_table(
             ("person", "body", "size", "bones", "misfit mean", "greatest", "between"), rows, text_columns=(0, 1, 3, 6)
+        )
+    for person, worst_m in contradictions:
+        typer.echo(
+            f"warning: the body for person {person.letter} is missed by {1e3 * worst_m:.0f} mm: "
+            "its distances contradict each other, or are not those of one person",
+            err=True,
         )
     captured = verdict_of(manifest)
     if captured is not None and captured.level is not Level.PASS:

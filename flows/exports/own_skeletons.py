@@ -119,6 +119,7 @@ class RigFiles:
             away_m = np.linalg.norm(own.body.of(own.motion) - wanted_m, axis=-1)
             line += (
                 f"; joints lie within {1e3 * np.percentile(away_m, 95):.1f} mm (95 %) of the variant's body22, "
+                f"at worst {1e3 * away_m.max():.1f} mm, "
                 f"hands and feet within {1e3 * away_m[:, _EXTREMITIES].max():.1f} mm"
             )
         self._lines.append(line)

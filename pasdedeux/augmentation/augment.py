@@ -57,7 +57,7 @@ class Variant:
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
         energy: Energy of the motion.
         energy_fk: Energy of plain forward kinematics, which is never lower.
-        estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None where bulk failed.
+        estimated_gap_m: Estimate of the mean joint distance from the optimum, metres; None where bulk did not end it.
         solver: `bulk`, `polished`, or `plain_fk` when bulk failed.
         num_iterations: Iterations of the solver.
         verdict: Whether it is good, and why not.
@@ -158,7 +158,7 @@ class Augmenter:
                     energy=float(sum(part.energy[index] for part in parts)),
                     energy_fk=float(sum(part.energy_fk[index] for part in parts)),
                     estimated_gap_m=(
-                        None if solver == "plain_fk" else max(float(part.estimated_gap_m[index]) for part in parts)
+                        max(float(part.estimated_gap_m[index]) for part in parts) if solver == "bulk" else None
                     ),
                     solver=solver,
                     num_iterations=max(part.num_iterations[index] for part in parts),

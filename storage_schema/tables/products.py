@@ -113,7 +113,7 @@ VARIANT_QUALITY = Table(
         integer("num_fail_frames", "Frames with a figure that is a failure"),
         float64(
             "estimated_gap_m",
-            "Mean joint distance from the optimum that the bulk solver's last changes suggest; null where it failed",
+            "Mean joint distance from the optimum by the bulk solver's last changes; null where another solver ended",
             unit="m",
             is_nullable=True,
         ),

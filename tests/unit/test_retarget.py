@@ -48,6 +48,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "long.bvh").write_text(write_bvh(long))
     (folder / "dog.bvh").write_text(write_bvh(there).replace("left_knee", "left_paw"))
     (folder / "legs.csv").write_text("from,to,distance_m\nleft_hip,left_ankle,0.7\nright_hip,right_ankle,0.7\n")
+    (folder / "torn.csv").write_text(
+        "from,to,distance_m\nleft_hip,left_knee,0.4\nleft_knee,left_ankle,0.4\nleft_hip,left_ankle,0.3\n"
+    )
     (folder / "tiny.csv").write_text("from,to,distance_m\nleft_hip,left_ankle,0.1\n")
     write_walk(folder)
     return folder
@@ -99,6 +102,16 @@ def test_a_take_of_a_store_takes_a_table_and_an_asf(
     assert lengths_m(tmp_path / "waltz_retarget_A.bvh", leg).sum() == pytest.approx(0.7, abs=2e-3)
     # As the ASF file was written: 0.42 m from knee to ankle.
     np.testing.assert_allclose(lengths_m(tmp_path / "waltz_retarget_B.bvh", KNEES), 0.42, atol=5e-3)
+
+
+def test_a_body_that_contradicts_itself_is_warned_of(
+    store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["retarget", store[1], "--store", str(store[0].root), "--out", str(tmp_path)]
+    assert run_command_line([*words, "--to", str(files / "torn.csv")]) == 0
+    assert "the body for person A is missed by" in capsys.readouterr().err
+    assert run_command_line([*words, "--to", str(files / "legs.csv")]) == 0
+    assert "is missed by" not in capsys.readouterr().err
 
 
 def test_what_is_known_of_a_take_is_kept_and_said(

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flows.execution import Outcome, Partition, Run, begin, execute, outcome_of_fresh, partitions_to_run
-from flows.machine import GIB, num_workers
+from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.study import load_study
@@ -95,22 +95,22 @@ def dataset(
     store: str = "store",
     settings: Sequence[str] = (),
     workers: int | None = None,
-    worker_memory_gb: float = 2.0,
+    worker_memory_gb: float = WORKER_MEMORY_GB,
     scheduler: str | None = None,
     folder: str | None = None,
+    oversubscribe: bool = False,
 ) -> dict[str, int]:
     """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage.
 
     Relative paths of settings and of a study that ships start from `folder`: a worker's own is another each time.
     """
+    cluster = cluster_settings(workers, worker_memory_gb, scheduler, oversubscribe=oversubscribe)
     chosen, graph = load_study(study, load_graph(), settings=settings, folder=None if folder is None else Path(folder))
     run = Run(chosen, graph, Store(store))
     plan = make_plan(chosen, graph, run.store)
     if plan.is_fresh:
         outcome = outcome_of_fresh(run, plan)
     else:
-        worker_bytes = int(worker_memory_gb * GIB)
-        cluster = ClusterSettings(num_workers(workers, worker_bytes), worker_bytes, scheduler)
         with _workers(run, cluster) as found:
             record = begin(run, plan)
             outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))

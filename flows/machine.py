@@ -6,8 +6,13 @@ import os
 import shutil
 from pathlib import Path
 
+from pasdedeux.errors import InputError
+from tasks.shards import ClusterSettings
+
 __all__ = [
     "GIB",
+    "WORKER_MEMORY_GB",
+    "cluster_settings",
     "free_bytes",
     "memory_bytes",
     "nearest_folder",
@@ -16,6 +21,8 @@ __all__ = [
 ]
 
 GIB = 1024**3
+WORKER_MEMORY_GB = 2.0
+"""Of one local worker, where nothing else is said."""
 
 
 def usable_cores() -> int:
@@ -28,11 +35,30 @@ def memory_bytes() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
-def num_workers(asked: int | None, worker_bytes: int) -> int:
-    """Return the number of workers asked for, else one per usable core as far as the memory reaches."""
-    if asked is not None:
-        return asked
-    return max(1, min(usable_cores(), memory_bytes() // worker_bytes))
+def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = False) -> int:
+    """Return the number of workers asked for, else one per usable core as far as the memory reaches.
+
+    Raises:
+        InputError: More workers than usable cores are asked for, and nobody said that this is meant.
+    """
+    cores = usable_cores()
+    if asked is None:
+        return max(1, min(cores, memory_bytes() // worker_bytes))
+    if asked > cores and not oversubscribe:
+        raise InputError(
+            f"--workers {asked} is more than the cores that may be used here ({cores}): workers compute all the time, "
+            f"so more of them only take turns and memory; give at most {cores}, or --oversubscribe if it is meant"
+        )
+    return asked
+
+
+def cluster_settings(
+    workers: int | None, worker_memory_gb: float, scheduler: str | None, *, oversubscribe: bool = False
+) -> ClusterSettings:
+    """Return where shards run; of somebody's scheduler the workers are its own.  Raises what `num_workers` raises."""
+    worker_bytes = int(worker_memory_gb * GIB)
+    count = 0 if scheduler is not None else num_workers(workers, worker_bytes, oversubscribe=oversubscribe)
+    return ClusterSettings(count, worker_bytes, scheduler)
 
 
 def free_bytes(folder: Path) -> int:

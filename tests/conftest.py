@@ -63,7 +63,7 @@ def small(tmp_path_factory: pytest.TempPathFactory, prefect_home: Path) -> Built
     folder = tmp_path_factory.mktemp("small")
     study, store = folder / "small.toml", folder / "store"
     study.write_text(SMALL)
-    run = RealRun("run", study, "--store", store, "--workers", "2", prefect_home=prefect_home)
+    run = RealRun("run", study, "--store", store, "--workers", "2", "--oversubscribe", prefect_home=prefect_home)
     answer = run.finish()
     assert answer.code == 0, answer.err
     return BuiltStudy(study, store, answer)

@@ -16,9 +16,11 @@ from tasks.graph import Graph, load_graph
 __all__ = [
     "Context",
     "JsonOption",
+    "OversubscribeOption",
     "SettingOption",
     "StoreOption",
     "StudyArgument",
+    "WorkersOption",
     "graph_of",
     "open_store",
     "print_json",
@@ -29,6 +31,13 @@ SettingOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
 ]
 StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
+]
+OversubscribeOption = Annotated[
+    bool, typer.Option("--oversubscribe", help="Allow more workers than there are cores to use.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON on standard output.")]
 
 

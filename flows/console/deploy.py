@@ -8,7 +8,16 @@ from typing import Annotated
 
 import typer
 
-from flows.console.context import SettingOption, StoreOption, StudyArgument, graph_of, open_store
+from flows.console.context import (
+    OversubscribeOption,
+    SettingOption,
+    StoreOption,
+    StudyArgument,
+    WorkersOption,
+    graph_of,
+    open_store,
+)
+from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
@@ -40,11 +49,13 @@ def deploy(
         str | None, typer.Option(metavar="EXPRESSION", help="When, in UTC: '0 2 * * *' is at 2:00.")
     ] = None,
     every: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
-    workers: Annotated[int | None, typer.Option(min=0, help="Local worker processes, as for `run`.")] = None,
+    workers: WorkersOption = None,
+    oversubscribe: OversubscribeOption = False,
     scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster.")] = None,
     pool: Annotated[str, typer.Option(help="Work pool; made where it is missing.")] = "pasdedeux",
 ) -> None:
     """Put a study on Prefect's server."""
+    cluster_settings(workers, WORKER_MEMORY_GB, scheduler, oversubscribe=oversubscribe)
     graph = graph_of(context)
     chosen, known = load_study(study, graph, settings=settings or ())
     make_plan(chosen, known, open_store(store))
@@ -76,6 +87,7 @@ def deploy(
         "store": str(store.resolve()),
         "settings": list(settings or ()),
         "workers": workers,
+        "oversubscribe": oversubscribe,
         "scheduler": scheduler,
         "folder": str(Path.cwd()),
     }

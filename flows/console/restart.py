@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.console.context import JsonOption, SettingOption, StoreOption, graph_of, open_store
+from flows.console.context import (
+    JsonOption,
+    OversubscribeOption,
+    SettingOption,
+    StoreOption,
+    WorkersOption,
+    graph_of,
+    open_store,
+)
 from flows.console.run import build_and_report
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
@@ -52,7 +60,8 @@ def restart(
     settings: SettingOption = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the seed's file.")] = Path("restarts"),
     store: StoreOption = Path("store"),
-    workers: Annotated[int | None, typer.Option(min=0, help="Local worker processes, as for `run`.")] = None,
+    workers: WorkersOption = None,
+    oversubscribe: OversubscribeOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Go on from a draw."""
@@ -79,7 +88,15 @@ def restart(
     path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
         typer.echo(f"the draw is the seed in {path}; its study is {name}")
-    build_and_report(study, graph, opened, Selection(until="chains"), workers=workers, as_json=as_json)
+    build_and_report(
+        study,
+        graph,
+        opened,
+        Selection(until="chains"),
+        workers=workers,
+        oversubscribe=oversubscribe,
+        as_json=as_json,
+    )
     if not as_json:
         typer.echo(f"new draws: pasdedeux show draws:{name}")
         typer.echo(f"how the chains went: pasdedeux show chain_info:{name}")

@@ -10,16 +10,18 @@ import typer
 
 from flows.console.context import (
     JsonOption,
+    OversubscribeOption,
     SettingOption,
     StoreOption,
     StudyArgument,
+    WorkersOption,
     graph_of,
     open_store,
     print_json,
 )
 from flows.console.display import counted, make_listener, outcome_lines, plan_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
-from flows.machine import GIB, free_bytes, num_workers
+from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.study import Study, load_study
 from storage_schema import Store
@@ -64,11 +66,11 @@ def run(
     study: StudyArgument = "duets",
     settings: SettingOption = None,
     store: StoreOption = Path("store"),
-    workers: Annotated[
-        int | None,
-        typer.Option(min=0, help="Local worker processes; one per core when not given, 0 for none but this one."),
-    ] = None,
-    worker_memory: Annotated[float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")] = 2.0,
+    workers: WorkersOption = None,
+    oversubscribe: OversubscribeOption = False,
+    worker_memory: Annotated[
+        float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")
+    ] = WORKER_MEMORY_GB,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786.")
     ] = None,
@@ -87,6 +89,7 @@ def run(
         open_store(store),
         selection,
         workers=workers,
+        oversubscribe=oversubscribe,
         worker_memory=worker_memory,
         scheduler=scheduler,
         as_json=as_json,
@@ -100,19 +103,19 @@ def build_and_report(
     selection: Selection,
     *,
     workers: int | None,
+    oversubscribe: bool,
     as_json: bool,
-    worker_memory: float = 2.0,
+    worker_memory: float = WORKER_MEMORY_GB,
     scheduler: str | None = None,
 ) -> None:
     """Bring a study up to date and say what was done; how it is run is as the options of `run` say."""
     started = time.perf_counter()
+    cluster = cluster_settings(workers, worker_memory, scheduler, oversubscribe=oversubscribe)
     made = make_plan(chosen, graph, opened, selection)
     if made.is_fresh:
         outcome = outcome_of_fresh(Run(chosen, graph, opened, selection), made)
     else:
         _refuse_full_disk(opened)
-        worker_bytes = int(worker_memory * GIB)
-        cluster = ClusterSettings(num_workers(workers, worker_bytes), worker_bytes, scheduler)
         outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     if as_json:

@@ -23,7 +23,7 @@ MOMENTS = (3, 13, 26)
 
 
 def start(small: BuiltStudy, store: Path, prefect_home: Path) -> RealRun:
-    return RealRun("run", small.study, "--store", store, "--workers", "2", prefect_home=prefect_home)
+    return RealRun("run", small.study, "--store", store, "--workers", "2", "--oversubscribe", prefect_home=prefect_home)
 
 
 def test_a_run_that_is_killed_again_and_again_loses_only_the_shards_in_work(

@@ -42,7 +42,7 @@ def start(tmp_path: Path, prefect_home: Path) -> Start:
 
     def start(*more: str) -> Started:
         arguments = ["run", str(study), "--store", str(tmp_path / "store"), *(more or ("--workers", "2"))]
-        return Started(arguments, gates=tmp_path / "gates", prefect_home=prefect_home)
+        return Started([*arguments, "--oversubscribe"], gates=tmp_path / "gates", prefect_home=prefect_home)
 
     return start
 

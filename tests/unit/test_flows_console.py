@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from flows.console.app import run_command_line
+from flows.machine import usable_cores
 from flows.planning import Selection
 from flows.renamed import RENAMED_COMMANDS
 from tests.builders.toy_runs import run_toys, write_study
@@ -282,6 +283,21 @@ def test_a_full_disk_is_refused_before_any_work(
     monkeypatch.setattr("flows.console.run.MIN_FREE_BYTES", 2**62)
     assert call("run", str(write_study(tmp_path)), "--store", str(tmp_path / "store")) == 2
     assert "free some space first" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["run", "deploy"])
+def test_more_workers_than_cores_are_refused_unless_they_are_meant(
+    built: tuple[str, str], command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = built
+    too_many = str(usable_cores() + 1)
+    line = (command, study, "--store", store, "--workers", too_many)
+    assert call(*line) == 2
+    assert f"--workers {too_many} is more than the cores" in capsys.readouterr().err
+    assert call(*line, "--scheduler", "tcp://127.0.0.1:1") == (2 if command == "deploy" else 0)
+    assert "cores" not in capsys.readouterr().err
+    assert call(*line, "--oversubscribe") == (2 if command == "deploy" else 0)
+    assert "cores" not in capsys.readouterr().err
 
 
 def test_debug_shows_the_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

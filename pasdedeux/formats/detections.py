@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import chain, count, takewhile
 from typing import Any
 
 import numpy as np
@@ -121,7 +121,7 @@ def join_detections(
         row = int(np.flatnonzero(((confidence < 0) | (confidence > MAX_CONFIDENCE)).any(axis=1))[0])
         raise FormatError(f"{detections[row].where}: a confidence lies outside 0..{MAX_CONFIDENCE:g}")
     people, has_identities = _people(detections)
-    names_of = {video: _sequence_name(sequence_id, video) for video in {one.place[0] for one in detections}}
+    names_of = _sequence_names(sequence_id, {one.place[0] for one in detections})
     is_seen = (confidence > 0) & (table[..., :2] != 0).any(axis=-1)
     return AnnotatedFrames(
         layout=asked.name,
@@ -149,8 +149,18 @@ def _people(detections: Sequence[Detection]) -> tuple[list[int], bool]:
     return ids, not anew
 
 
-def _sequence_name(sequence_id: str, video: str) -> str:
-    return f"{sequence_id}.{re.sub(r'[^A-Za-z0-9_-]', '_', video)[:100]}" if video else sequence_id
+def _sequence_names(sequence_id: str, videos: Collection[str]) -> dict[str, str]:
+    """Return the name of each video's sequence; of those that would have the same name all but the first are counted.
+
+    >>> _sequence_names("clip", ["a/b", "a_b", ""])
+    {'': 'clip', 'a/b': 'clip.a_b', 'a_b': 'clip.a_b_2'}
+    """
+    names: dict[str, str] = {}
+    for video in sorted(videos):
+        plain = f"{sequence_id}.{re.sub(r'[^A-Za-z0-9_-]', '_', video)[:100]}" if video else sequence_id
+        counted = (f"{plain}_{number}" for number in count(2))
+        names[video] = next(name for name in chain([plain], counted) if name not in names.values())
+    return names
 
 
 def number_in_name(name: str) -> tuple[str, int | None]:

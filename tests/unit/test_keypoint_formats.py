@@ -316,6 +316,15 @@ def test_images_of_several_sizes_have_none_and_videos_their_own() -> None:
     assert set(found.sequence_id) == {"c.0", "c.1"}
 
 
+def test_videos_of_names_that_look_alike_stay_two() -> None:
+    content = json.loads(coco_text(num_frames=6))
+    for index, image in enumerate(content["images"]):
+        image["file_name"] = f"{('c/1', 'c_1')[index // 3]}/{index % 3:04d}.jpg"
+    found = read_coco(json.dumps(content), sequence_id="v")
+    assert sorted(set(found.sequence_id)) == ["v.c_1", "v.c_1_2"]
+    assert set(found.frame.tolist()) == {0, 1, 2}
+
+
 def test_coco_results_carry_confidences() -> None:
     keypoints = np.concatenate([person_px("coco17"), np.full((17, 1), 0.25)], axis=1).reshape(-1).tolist()
     found = read_coco(json.dumps([{"image_id": 3, "keypoints": keypoints, "score": 1.0}]), sequence_id="r")

@@ -52,7 +52,7 @@ class Segment:
 
     Args:
         parameters: Draws (draw, d).
-        log_density: Target at each draw, (draw,).
+        log_density: Target at each draw, as a density over poses, (draw,).
         log_prior: Prior at each draw, (draw,).
         log_likelihood: Likelihood at each draw, (draw,).
         num_accepted: Accepted proposals since the draw before, (draw,).
@@ -81,16 +81,16 @@ def step(
         propose: Proposal.
     """
     proposed = propose(state.parameters, state.context, rng)
-    uncorrected = state.evaluation.log_density - rng.standard_exponential()
+    uncorrected = state.evaluation.log_target - rng.standard_exponential()
     level = uncorrected - proposed.log_ratio
     refused = state, StepInfo(is_accepted=False, blocks=proposed.blocks)
     evaluation = log_density(proposed.parameters, level)
-    if not (evaluation.log_density >= level and evaluation.log_density > -np.inf):
+    if not (evaluation.log_target >= level and evaluation.log_target > -np.inf):
         return refused
     context = None
     if proposed.correct is not None:
         correction = proposed.correct()
-        if not evaluation.log_density >= uncorrected - correction.log_ratio:
+        if not evaluation.log_target >= uncorrected - correction.log_ratio:
             return refused
         context = correction.context
     return ChainState(proposed.parameters, evaluation, context), StepInfo(is_accepted=True, blocks=proposed.blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
@@ -17,6 +18,7 @@ from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBa
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings, PriorTerms
 from pasdedeux.settings import Settings
+from pasdedeux.skeletons import PAIR17
 
 __all__ = [
     "DensityInputs",
@@ -62,6 +64,12 @@ class TargetSettings(PriorSettings):
     truncation: float = Field(
         default=100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0"
     )
+    max_apart_m: float = Field(
+        default=2.0,
+        gt=0,
+        description="Greatest distance of the mid-hips of the two, metres, or the seed's where that is more: the terms "
+        "of eq. 2 do not bound it, so the prior alone would have no integral",
+    )
 
 
 @dataclass(frozen=True)
@@ -69,27 +77,36 @@ class Evaluation:
     """A density at one point, logs up to a constant.
 
     Args:
-        log_density: The target, truncated; -inf outside, or once known to lie below the floor asked for.
+        log_density: The density over poses, truncated; -inf outside, or once known to lie below the floor asked for.
         log_prior: Log of eq. 2; NaN when a density has none.
         log_likelihood: Log of eq. 6; 0 for a density without likelihood, NaN when it was not needed.
+        log_measure: Log of the volume of poses per volume of parameters; 0 where parameters are the poses.
     """
 
     log_density: float
     log_prior: float = float("nan")
     log_likelihood: float = float("nan")
+    log_measure: float = 0.0
+
+    @property
+    def log_target(self) -> float:
+        """Log of the density over the parameters: what a chain compares."""
+        return self.log_density + self.log_measure
 
 
 class PairDensity:
     """The truncated density round one seed.
 
     With f0 the seed's density and c the truncation, the target is 0 below f0 / c, f between, and c f0 above (eq. 11).
-    The target does not change when the pair moves rigidly.
+    It is a density over poses, flat in the directions of bones where nothing is known; `PairChart.log_measure` makes
+    it one over the parameters.  The target does not change when the pair moves rigidly.
 
     Args:
         chart: Parameters round the seed.
         prior: Physical prior.
         likelihood: Likelihood; None samples the prior alone.
         truncation: c of eq. 11, above 1; inf leaves the density as it is.
+        max_apart_m: Greatest distance of the mid-hips, metres, or the seed's where that is more.
 
     Raises:
         InputError: The seed's density is 0, with the term that made it so, or `truncation` is not above 1.
@@ -102,6 +119,7 @@ class PairDensity:
         likelihood: Likelihood | None,
         *,
         truncation: float = 100.0,
+        max_apart_m: float = math.inf,
     ) -> None:
         if not truncation > 1.0:
             raise InputError(f"the truncation c must be above 1, found {truncation:g}")
@@ -110,6 +128,7 @@ class PairDensity:
         self._likelihood = likelihood
         seed = chart.seed_parameters()
         pair_m = chart.positions_fast(seed)
+        self._max_apart_m = max(max_apart_m, _apart_m(pair_m))
         terms = prior.terms(seed, pair_m)
         log_likelihood = 0.0 if likelihood is None else likelihood.log_likelihood(pair_m)
         self.log_seed = terms.log_prior + log_likelihood
@@ -126,21 +145,32 @@ class PairDensity:
     def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
         """Return the target at parameters (108,); work ends as soon as it is known to lie below `at_least`.
 
-        The result decides any comparison with `at_least` as the full density would.
+        The result decides any comparison of `log_target` with `at_least` as the full density would.
         """
-        floor = max(at_least, self.log_floor)
+        log_measure = self.chart.log_measure(parameters)
+        if log_measure == -np.inf:
+            return Evaluation(-np.inf, log_measure=log_measure)
+        floor = max(at_least - log_measure, self.log_floor)
         pair_m = self.chart.positions_fast(parameters)
+        if _apart_m(pair_m) > self._max_apart_m:
+            return Evaluation(-np.inf, log_measure=log_measure)
         log_prior = self._prior.terms(parameters, pair_m).log_prior
         # No likelihood exceeds 1, so its log is at most 0.
         if log_prior < floor:
-            return Evaluation(-np.inf, log_prior)
+            return Evaluation(-np.inf, log_prior, log_measure=log_measure)
         log_likelihood = 0.0
         if self._likelihood is not None:
             log_likelihood = self._likelihood.log_likelihood(pair_m, at_least=floor - log_prior)
         total = log_prior + log_likelihood
         if total < floor:
-            return Evaluation(-np.inf, log_prior, log_likelihood)
-        return Evaluation(min(total, self.log_ceiling), log_prior, log_likelihood)
+            return Evaluation(-np.inf, log_prior, log_likelihood, log_measure)
+        return Evaluation(min(total, self.log_ceiling), log_prior, log_likelihood, log_measure)
+
+
+def _apart_m(pair_m: Array) -> float:
+    """Return the distance of the mid-hips of a pair (2, 17, 3)."""
+    x, y, z = pair_m[1, PAIR17.root] - pair_m[0, PAIR17.root]
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def _why_zero(terms: PriorTerms, prior: PhysicalPrior, log_likelihood: float) -> str:
@@ -227,7 +257,7 @@ class DensityKind(ABC, Generic[S]):
             InputError: The seed has density 0, with the term that made it so.
         """
         prior = PhysicalPrior(chart, limits, self.prior(settings))
-        return PairDensity(chart, prior, likelihood, truncation=settings.truncation)
+        return PairDensity(chart, prior, likelihood, truncation=settings.truncation, max_apart_m=settings.max_apart_m)
 
 
 class PriorOnlyKind(DensityKind[Settings]):

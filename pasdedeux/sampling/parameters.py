@@ -7,6 +7,7 @@ sections 3 and 6).  A joint's rotation carries everything beyond it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -137,6 +138,16 @@ class PairChart:
         _place(parameters, self.directions, self.axes, self.lengths_m, _ORDER, _PARENTS, positions)
         return positions
 
+    @staticmethod
+    def log_measure(parameters: Array) -> float:
+        """Return the log of the volume of directions per volume of parameters (108,); 0 at the seed.
+
+        A bone turned by r from the seed's direction takes sin r / r of the sphere for each unit of its two rotations:
+        a density over poses, flat in the directions of bones, is multiplied by it to be one over the parameters.  It is
+        -inf where a bone is turned by half a turn or more, beyond which directions would count twice.
+        """
+        return float(_log_measure(parameters, NUM_JOINTS))
+
     def gauge_fixed(self, parameters: Array) -> Array:
         """Return the parameters (108,) of the same pair, moved rigidly into the gauge of `gauge_fix`."""
         positions = self.positions_fast(parameters)
@@ -199,3 +210,18 @@ def _place(parameters, directions, axes, lengths, order, parents, positions):  #
             length = lengths[person, joint] * (1.0 + parameters[start + 5 + 3 * joint])
             for axis in range(3):
                 positions[person, joint, axis] = positions[person, parent, axis] + length * bone[axis]
+
+
+@numba.njit(cache=True, nogil=True)
+def _log_measure(parameters, num_joints):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for person in range(2):
+        start = person * (3 + 3 * num_joints) + 3
+        for joint in range(1, num_joints):
+            square = parameters[start + 3 * joint] ** 2 + parameters[start + 3 * joint + 1] ** 2
+            if square >= math.pi**2:
+                return -math.inf
+            if square > 1e-8:
+                turn = math.sqrt(square)
+                total += math.log(math.sin(turn) / turn)
+    return total

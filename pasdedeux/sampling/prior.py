@@ -17,7 +17,7 @@ from pydantic import Field
 
 from pasdedeux.plausibility import MAX_INVALID_ANGLES, JointLimits, capsule_model, pair_penetration
 from pasdedeux.plausibility.ranges import NUM_ANGLES
-from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, NUM_PER_PERSON, PairChart
+from pasdedeux.sampling.parameters import LENGTH_INDICES, MIRRORED_LENGTH, NUM_JOINTS, PairChart
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
@@ -113,9 +113,6 @@ class PhysicalPrior:
         """Return the prior and its parts of parameters (108,) that give positions (2, 17, 3), metres."""
         lengths = parameters[LENGTH_INDICES]
         is_tied = np.abs(lengths - parameters[MIRRORED_LENGTH]).max() <= _TIE_TOLERANCE
-        bones = parameters.reshape(2, NUM_PER_PERSON)[:, 6:].reshape(2, NUM_JOINTS - 1, 3)
-        # A joint turned by half a turn or more from the seed is outside the chart.
-        is_outside = (bones[..., 0] ** 2 + bones[..., 1] ** 2).max() >= np.pi**2
         num_invalid, squared = 0, 0.0
         for person in range(2):
             count, distance = self._limits.move_pose(pair_m[person], self._work, self._valid)
@@ -128,7 +125,6 @@ class PhysicalPrior:
             num_invalid <= self.settings.max_invalid_angles
             and np.abs(lengths).max() <= self.settings.length_tolerance
             and is_tied
-            and not is_outside
         )
         return PriorTerms(
             log_prior=self.settings.log_prior(self.settings.violation_m2(squared, depth)) if is_possible else -np.inf,

@@ -54,10 +54,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
 def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> ArtifactRef:
     """Run a segment of a chain on from where the one before ended, or from the seed."""
     problem = chain_problem(shard, options, store)
-    target, propose, gauge = problem.target, problem.propose, problem.chart.gauge_fixed
+    chart, target, propose = problem.chart, problem.target, problem.propose
     if options.segment == 0:
         rng = stream(shard.seed, "chains", options.name, options.seed_index, options.chain)
-        start = problem.chart.seed_parameters()
+        start = chart.seed_parameters()
         state, propose = warm_up(
             rng,
             ChainState(start, target.seed_evaluation, propose.prepare(start)),
@@ -65,13 +65,15 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             propose,
             num_steps=options.run.num_warm_up * options.run.thin,
             target_acceptance=options.run.target_acceptance,
-            gauge=gauge,
+            gauge=chart.gauge_fixed,
         )
     else:
-        rng, state, scales = _resume(shard, store)
+        rng, state, scales = _resume(shard, chart, store)
         propose = propose.with_scales(scales)
     count = options.run.segment_draws
-    state, draws = run_segment(rng, state, target, propose, num_draws=count, thin=options.run.thin, gauge=gauge)
+    state, draws = run_segment(
+        rng, state, target, propose, num_draws=count, thin=options.run.thin, gauge=chart.gauge_fixed
+    )
     identity: dict[str, list[Any]] = {
         "density": [options.name],
         "seed_index": [options.seed_index],
@@ -81,7 +83,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
         "draws": {
             **{name: value * count for name, value in identity.items()},
             "draw": np.arange(options.segment * count, (options.segment + 1) * count),
-            "pair17_m": problem.chart.positions(draws.parameters),
+            "pair17_m": chart.positions(draws.parameters),
             "parameters": draws.parameters,
             "log_density": draws.log_density,
             "log_prior": draws.log_prior,
@@ -260,15 +262,16 @@ def read_seed_row(store: Store, ref: ArtifactRef, seed_index: int) -> SeedRow:
     )
 
 
-def _resume(shard: Shard, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
+def _resume(shard: Shard, chart: PairChart, store: Store) -> tuple[np.random.Generator, ChainState, Scales]:
     """Return generator, state and learned scales as the previous segment left them."""
     table = store.read(_done(shard.after[0], store).ref, "chain_states")
+    parameters = np.array(table["parameters"][0], dtype=np.float64)
     evaluation = Evaluation(
         log_density=float(table["log_density"][0]),
         log_prior=float(table["log_prior"][0]),
         log_likelihood=float(table["log_likelihood"][0]),
+        log_measure=chart.log_measure(parameters),
     )
-    parameters = np.array(table["parameters"][0], dtype=np.float64)
     scales, context = proposal_from_json(str(table["proposal_state"][0]))
     rng = generator_from_json(str(table["generator_state"][0]))
     return rng, ChainState(parameters, evaluation, context), scales

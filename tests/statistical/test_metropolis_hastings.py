@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import standing_pair
+from pasdedeux.plausibility import JointLimits
+from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
-from pasdedeux.sampling.density import Evaluation
+from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
-from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.sampling.parameters import NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
+from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
 from pasdedeux.sampling.proposals import GaussianBlocks, Proposed, StepSettings
+from pasdedeux.skeletons import PAIR17
 
 MIN_ESS = 400.0
 NUM_ERRORS = 4.5
@@ -196,3 +200,49 @@ def test_pair_proposals_sample_a_known_target_and_turn_roots_evenly() -> None:
         ess = effective_sample_size(values[..., None])[0]
         assert ess > 200
         assert abs(values.mean() - expected) < NUM_ERRORS * values.std() / np.sqrt(ess)
+
+
+def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_ball() -> None:
+    """A target flat over poses: cosines of bones to the seed's uniform on -1..1, cubes of the distance on 0..bound."""
+    chart, bound_m = PairChart(standing_pair()), 1.5
+    anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
+    prior = PhysicalPrior(chart, JointLimits.published(), anything)
+    target = PairDensity(chart, prior, None, truncation=np.inf, max_apart_m=bound_m)
+    propose = GaussianBlocks(StepSettings(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4))
+    chains = []
+    for chain in range(3):
+        rng = np.random.default_rng([13, chain])
+        state = ChainState(chart.seed_parameters(), target.seed_evaluation)
+        state, _ = run_segment(rng, state, target, propose, num_draws=40, thin=20)
+        state, segment = run_segment(rng, state, target, propose, num_draws=500, thin=20)
+        chains.append(segment.parameters)
+    draws = np.stack(chains)
+    turns = draws.reshape(*draws.shape[:-1], 2, NUM_PER_PERSON)[..., 6:].reshape(*draws.shape[:-1], 32, 3)
+    apart = np.linalg.norm(np.diff(draws[..., POSITION_INDICES], axis=-2), axis=-1) / bound_m
+    shares = np.concatenate([0.5 + 0.5 * np.cos(np.linalg.norm(turns[..., :2], axis=-1)), apart**3], axis=-1)
+    for share in np.moveaxis(shares, -1, 0):
+        for low in (0.0, 0.25, 0.5, 0.75):
+            inside = ((share >= low) & (share < low + 0.25)).astype(float)
+            ess = effective_sample_size(inside[..., None])[0]
+            assert ess > 100
+            assert abs(inside.mean() - 0.25) < NUM_ERRORS * np.sqrt(0.25 * 0.75 / ess)
+
+
+def test_the_measure_is_the_area_that_two_rotations_of_a_bone_sweep() -> None:
+    chart, step_rad = PairChart(standing_pair()), 1e-5
+    at = NUM_PER_PERSON + 6 + 3 * 4
+    joint = 5
+    for turn in ([0.0, 0.0], [0.3, -0.2], [1.5, 1.0], [-2.2, 2.0]):
+        parameters = chart.seed_parameters()
+        parameters[at : at + 2] = turn
+        sides = []
+        for axis in (0, 1):
+            moved = np.stack([parameters, parameters])
+            moved[:, at + axis] += [-step_rad, step_rad]
+            bones = chart.positions(moved)[:, 1]
+            before, after = bones[:, joint] - bones[:, PAIR17.parents[joint]]
+            sides.append((after - before) / (2 * step_rad * chart.lengths_m[1, joint]))
+        area = np.linalg.norm(np.cross(*sides))
+        assert np.exp(chart.log_measure(parameters)) == pytest.approx(area, rel=1e-6)
+    parameters[at : at + 2] = [np.pi, 0.0]
+    assert chart.log_measure(parameters) == -np.inf

@@ -184,18 +184,32 @@ def test_prior_is_the_plain_form_of_the_equation() -> None:
         assert terms.log_prior == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_prior_is_zero_for_stretched_untied_or_turned_over_bones() -> None:
+def test_prior_is_zero_for_stretched_or_untied_bones() -> None:
     chart = PairChart(SEED)
     prior = PhysicalPrior(chart, LIMITS)
     knees = LENGTH_INDICES[0, [PAIR17.index("left_knee") - 1, PAIR17.index("right_knee") - 1]]
-    stretched, untied, turned = (chart.seed_parameters() for _ in range(3))
+    stretched, untied = (chart.seed_parameters() for _ in range(2))
     stretched[knees] = 0.051
     untied[knees[0]] = 0.01
-    turned[block_indices(PAIR17.index("head"))[0]] = 3.2
-    for parameters in (stretched, untied, turned):
+    for parameters in (stretched, untied):
         assert prior.terms(parameters, chart.positions(parameters)).log_prior == -np.inf
     stretched[knees] = 0.049
     assert prior.terms(stretched, chart.positions(stretched)).log_prior > -np.inf
+
+
+def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
+    chart = PairChart(SEED)
+    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, max_apart_m=1.5)
+    near, far, turned = (chart.seed_parameters() for _ in range(3))
+    near[POSITION_INDICES[1]] = near[POSITION_INDICES[0]] + [1.49, 0.0, 0.0]
+    far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [1.51, 0.0, 0.0]
+    turned[block_indices(PAIR17.index("head"))[0]] = 3.2
+    assert np.isfinite(density(near).log_density)
+    assert density(far).log_density == density(turned).log_density == -np.inf
+    wide = PairChart(chart.positions(far))
+    assert np.isfinite(
+        PairDensity(wide, PhysicalPrior(wide, LIMITS), None, max_apart_m=1.5)(wide.seed_parameters()).log_density
+    )
 
 
 def test_compiled_likelihood_agrees_with_the_definition(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:

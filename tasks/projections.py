@@ -67,9 +67,9 @@ class ProjectionsParameters(Parameters):
         "orthographic", description="Rays of the camera: parallel, or through a pinhole distance_m from the mid-hip"
     )
     pitches_deg: tuple[float, ...] = Field(
-        (0.0, 20.0, 30.0, 45.0),
-        description="Pitches of the camera, which looks at the mid-hip; that of a sequence is found between these and "
-        "those of the heights",
+        (-10.0, 0.0, 20.0, 30.0, 45.0),
+        description="Pitches of the camera, which looks at the mid-hip, below 0 upwards; that of a sequence is found "
+        "between these and those of the heights",
     )
     heights_m: tuple[float, ...] = Field(
         (1.5,),

@@ -29,7 +29,9 @@ ERROR_WITHOUT_CORRECTION_M = 0.04
 ERROR_PER_CORRECTION = 0.6
 """Mean error of a joint over how far the fit moved it: least squares of the relative error on 124 virtual clips of nine
 takes (salsa, duets, single people, contact) under four databases, noise 1 to 8 px and up to a quarter of the joints
-hidden.  On 152 clips of eleven other takes it tells errors over 10 cm from others with an AUC of 0.84."""
+hidden.  Measured anew with camera, sizes and places as one estimate, on 218 people of 109 such clips: 120 of them, of
+eleven other takes, are told over or under 10 cm with an AUC of 0.81, median 10.2 cm expected and 10.1 found; least
+squares on the other 98 would say 0.032 m and 0.64."""
 
 DOUBTFUL_ERROR_M, BAD_ERROR_M = 0.10, 0.20
 POOR_SHARE_SEEN, USELESS_SHARE_SEEN = 0.7, 0.4
@@ -41,6 +43,8 @@ MAX_BRIDGED = 0.2
 LEFT_OUT_PERCENTILE = 95.0
 """Of the database's left-out frames have a misfit no larger than what is still taken for motion that it holds."""
 
+_LEVEL_RAD = float(np.deg2rad(-1.0))
+"""A camera that looks up by less is as good as level."""
 _NUM_LEFT_OUT, _NUM_NEIGHBOURS = 128, 1000
 
 
@@ -147,7 +151,7 @@ def camera_doubt(pitches_rad: Sequence[float], pitch: PitchEstimate) -> tuple[st
     """
     if len(pitches_rad) < 2:
         return ()
-    if pitch.pitch_rad >= max(pitches_rad):
+    if pitch.pitch_rad >= max(pitches_rad) or pitch.pitch_rad <= min(*pitches_rad, _LEVEL_RAD):
         return (f"{pitch.in_words()}, at the edge of what was tried: it may be more, or wrong",)
     return (f"{pitch.in_words()}",) if pitch.deviation_rad > DOUBTFUL_PITCH_RAD else ()
 

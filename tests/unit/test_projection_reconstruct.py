@@ -107,6 +107,13 @@ def test_the_pitch_of_the_camera_is_found() -> None:
         assert root_centred_error_m(found.positions_m, truth).mean() < 0.09
 
 
+def test_a_camera_that_looks_up_is_told_from_a_level_one() -> None:
+    searchers = [make_searcher(pitch) for pitch in (-0.175, 0.0, 0.35)]
+    for true_pitch in (-0.12, 0.0):
+        track, _ = film(walk(60, seed=3), pitch=true_pitch)
+        assert abs(choose_pitch(searchers, [track]).pitch_rad - true_pitch) < np.deg2rad(3.0)
+
+
 @pytest.mark.parametrize(("bow_rad", "true_pitch"), [(0.1, 0.35), (0.15, 0.175), (-0.1, 0.35)])
 def test_a_flat_floor_tells_the_pitch_where_the_database_leans(bow_rad: float, true_pitch: float) -> None:
     # An upright person looks like one who bows, or leans back, before a camera of another pitch.

@@ -98,6 +98,9 @@ def test_a_pitch_at_the_edge_of_what_was_tried_or_badly_known_is_a_doubt() -> No
     for index in (0, 1):
         assert camera_doubt(pitches, PitchEstimate(index, pitches[index], well)) == ()
     assert camera_doubt([0.8], PitchEstimate(0, 0.8)) == ()
+    below = np.deg2rad([-10.0, 0.0, 20.0])
+    assert "-10 +- 2.0 degrees, at the edge" in camera_doubt(below, PitchEstimate(0, below[0], well))[0]
+    assert camera_doubt(below, PitchEstimate(0, 0.5 * below[0], well)) == ()
     good = Reliability(0.05, 0.01, 0.05, 1.0, 0.0)
     assert good.verdict.level is Level.PASS
     assert replace(good, doubts=(doubt,)).verdict.level is Level.WARN

@@ -10,6 +10,8 @@ RENAMED_TABLES: dict[str, str] = {}
 RENAMED_COLUMNS: dict[str, str] = {
     "variant_quality.foot_slide_m": "it is measured by stance now: stance_excursion_m",
     "variant_frames.foot_slide_m": "it is measured by stance now: stance_excursion_m",
+    "variant_quality.scale_a": "it is the first number of uniform_scale",
+    "variant_quality.scale_b": "it is the second number of uniform_scale",
     "chain_states.kernel_state": "it is now called proposal_state",
     "seeds.gap_m": "it is now called image_distance_m",
 }

@@ -1,10 +1,10 @@
-"""Stage `augmentation`: every pair again for other body proportions, contacts kept, each variant measured."""
+"""Stage `augmentation`: every take again for other body proportions, contacts kept, each variant measured."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,15 +20,25 @@ from pasdedeux.augmentation import (
     make_variations,
     variant_rotations,
 )
+from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
 from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, artifact_fields, commit, named_refs, stream
 
-__all__ = ["STAGE", "VERSION", "AugmentationParameters", "PairTake", "known_contacts", "plan", "read_pair", "run_shard"]
+__all__ = [
+    "STAGE",
+    "VERSION",
+    "AugmentationParameters",
+    "TakeMotion",
+    "known_contacts",
+    "plan",
+    "read_take",
+    "run_shard",
+]
 
-VERSION = 12
+VERSION = 13
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -54,15 +64,16 @@ class BatchParameters(SolvedParameters):
     variants: tuple[str, ...]
 
 
-class NoPairParameters(Parameters):
-    """A take that is passed over, as it does not show two people."""
+class NobodyParameters(Parameters):
+    """A take that is passed over, as it has nobody of those who are scaled."""
 
+    persons: tuple[str, ...]
     num_persons: int
 
 
 @dataclass(frozen=True)
-class PairTake:
-    """A pair as the store holds it: its motion, its rest poses (2, 22, 3) and world rotations (T, 2, 22, 4)."""
+class TakeMotion:
+    """A take as the store holds it: its motion, its rest poses (P, 22, 3) and world rotations (T, P, 22, 4)."""
 
     source: Source
     rest_m: np.ndarray
@@ -71,7 +82,7 @@ class PairTake:
 
 
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
-    """Plan one shard per pair and batch of variants; a take of other than two people has one that says so."""
+    """Plan one shard per take and batch of variants; a take without anybody of those asked for has one that says so."""
     takes = {take.facts["take_id"]: take for take in inputs.of("poses") if take.facts.get("kind") == "take"}
     for take_id in parameters.contacts:
         if take_id not in takes:
@@ -79,10 +90,11 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
     common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
     size, shards = parameters.variants_per_shard, []
     for take_id, take in takes.items():
-        if take.facts["num_persons"] != 2:
-            shards.append(_shard(take, "no pair", NoPairParameters(num_persons=take.facts["num_persons"]), inputs.seed))
-            continue
-        names = [variation.variant_id for variation in make_variations(parameters, _generators(inputs.seed, take_id))]
+        names = [variation.variant_id for variation in _variations(take, parameters, inputs.seed)]
+        if not names:
+            asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
+            nobody = NobodyParameters(persons=asked, num_persons=take.facts["num_persons"])
+            shards.append(_shard(take, "nobody", nobody, inputs.seed))
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
             stated = parameters.contacts.get(take_id, known_contacts(take))
@@ -108,18 +120,20 @@ def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shar
     )
 
 
-def _generators(seed: int, take_id: str) -> Callable[..., np.random.Generator]:
-    return lambda *labels: stream(seed, "augmentation", take_id, *labels)
+def _variations(take: Manifest, settings: VariationSettings, seed: int) -> list[Variation]:
+    facts = take.facts
+    streams = partial(stream, seed, "augmentation", facts["take_id"])
+    return make_variations(settings, streams, int(facts["num_persons"]))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Solve a batch of variants of one take, or say why the take has none."""
     match shard.parameters:
-        case NoPairParameters(num_persons=count):
+        case NobodyParameters(persons=asked, num_persons=count):
             who = "one person" if count == 1 else f"{count} people"
-            verdict = Verdict(Level.WARN, f"{who}: only takes of two have variants")
+            verdict = Verdict(Level.WARN, f"{who}, and nobody of those who are scaled: {', '.join(asked)}")
             return commit(
-                shard, store, tables={}, facts={"kind": "no_pair", "takes": [shard.partition]}, verdict=verdict
+                shard, store, tables={}, facts={"kind": "nobody", "takes": [shard.partition]}, verdict=verdict
             )
         case BatchParameters() as batch:
             return _solve_batch(shard, batch, store)
@@ -131,8 +145,8 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
     """Solve a batch of variants and stream them to the store."""
     manifest = store.manifest(shard.ref("take"))
     take_id = manifest.facts["take_id"]
-    known = {v.variant_id: v for v in make_variations(parameters, _generators(shard.seed, take_id))}
-    take = read_pair(store, manifest.ref)
+    known = {v.variant_id: v for v in _variations(manifest, parameters, shard.seed)}
+    take = read_take(store, manifest.ref)
     started = time.monotonic()
     augmenter = Augmenter(take.source, parameters, user_contacts=parameters.contacts)
     facts = {
@@ -140,6 +154,7 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
         "takes": [take_id],
         "take_id": take_id,
         "variants": list(parameters.variants),
+        "num_persons": take.source.num_people,
         "num_frames": take.source.num_frames,
         "rate_hz": take.source.rate_hz,
         "is_held_out": bool(manifest.facts.get("is_held_out", False)),
@@ -160,8 +175,8 @@ def _solve_batch(shard: Shard, parameters: BatchParameters, store: Store) -> Art
     return writer.ref
 
 
-def read_pair(store: Store, ref: ArtifactRef) -> PairTake:
-    """Read a pair's take from its artifact.
+def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
+    """Read a take of any number of people from its artifact.
 
     Raises:
         InputError: A frame is not finite.
@@ -170,10 +185,10 @@ def read_pair(store: Store, ref: ArtifactRef) -> PairTake:
     takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
     poses = store.read(ref, "poses", columns=["time_s", "body22_m", "body22_world_unitquat"])
     people, world = (
-        np.swapaxes(poses[name].astype(np.float64).reshape(2, -1, *poses[name].shape[1:]), 0, 1)
+        np.swapaxes(poses[name].astype(np.float64).reshape(takes.num_rows, -1, *poses[name].shape[1:]), 0, 1)
         for name in ("body22_m", "body22_world_unitquat")
     )
-    return PairTake(
+    return TakeMotion(
         source=Source(np.ascontiguousarray(people), float(facts["rate_hz"]), f"take {facts['take_id']}"),
         rest_m=takes["body22_rest_m"].astype(np.float64),
         world_unitquat=np.ascontiguousarray(world),
@@ -181,22 +196,26 @@ def read_pair(store: Store, ref: ArtifactRef) -> PairTake:
     )
 
 
-def _write(writer: ArtifactWriter, take_id: str, take: PairTake, variant: Variant) -> None:
-    frames = take.source.num_frames
+def _write(writer: ArtifactWriter, take_id: str, take: TakeMotion, variant: Variant) -> None:
+    frames, people = take.source.num_frames, take.source.num_people
     name = variant.variation.variant_id
     rotations = variant_rotations(take.rest_m, variant.bone_scale, variant.positions_m, take.world_unitquat)
     place = {"take_id": [take_id] * frames, "variant_id": [name] * frames, "frame": np.arange(frames, dtype=np.int32)}
-    motion = {"time_s": take.time_s, "body22_m": variant.positions_m, "body22_unitquat": rotations}
-    writer.append("variants", place | motion)
+    everybody: dict[str, Any] = {
+        column: np.repeat(np.array(values), people) for column, values in {**place, "time_s": take.time_s}.items()
+    }
+    everybody["person"] = np.tile(np.arange(people, dtype=np.int32), frames)
+    everybody["body22_m"] = variant.positions_m.reshape(-1, *variant.positions_m.shape[2:])
+    everybody["body22_unitquat"] = rotations.reshape(-1, *rotations.shape[2:])
+    writer.append("variants", everybody)
     figures = {field.name: getattr(variant.frames, field.name) for field in fields(variant.frames)}
     writer.append("variant_frames", place | figures | {"verdict": [_LEVELS[level] for level in variant.frame_verdicts]})
     quality = variant.quality
     row: dict[str, Any] = {
         "take_id": take_id,
         "variant_id": name,
-        "bone_scale": variant.bone_scale,
-        "scale_a": variant.variation.uniform_scale(0),
-        "scale_b": variant.variation.uniform_scale(1),
+        "bone_scale": variant.bone_scale.ravel(),
+        "uniform_scale": np.array([variant.variation.uniform_scale(person) for person in range(people)]),
         "num_frames": frames,
         **{field.name: getattr(quality, field.name) for field in fields(quality)},
         "estimated_gap_m": variant.estimated_gap_m,
@@ -225,6 +244,6 @@ STAGE = Stage(
     parameters=AugmentationParameters,
     plan=plan,
     run_shard=run_shard,
-    meaning="Variants of every pair for other body proportions, by interaction mesh with exact bone lengths",
-    needs="takes of two people ([[ingest.takes]], [ingest.pairs])",
+    meaning="Variants of every take for other body proportions, by interaction mesh with exact bone lengths",
+    needs="takes ([[ingest.takes]], [ingest.pairs])",
 )

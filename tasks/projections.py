@@ -359,31 +359,25 @@ def _draw_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, 
 
 
 def _variant_rows(options: PoseShard, store: Store, ref: ArtifactRef) -> dict[str, Any]:
-    """Return both people of every variant at the database's rate."""
-    table = store.read(ref, "variants", columns=["take_id", "variant_id", "frame", "time_s", "body22_m"])
+    """Return everybody of every variant at the database's rate."""
+    table = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "frame", "time_s", "body22_m"])
     variant = np.array(list(table["variant_id"]), dtype=object)
     take_ids = list(table["take_id"])
     poses = np.asarray(table["body22_m"], dtype=np.float64)
     parts: list[dict[str, Any]] = []
     names, number = np.unique(variant.astype(str), return_inverse=True)
     for one in range(len(names)):
-        chosen = np.flatnonzero(number == one)
-        chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
-        from_hz = options.source_rate_hz or _rate_of(np.asarray(table["time_s"])[chosen])
-        pair = resample_positions(op14_from_working(poses[chosen], BODY22), from_hz=from_hz, to_hz=options.rate_hz)
-        both = [
-            _one_motion(
-                pair[:, person],
-                _resample_rotations(
-                    rotations_from_t_pose(poses[chosen, person]), from_hz=from_hz, to_hz=options.rate_hz
-                ),
-                take_ids[chosen[0]],
-                person,
-            )
-            for person in range(2)
-        ]
-        _set_partners(both, first_row=sum(len(part["positions"]) for part in parts))
-        parts += both
+        people = []
+        for person in np.unique(table["person"]):
+            chosen = np.flatnonzero((number == one) & (table["person"] == person))
+            chosen = chosen[np.argsort(np.asarray(table["frame"])[chosen], kind="stable")]
+            from_hz = options.source_rate_hz or _rate_of(np.asarray(table["time_s"])[chosen])
+            rates = {"from_hz": from_hz, "to_hz": options.rate_hz}
+            moved = resample_positions(op14_from_working(poses[chosen], BODY22), **rates)
+            turned = _resample_rotations(rotations_from_t_pose(poses[chosen]), **rates)
+            people.append(_one_motion(moved, turned, take_ids[chosen[0]], int(person)))
+        _set_partners(people, first_row=sum(len(part["positions"]) for part in parts))
+        parts += people
     return _joined(parts)
 
 

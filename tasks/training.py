@@ -22,7 +22,7 @@ from pasdedeux.learning import (
 )
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.augmentation import PairTake, read_pair
+from tasks.augmentation import TakeMotion, read_take
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, named_refs, stream
 
 __all__ = ["STAGE", "VERSION", "TrainingParameters", "plan", "read_items", "run_shard"]
@@ -63,8 +63,8 @@ class SplitParameters(ModelsParameters):
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
-    """Plan one shard per split; held-out takes are never trained on."""
-    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("kind") == "variants"]
+    """Plan one shard per split; held-out takes are never trained on, and of people other than two none is used."""
+    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
     used = {manifest.facts["take_id"] for manifest in variants}
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts.get("take_id") in used]
     if not variants:
@@ -95,7 +95,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """
     parameters = shard.options(SplitParameters)
     split_name = parameters.split
-    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in shard.refs("takes")}
+    takes = {store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in shard.refs("takes")}
     homes: dict[tuple[str, str], ArtifactRef] = {}
     keys: list[VariantKey] = []
     held_out: set[str] = set()
@@ -106,7 +106,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             held_out.add(facts["take_id"])
         for row, variant_id in enumerate(table["variant_id"]):
             if table["verdict"][row] != "fail":
-                keys.append(VariantKey(facts["take_id"], str(variant_id), table["bone_scale"][row]))
+                keys.append(VariantKey(facts["take_id"], str(variant_id), table["bone_scale"][row].reshape(2, -1)))
             homes[facts["take_id"], str(variant_id)] = ref
     test_takes = sorted(held_out | set(parameters.test_takes))
     split = make_split(split_name, keys, stream(shard.seed, "training", split_name), test_takes=test_takes)
@@ -174,7 +174,7 @@ def read_items(
     store: Store,
     keys: Sequence[VariantKey],
     homes: dict[tuple[str, str], ArtifactRef],
-    takes: dict[str, PairTake],
+    takes: dict[str, TakeMotion],
 ) -> Iterator[TrainingItem]:
     """Read variants one at a time, artifact by artifact; `homes` says where each (take, variant) lies."""
     wanted: dict[ArtifactRef, dict[str, VariantKey]] = {}
@@ -184,14 +184,14 @@ def read_items(
         offset = 0
         sizes = store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
         for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
-            rows = slice(offset, offset + int(frames))
+            rows = slice(offset, offset + 2 * int(frames))
             offset = rows.stop
             if str(name) not in by_name:
                 continue
             key = by_name[str(name)]
             motion = store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"].astype(np.float64)
             request = VariantRequest(key.take_id, takes[key.take_id].source, key.bone_scale)
-            yield TrainingItem(key.variant_id, request, motion)
+            yield TrainingItem(key.variant_id, request, motion.reshape(-1, 2, *motion.shape[1:]))
 
 
 def _by_take(keys: Sequence[VariantKey]) -> dict[str, list[str]]:

@@ -13,8 +13,9 @@ __all__ = ["register"]
 
 _HELP = """Give a take the bodies of other people, its contacts kept, and write it on its own skeletons.
 
-TAKE is STUDY/TAKE of a store, a reference to poses, or two motion files that need no study (BVH, AMC with its ASF,
-positions), person A first.  The first --to is for person A, the second for B; `source` keeps somebody as captured.
+TAKE is STUDY/TAKE of a store, a reference to poses, or motion files that need no study, one a person (BVH, AMC with
+its ASF, positions), person A first.  The first --to is for person A, the next for B, and so on; `source` keeps somebody
+as captured.
 A body is a BVH or ASF file of another person, a table of joint distances in metres (CSV with the columns from, to,
 distance_m), or joint positions with the names of body22 or SMPL (npz, JSON).
 
@@ -32,8 +33,10 @@ def register(app: typer.Typer) -> None:
 
 
 def retarget(
-    take: Annotated[list[str], typer.Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or two motion files.")],
-    to: Annotated[list[str], typer.Option("--to", metavar="BODY", help="Body of person A, then of person B.")],
+    take: Annotated[
+        list[str], typer.Argument(metavar="TAKE", help="STUDY/TAKE, a reference, or a motion file for each person.")
+    ],
+    to: Annotated[list[str], typer.Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
     store: Annotated[Path, typer.Option(metavar="DIR", help="Store that TAKE is looked up in.")] = Path("store"),
     unit: Annotated[

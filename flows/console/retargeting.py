@@ -30,7 +30,7 @@ from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve
-from tasks.augmentation import known_contacts, read_pair
+from tasks.augmentation import known_contacts, read_take
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.parameters import TakeParameters
@@ -73,10 +73,8 @@ def retarget_take(
     """Find take and bodies, solve, write, and say what came of it.
 
     Raises:
-        InputError: The take is not there or not of two people, or a body cannot be read or be anybody's.
+        InputError: The take is not there, there are more bodies than people, or a body cannot be read or be anybody's.
     """
-    if len(bodies) > 2:
-        raise InputError(f"{len(bodies)} bodies are given; a take has two people: --to BODY_A --to BODY_B")
     body_units = iter(options.body_units_m)
     targets = [None if body == KEPT else _read_target(Path(body), body_units) for body in bodies]
     if len(take) > 1 or Path(take[0]).is_file():
@@ -97,11 +95,10 @@ def retarget_take(
 @contextmanager
 def _take_of_files(files: Sequence[str], options: FileOptions) -> Iterator[tuple[Store, ArtifactRef]]:
     """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
-    if len(files) != 2:
-        raise InputError(f"{len(files)} motion file is given; two people are needed, a file each, person A first")
-    if len(options.units_m) > 2:
-        raise InputError(f"--unit is given {len(options.units_m)} times for two files")
-    units = [options.units_m[min(person, len(options.units_m) - 1)] if options.units_m else None for person in (0, 1)]
+    if len(options.units_m) > len(files):
+        raise InputError(f"--unit is given {len(options.units_m)} times for {len(files)} file{'s' * (len(files) > 1)}")
+    last = len(options.units_m) - 1
+    units = [options.units_m[min(person, last)] if options.units_m else None for person in range(len(files))]
     take = {
         "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-") or "take",
         "files": [str(Path(file).resolve()) for file in files],
@@ -162,11 +159,12 @@ def _retarget(
 ) -> None:
     manifest = store.manifest(ref)
     take_id, num_persons = manifest.facts["take_id"], int(manifest.facts["num_persons"])
-    if num_persons != 2:
-        raise InputError(f"take {take_id} has {num_persons} people; two are needed")
-    source = read_pair(store, ref).source
+    if len(targets) > num_persons:
+        who = "one person" if num_persons == 1 else f"{num_persons} people"
+        raise InputError(f"{len(targets)} bodies are given, but take {take_id} has {who}: --to once for each, A first")
+    source = read_take(store, ref).source
     people = people_of_take(store, ref)
-    bone_scale = np.ones((2, BODY22.num_joints))
+    bone_scale = np.ones((num_persons, BODY22.num_joints))
     rows = []
     contradictions: list[tuple[Person, float]] = []
     for index, (person, target) in enumerate(zip(people, targets, strict=False)):

@@ -89,8 +89,8 @@ def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
 def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> str:
     """Return the text of a study over these files; over the built-in duets without any.
 
-    Two motion files are a pair; of more, those whose take and length match are (60_01 with 61_01).  ASF files serve
-    the AMC files beside them; folders are looked through.
+    Two motion files are a take; of more, those whose take and length match are (60_01 with 61_01, and 62_01 where there
+    is one).  ASF files serve the AMC files beside them; folders are looked through.
 
     Args:
         name: Name of the study.
@@ -185,7 +185,7 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
 
 
 def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
-    """Return takes of one or two files: two files in all, or equally long ones of one take."""
+    """Return the files of each take: two files in all, or equally long ones of one take."""
     if len(motions) == 2:
         return {_identifier(motions[0].path.stem): list(motions)}
     takes: dict[str, list[_Motion]] = {}
@@ -194,7 +194,7 @@ def _pair_up(motions: Sequence[_Motion]) -> dict[str, list[_Motion]]:
         subject, _, take = source.path.stem.rpartition("_")
         key = (source.path.parent, take)
         partner = takes[open_takes[key]] if key in open_takes else []
-        if subject and len(partner) == 1 and partner[0].num_frames == source.num_frames:
+        if subject and partner and partner[0].num_frames == source.num_frames:
             partner.append(source)
             continue
         take_id = _identifier(source.path.stem)

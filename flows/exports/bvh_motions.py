@@ -63,12 +63,12 @@ def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
     """Write the variants of one artifact."""
     people = people_of_take(store, take_of(store, ref))
     quality = store.read(ref, "variant_quality", columns=["take_id", "variant_id", "bone_scale"])
-    rows = store.read(ref, "variants", columns=["take_id", "variant_id", "body22_m"])
+    rows = store.read(ref, "variants", columns=["take_id", "variant_id", "person", "body22_m"])
     scales = {key: quality["bone_scale"][part[0]] for key, part in _groups(quality, "take_id", "variant_id")}
     for (take_id, variant_id), part in _groups(rows, "take_id", "variant_id"):
         for person, one in enumerate(people):
-            body22_m = rows["body22_m"][part][:, person].astype(np.float64)
-            own = one.own.worn(body22_m, scales[take_id, variant_id][person])
+            body22_m = rows["body22_m"][part[rows["person"][part] == person]].astype(np.float64)
+            own = one.own.worn(body22_m, scales[take_id, variant_id].reshape(len(people), -1)[person])
             files.write(f"{take_id}_{variant_id}_{one.letter}", one, own, body22_m)
 
 

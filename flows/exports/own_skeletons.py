@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from string import ascii_uppercase
 
 import numpy as np
 
@@ -17,9 +18,7 @@ from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import BODY22, Skeleton
 from storage_schema import ArtifactRef, Store
 
-__all__ = ["LETTERS", "Person", "RigFiles", "people_of_take", "take_of"]
-
-LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+__all__ = ["Person", "RigFiles", "people_of_take", "take_of"]
 
 _POSED = {
     "source": "that of the source's file, Y up",
@@ -75,7 +74,7 @@ def people_of_take(store: Store, ref: ArtifactRef) -> list[Person]:
             np.asarray(take["body22_weight"], dtype=np.float64).reshape(BODY22.num_joints, joints),
             np.asarray(take["body22_offset_m"], dtype=np.float64).reshape(BODY22.num_joints, joints, 3),
         )
-        letter = LETTERS[int(take["person"])]
+        letter = ascii_uppercase[int(take["person"])]
         own = OwnSkeleton(motion, body)
         people.append(Person(str(take["take_id"]), letter, own, float(take["metres_per_unit"]), str(take["layout"])))
     return people

@@ -13,7 +13,6 @@ from pasdedeux.augmentation.contacts import check_contacts
 from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
-    NUM_POINTS,
     Source,
     complete_scales,
     points_of,
@@ -25,7 +24,6 @@ from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.plausibility import JointLimits
-from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level, Verdict
 
 __all__ = ["Augmenter", "Variant"]
@@ -39,7 +37,7 @@ _FAILED = 2
 _LONGEST_FRAMES = 1200
 """Windows of a fast take are shorter."""
 _FRAME_BYTES = 200_000
-"""What a window that is ready keeps a frame: terms, mesh, factors of both rates."""
+"""What a window of two people that is ready keeps a frame: terms, mesh, factors of both rates."""
 _KEPT_BYTES = 300_000_000
 """Windows of a take are kept ready up to this."""
 
@@ -50,8 +48,8 @@ class Variant:
 
     Args:
         variation: Its name and the scales asked for.
-        bone_scale: The scales used (2, 22): as asked for, the root's following the legs.
-        positions_m: Motion of both people (T, 2, 22, 3), metres; always finite.
+        bone_scale: The scales used (P, 22): as asked for, the root's following the legs.
+        positions_m: Motion of all people (T, P, 22, 3), metres; always finite.
         quality: Its figures.
         frames: Its figures frame by frame.
         frame_verdicts: Verdict of each frame (T,): 0 pass, 1 warn, 2 fail.
@@ -132,7 +130,7 @@ class Augmenter:
             points = parts[0].positions[index]
             laplacian = parts[0].squared_residual[index]
             if len(parts) > 1:
-                points = np.zeros((self.source.num_frames, NUM_POINTS, 3))
+                points = np.zeros((self.source.num_frames, self.source.num_points, 3))
                 laplacian = np.zeros(self.source.num_frames)
                 for window, part, share in zip(self._windows, parts, shares, strict=True):
                     points[window] += share[:, None, None] * part.positions[index]
@@ -151,7 +149,7 @@ class Augmenter:
                 Variant(
                     variation=variation,
                     bone_scale=bone_scale[index],
-                    positions_m=points.reshape(-1, 2, BODY22.num_joints, 3),
+                    positions_m=points.reshape(self.source.positions_m.shape),
                     quality=measured.quality,
                     frames=measured.frames,
                     frame_verdicts=frame_verdicts,
@@ -173,7 +171,7 @@ class Augmenter:
     def _solver(self, number: int) -> WindowSolver:
         if number not in self._ready:
             window = self._windows[number]
-            each = _FRAME_BYTES * (window.stop - window.start)
+            each = _FRAME_BYTES * (self.source.num_people / 2) ** 2 * (window.stop - window.start)
             while self._ready and (len(self._ready) + 1) * each > _KEPT_BYTES:
                 self._ready.pop(next(iter(self._ready)))
             within = (contact.within(window.start, window.stop) for contact in self._user_contacts)
@@ -183,7 +181,7 @@ class Augmenter:
         return self._ready[number]
 
     def _judge(self, quality: Quality, frame_verdicts: npt.NDArray[np.int64], solver: str) -> Verdict:
-        verdict = quality.judge(self.settings.limits)
+        verdict = quality.judge(self.settings.limits, is_alone=self.source.num_people == 1)
         level, reasons = verdict.level, [verdict.reason] if verdict.reason else []
         if solver == "plain_fk":
             level = Level.FAIL
@@ -191,7 +189,9 @@ class Augmenter:
         failed = np.flatnonzero(frame_verdicts == _FAILED)
         if level is not Level.PASS and len(failed):
             reasons.append(f"{len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}")
-        if self.source.closest_m > FAR_APART_M:
+        closest_m = self.source.closest_m
+        if closest_m is not None and closest_m > FAR_APART_M:
             level = Level.WARN if level is Level.PASS else level
-            reasons.insert(0, f"the two never come closer than {self.source.closest_m:.2f} m: nothing to keep")
+            who = "the two" if self.source.num_people == 2 else "people"
+            reasons.insert(0, f"{who} never come closer than {closest_m:.2f} m: nothing to keep")
         return replace(verdict, level=level, reason="; ".join(reasons))

@@ -12,6 +12,7 @@ not wait for another.  A few iterations at all frames end it, and a forward-kine
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +31,8 @@ from pasdedeux.augmentation.bulk_kernels import (
 from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
 from pasdedeux.augmentation.contacts import aim_contacts
 from pasdedeux.augmentation.factor import Factor, factorise, solve
-from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
-from pasdedeux.augmentation.source import NUM_POINTS, points_of
+from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
+from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.kinematics import bone_directions, place_bones
 from pasdedeux.skeletons import BODY22
@@ -41,12 +42,6 @@ __all__ = ["BulkResult", "BulkSolver", "project_to_bones"]
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 
-_BONES = np.array(
-    [[parent + offset, child + offset] for offset in (0, BODY22.num_joints) for parent, child in BODY22.bones]
-)
-_EDGES = np.ascontiguousarray(np.concatenate([_BONES, GIRDLE_PAIRS]))
-_NUM_BONES = len(_BONES)
-_NUM_EDGES = len(_EDGES)
 _AXES = tuple(np.flatnonzero(np.array(AXIS_GROUP) == group) for group in (0, 1))
 
 
@@ -104,7 +99,7 @@ class BulkResult:
     """What the bulk solver gives.
 
     Args:
-        positions: Positions with exact bones (variant, T, 44, 3), metres.
+        positions: Positions with exact bones (variant, T, n, 3), metres.
         estimated_gap_m: Estimate of the mean joint distance from the optimum (variant,), metres.
         num_iterations: Iterations at the coarse rate (variant,).
     """
@@ -140,11 +135,13 @@ class _Level:
 
     def __init__(self, problem: Problem, dtype: type[np.floating]) -> None:
         self.problem, self.dtype = problem, dtype
-        penalties = _edge_penalties(problem)
+        self.edges, self.num_bones = _edges(problem.source.num_people)
+        self.num_points, self.num_edges = problem.source.num_points, len(self.edges)
+        penalties = _edge_penalties(problem, self.edges)
         near = problem.clearance
         near_penalties = _CLEARANCE_PENALTY * near.weights
         stencils = np.zeros(problem.matrix.shape[1:])
-        edges = np.tile(_EDGES, (len(penalties), 1, 1))
+        edges = np.tile(self.edges, (len(penalties), 1, 1))
         add_stencils(edges, np.tile([1.0, -1.0], (*penalties.shape, 1)), penalties, stencils)
         add_stencils(near.points, near.shares, near_penalties, stencils)
         matrix = problem.matrix + stencils
@@ -168,21 +165,21 @@ class _Level:
 
         Args:
             targets: What the variants are to reach.
-            start: x and v of the edges (3, T, 44 + edge, variant); plain forward kinematics where not given.
+            start: x and v of the edges (3, T, n + edge, variant); plain forward kinematics where not given.
         """
         problem, dtype = self.problem, self.dtype
         frames, count = problem.num_frames, targets.num_variants
         near = problem.clearance
-        shape = (3, 2 * self._factors[0].num_blocks, NUM_POINTS, count)
+        shape = (3, 2 * self._factors[0].num_blocks, self.num_points, count)
         linear: AnyFloat = np.zeros(shape, dtype)
         for variant in range(count):
             # One by one: BLAS sums in another order for another number of columns.
             linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
-        edges = targets.reference[:, :, _EDGES[:, 1]] - targets.reference[:, :, _EDGES[:, 0]]
-        lengths = np.empty((frames, _NUM_EDGES, count), dtype)
-        lengths[:, :_NUM_BONES] = targets.lengths_m[:, _BONES[:, 1]].T
-        lengths[:, _NUM_BONES:] = np.transpose(targets.girdle_m, (1, 2, 0))
-        rows = _NUM_EDGES + near.weights.shape[1]
+        edges = targets.reference[:, :, self.edges[:, 1]] - targets.reference[:, :, self.edges[:, 0]]
+        lengths = np.empty((frames, self.num_edges, count), dtype)
+        lengths[:, : self.num_bones] = targets.lengths_m[:, self.edges[: self.num_bones, 1]].T
+        lengths[:, self.num_bones :] = np.transpose(targets.girdle_m, (1, 2, 0))
+        rows = self.num_edges + near.weights.shape[1]
         between = self._narrow(np.transpose(problem.contacts.vectors(targets.reference), (3, 1, 2, 0)))
         kept = self._narrow(np.transpose(targets.contact_m, (3, 1, 2, 0)))
         begun = _Iteration(
@@ -194,14 +191,14 @@ class _Level:
             between=between,
             kept=kept,
             contact_aim=kept - between,
-            state=np.zeros((3, frames, NUM_POINTS + rows, count), dtype),
+            state=np.zeros((3, frames, self.num_points + rows, count), dtype),
             aim=np.zeros((3, frames, rows, count), dtype),
             change=np.zeros((3, frames, rows, count), dtype),
         )
         if start is None:
-            begun.state[:, :, NUM_POINTS : NUM_POINTS + _NUM_EDGES] = begun.reference
+            begun.state[:, :, self.num_points : self.num_points + self.num_edges] = begun.reference
         else:
-            begun.state[:, :, : NUM_POINTS + _NUM_EDGES] = start
+            begun.state[:, :, : self.num_points + self.num_edges] = start
             self._lean_on_near(begun)
             self._aim_contacts(begun)
         self._project(begun)
@@ -211,15 +208,15 @@ class _Level:
         """Do one iteration; `project` or `accelerate` must follow."""
         contacts, near = self.problem.contacts, self.problem.clearance
         count = now.lengths.shape[-1]
-        assemble(now.linear, now.reference, now.aim, _EDGES, self._penalties, now.offsets)
-        assemble_pairs(now.aim, _NUM_EDGES, near.points, self._shares, self._near_penalties, now.offsets)
+        assemble(now.linear, now.reference, now.aim, self.edges, self._penalties, now.offsets)
+        assemble_pairs(now.aim, self.num_edges, near.points, self._shares, self._near_penalties, now.offsets)
         assemble_pairs(now.contact_aim, 0, contacts.points, self._contact_shares, self._contact_weights, now.offsets)
         for group, axes in enumerate(_AXES):
-            solve(self._factors[group], now.offsets.reshape(3, -1, 2 * NUM_POINTS, count), axes)
+            solve(self._factors[group], now.offsets.reshape(3, -1, 2 * self.num_points, count), axes)
         advance(
             now.offsets,
             now.reference,
-            _EDGES,
+            self.edges,
             near.points,
             self._shares,
             self._relaxation,
@@ -239,7 +236,7 @@ class _Level:
             now.lengths,
             now.limits,
             self._normals,
-            _NUM_BONES,
+            self.num_bones,
             self._girdle,
             self._penalties,
             self._share,
@@ -266,7 +263,9 @@ class _Level:
         vectors = (self._shares[None, ..., None] * x).sum(axis=3)
         reach = (np.moveaxis(self._normals, -1, 0)[..., None] * vectors).sum(axis=0)
         pull = np.maximum(now.limits - reach, 0.0) / self._share[0]
-        now.state[:, :, NUM_POINTS + _NUM_EDGES :] = vectors - np.moveaxis(self._normals, -1, 0)[..., None] * pull
+        now.state[:, :, self.num_points + self.num_edges :] = (
+            vectors - np.moveaxis(self._normals, -1, 0)[..., None] * pull
+        )
 
 
 class _Acceleration:
@@ -338,7 +337,7 @@ class BulkSolver:
             now = self._fine.begin(targets, interpolate(self._thinning, ended))
             ended, change_m, _ = _settle(self._fine, now, _FINE_END, min(most, _MOST_FINE), is_accelerated=False)
             estimate += _GAP_PER_FINE_CHANGE * change_m
-        points = targets.reference + np.transpose(ended[:, :, :NUM_POINTS], (3, 1, 2, 0))
+        points = targets.reference + np.transpose(ended[:, :, : self._fine.num_points], (3, 1, 2, 0))
         positions = project_to_bones(points, targets.lengths_m)
         return BulkResult(positions=positions, estimated_gap_m=estimate, num_iterations=iterations)
 
@@ -349,13 +348,14 @@ def _settle(
     """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch.
 
     Returns:
-        x and v of the edges (3, T, 44 + edge, variant), how far edges still change at the last iteration (variant,),
+        x and v of the edges (3, T, n + edge, variant), how far edges still change at the last iteration (variant,),
         metres, and its number (variant,).
     """
-    count = now.lengths.shape[-1]
-    ended = np.zeros((3, level.problem.num_frames, NUM_POINTS + _NUM_EDGES, count), level.dtype)
+    count, num_points = now.lengths.shape[-1], level.num_points
+    num_rows = num_points + level.num_edges
+    ended = np.zeros((3, level.problem.num_frames, num_rows, count), level.dtype)
     change_m, iterations = np.zeros(count), np.zeros(count, np.int64)
-    left, before = np.arange(count), np.array(now.state[:, :, :NUM_POINTS])
+    left, before = np.arange(count), np.array(now.state[:, :, :num_points])
     acceleration = _Acceleration(now, level.problem.source.rate_hz) if is_accelerated else None
     for iteration in range(1, most + 1):
         level.iterate(now)
@@ -366,12 +366,12 @@ def _settle(
         if iteration % end.checked_every and not is_last:
             continue
         change, moved = _edge_change(now), _moved(now.state, before)
-        before = np.array(now.state[:, :, :NUM_POINTS])
+        before = np.array(now.state[:, :, :num_points])
         is_done = (change <= end.change_m) | ((change <= end.stalled_m) & (moved <= end.moved_m)) | is_last
         if not is_done.any():
             continue
         done, kept = np.flatnonzero(is_done), np.flatnonzero(~is_done)
-        ended[..., left[done]] = now.state[:, :, : NUM_POINTS + _NUM_EDGES, done]
+        ended[..., left[done]] = now.state[:, :, :num_rows, done]
         change_m[left[done]], iterations[left[done]] = change[done], iteration
         if not len(kept):
             break
@@ -386,28 +386,35 @@ def _edge_change(now: _Iteration) -> Array:
 
     It is the mean of each frame's root mean square, as a few frames may swing for ever.
     """
-    return mean_change(now.change, _NUM_EDGES)
+    return mean_change(now.change, now.lengths.shape[1])
 
 
 def _moved(state: AnyFloat, before: AnyFloat) -> Array:
     """Return how far joints moved since (variant,), metres, likewise."""
-    return mean_change(state[:, :, :NUM_POINTS] - before, NUM_POINTS)
+    return mean_change(state[:, :, : before.shape[2]] - before, before.shape[2])
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:
-    """Return the points (variant, T, 44, 3) with their bone directions and exactly these lengths (variant, 44).
+    """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
     The pelvis stays; a bone without direction takes none, which only a bone of length zero has.
     """
-    pairs = points.reshape(*points.shape[:2], 2, BODY22.num_joints, 3)
-    lengths = lengths_m.reshape(-1, 1, 2, BODY22.num_joints)
-    return points_of(place_bones(BODY22, pairs[..., BODY22.root, :], bone_directions(BODY22, pairs), lengths))
+    people = points.reshape(*points.shape[:2], -1, BODY22.num_joints, 3)
+    lengths = lengths_m.reshape(len(lengths_m), 1, -1, BODY22.num_joints)
+    return points_of(place_bones(BODY22, people[..., BODY22.root, :], bone_directions(BODY22, people), lengths))
 
 
-def _edge_penalties(problem: Problem) -> Array:
+@lru_cache(maxsize=8)
+def _edges(num_people: int) -> tuple[npt.NDArray[np.int64], int]:
+    """Return everybody's bones, then girdle pairs (edge, 2), and how many bones there are."""
+    bones = np.concatenate([np.array(BODY22.bones) + person * BODY22.num_joints for person in range(num_people)])
+    return np.ascontiguousarray(np.concatenate([bones, girdle_pairs(num_people)])), len(bones)
+
+
+def _edge_penalties(problem: Problem, edges: npt.NDArray[np.int64]) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
-    contact = np.zeros((problem.num_frames, NUM_POINTS))
+    contact = np.zeros((problem.num_frames, problem.source.num_points))
     pull = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
     np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), pull)
-    stiffness = contact[:, _EDGES[:, 0]] + contact[:, _EDGES[:, 1]]
+    stiffness = contact[:, edges[:, 0]] + contact[:, edges[:, 1]]
     return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)

@@ -3,8 +3,8 @@
 No fast-math: fused or reordered operations would round differently in the vector body of a loop and in its rest, and so
 make a variant depend on its place in the batch.
 
-The iteration's state (3, T, R, variant) holds in each frame 44 rows x, a row v = z + u for each edge and one for each
-pair of near bones; `aim` (3, T, R - 44, variant) holds z - u.
+The iteration's state (3, T, R, variant) holds in each frame n rows x, a row v = z + u for each edge and one for each
+pair of near bones; `aim` (3, T, R - n, variant) holds z - u.
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-_POINTS = 44
-
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def advance(
@@ -44,24 +42,25 @@ def advance(
     state: AnyFloat,
     change: AnyFloat,
 ) -> None:
-    """Take x from `offsets` and move v by `change` (3, T, R - 44, variant), relaxation (s - z), s what x gives.
+    """Take x from `offsets` and move v by `change` (3, T, R - n, variant), relaxation (s - z), s what x gives.
 
     `reference` holds the edge vectors of r.
     """
     frames, num_edges, count = reference.shape[1:]
     num_pairs = points.shape[1]
+    num_points = state.shape[2] - num_edges - num_pairs
     relax = relaxation[0]
     half = relax / (relax + relax)
     for axis in range(3):
         for t in range(frames):
-            for i in range(_POINTS):
+            for i in range(num_points):
                 one, other = offsets[axis, t, i], state[axis, t, i]
                 for n in range(count):
                     other[n] = one[n]
             for e in range(num_edges):
                 child, parent = offsets[axis, t, edges[e, 1]], offsets[axis, t, edges[e, 0]]
                 given, aims = reference[axis, t, e], aim[axis, t, e]
-                v, moved = state[axis, t, _POINTS + e], change[axis, t, e]
+                v, moved = state[axis, t, num_points + e], change[axis, t, e]
                 for n in range(count):
                     moved[n] = relax * (((child[n] - parent[n]) + given[n]) - half * (v[n] + aims[n]))
                 for n in range(count):
@@ -71,7 +70,7 @@ def advance(
                 c, d = offsets[axis, t, points[t, e, 2]], offsets[axis, t, points[t, e, 3]]
                 sa, sb, sc, sd = shares[t, e, 0], shares[t, e, 1], shares[t, e, 2], shares[t, e, 3]
                 aims, moved = aim[axis, t, num_edges + e], change[axis, t, num_edges + e]
-                v = state[axis, t, _POINTS + num_edges + e]
+                v = state[axis, t, num_points + num_edges + e]
                 for n in range(count):
                     moved[n] = (sa * a[n] + sb * b[n]) + (sc * c[n] + sd * d[n])
                 for n in range(count):
@@ -95,13 +94,14 @@ def project(
     """Leave z - u = 2 z - v in `aim`: bones go to their spheres, girdle pairs towards theirs, near bones out."""
     frames, num_edges, count = lengths.shape
     num_pairs = limits.shape[1]
+    num_points = state.shape[2] - num_edges - num_pairs
     tiny = lengths.dtype.type(1e-12)
     one = share[0] / share[0]
     two, zero, inverse = one + one, one - one, one / (share[0] + one)
     scale = np.empty(count, lengths.dtype)
     for t in range(frames):
         for e in range(num_edges):
-            x, y, z = state[0, t, _POINTS + e], state[1, t, _POINTS + e], state[2, t, _POINTS + e]
+            x, y, z = state[0, t, num_points + e], state[1, t, num_points + e], state[2, t, num_points + e]
             wanted = lengths[t, e]
             for n in range(count):
                 scale[n] = np.sqrt((x[n] * x[n] + y[n] * y[n]) + z[n] * z[n]) + tiny
@@ -114,11 +114,11 @@ def project(
                 for n in range(count):
                     scale[n] = two * ((penalty * scale[n] + girdle[0] * wanted[n]) * pulled / scale[n]) - one
             for axis in range(3):
-                v, aims = state[axis, t, _POINTS + e], aim[axis, t, e]
+                v, aims = state[axis, t, num_points + e], aim[axis, t, e]
                 for n in range(count):
                     aims[n] = v[n] * scale[n]
         for e in range(num_pairs):
-            row, limit = _POINTS + num_edges + e, limits[t, e]
+            row, limit = num_points + num_edges + e, limits[t, e]
             x, y, z = state[0, t, row], state[1, t, row], state[2, t, row]
             a, b, c = normals[t, e, 0], normals[t, e, 1], normals[t, e, 2]
             for n in range(count):
@@ -279,7 +279,7 @@ def mean_change(change: AnyFloat, num_rows: int) -> Array:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) -> None:
-    """Add sum w B^T B to `matrix` (T, 44, 44)."""
+    """Add sum w B^T B to `matrix` (T, n, n)."""
     frames, num_pairs, size = points.shape
     for t in range(frames):
         for e in range(num_pairs):

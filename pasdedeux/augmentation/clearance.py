@@ -1,4 +1,4 @@
-"""Clearance: bones near each other in the source, of both people or of one, that may not come deeper into each other.
+"""Clearance: bones near each other in the source, of two people or of one, that may not come deeper into each other.
 
 Bodies are capsules round the bones (`plausibility`).  For every two bones that come near each other the source gives
 the two nearest points on their axes and the direction between them; a variant's distance of the same two points along
@@ -10,12 +10,13 @@ points and directions are averaged over a moment, as they jump where bones are p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
-from pasdedeux.augmentation.source import NUM_POINTS, Girths, Source, widened_m
+from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
 from pasdedeux.interaction.contacts import fade, nearest_on_bones, packer, parents_of, stencil_vectors
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
@@ -41,7 +42,7 @@ class Clearance:
     """Pairs of bones near each other in each frame, up to M of them, filled up with pairs of no weight.
 
     Args:
-        points: Both ends of the first bone and of the second (T, M, 4), as points 0 to 43.
+        points: Both ends of the first bone and of the second (T, M, 4), as points 0 to n - 1.
         shares: What the ends contribute to the vector w between the nearest points (T, M, 4).
         normals: Unit direction of w in the source (T, M, 3).
         limits_m: Smallest distance n . w allowed where nobody is thicker than in the source (T, M), metres.
@@ -63,20 +64,22 @@ def find_clearance(
     weight_within: float,
     girth: Girths = (1.0, 1.0),
 ) -> Clearance:
-    """Find the pairs of bones that are near each other in the source, or would be with the new girth of A and B."""
+    """Find the pairs of bones that are near each other in the source, or would be with their new girth."""
     model = capsule_model(BODY22)
     radii = source.radii_m.reshape(-1)
-    parents = parents_of(BODY22)
-    half = BODY22.num_joints
-    pairs = np.concatenate([model.between + np.array([0, half]), model.within, model.within + half])
-    weight = np.full(len(pairs), weight_between)
-    weight[len(model.between) :] = weight_within
+    parents = parents_of(BODY22, source.num_people)
+    joints = BODY22.num_joints
+    first = np.arange(source.num_people) * joints
+    between = [model.between + np.array(ends) for ends in combinations(first, 2)]
+    pairs = np.concatenate([*between, *(model.within + own for own in first)])
+    is_within = pairs[:, 0] // joints == pairs[:, 1] // joints
+    weight = np.where(is_within, weight_within, weight_between)
     pairs, weight = pairs[weight > 0], weight[weight > 0]
-    points = np.ascontiguousarray(source.positions_m.reshape(-1, NUM_POINTS, 3))
+    points = np.ascontiguousarray(points_of(source.positions_m))
     along, gaps = nearest_on_bones(points, pairs, parents, radii)
-    grown = radii * (np.repeat((1.0, 1.0) if girth == "follow" else girth, half) - 1.0)
+    grown = radii * (np.repeat(girths_of(() if girth == "follow" else girth, len(first)), joints) - 1.0)
     # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
-    added = np.where((pairs[:, 0] < half) & (pairs[:, 1] >= half), grown[pairs].sum(axis=1), 0.0)
+    added = np.where(pairs[:, 0] // joints != pairs[:, 1] // joints, grown[pairs].sum(axis=1), 0.0)
     nearest = gaps - np.maximum(added, 0.0)
     is_near = nearest.min(axis=0, initial=np.inf) < _NEAR_M[1]
     pairs, weight, added, along = pairs[is_near], weight[is_near], added[is_near], along[:, is_near]
@@ -104,12 +107,12 @@ def find_clearance(
         normals=packed(normals[is_used]),
         limits_m=packed(limits[is_used]),
         weights=packed((nearness * weight)[is_used]),
-        is_within=packed(((pairs < half).all(axis=1) | (pairs >= half).all(axis=1))[column]),
+        is_within=packed((pairs[:, 0] // joints == pairs[:, 1] // joints)[column]),
     )
 
 
 def separations(clearance: Clearance, points_m: Array) -> Array:
-    """Return n . w (*batch, T, M), metres, of points (*batch, T, 44, 3)."""
+    """Return n . w (*batch, T, M), metres, of points (*batch, T, n, 3)."""
     vectors = stencil_vectors(clearance.points, clearance.shares, points_m)
     return np.asarray((vectors * clearance.normals).sum(axis=-1))
 
@@ -117,7 +120,7 @@ def separations(clearance: Clearance, points_m: Array) -> Array:
 def clearance_limits(
     clearance: Clearance, reference_m: Array, source: Source, girth: Girths, bone_scale: Array
 ) -> Array:
-    """Return the smallest n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, 44, 3).
+    """Return the smallest n . B x (variant, T, M), metres, of x = p - r for references r (variant, T, n, 3).
 
     Bones of one person are allowed what the new proportions do by themselves: limbs that shrink keep their girth.
     """

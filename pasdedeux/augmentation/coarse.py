@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.mesh import InteractionMesh
 from pasdedeux.augmentation.problem import Problem
-from pasdedeux.augmentation.source import NUM_POINTS
 from pasdedeux.augmentation.terms import temporal_couplings
 
 __all__ = ["Thinning", "interpolate", "thin_out"]
@@ -46,13 +45,14 @@ def thin_out(problem: Problem, stride: int) -> Thinning:
     """Keep every `stride`-th frame; as many are left out before the first as after the last."""
     total = problem.num_frames
     frames = np.arange((total - 1) % stride // 2, total, stride)
-    before = np.concatenate([np.zeros((1, NUM_POINTS)), np.cumsum(problem.stance, axis=0)])
+    before = np.concatenate([np.zeros((1, problem.stance.shape[1])), np.cumsum(problem.stance, axis=0)])
     stance = np.diff(before[frames], axis=0) / stride**3
     smoothness = problem.smoothness / stride**4
     diagonal, _, _ = temporal_couplings(problem.stance, problem.smoothness, total)
     matrix = problem.matrix[:, frames]
     added, lag1, lag2 = temporal_couplings(stance, smoothness, len(frames))
-    matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += added - diagonal[:, frames]
+    points = range(matrix.shape[-1])
+    matrix[..., points, points] += added - diagonal[:, frames]
     thinned = replace(
         problem,
         source=problem.source.take_frames(slice(int(frames[0]), None, stride), rate_hz=problem.source.rate_hz / stride),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from string import ascii_uppercase
 
 import numba
 import numpy as np
@@ -34,12 +35,17 @@ _SHORTEST_M = 1e-6
 
 
 def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
-    """Refuse contacts stated by the user for frames that the take does not have.
+    """Refuse contacts stated by the user for frames or people that the take does not have.
 
     Raises:
-        InputError: A contact lasts longer than the take.
+        InputError: A contact lasts longer than the take, or is of somebody who is not there.
     """
     for contact in user:
+        if max(contact.persons) >= source.num_people:
+            raise InputError(
+                f"{source.name}: contact of {contact.person_a}'s {contact.joint_a} and {contact.person_b}'s "
+                f"{contact.joint_b}, but the take has the people {', '.join(ascii_uppercase[: source.num_people])}"
+            )
         if contact.stop_frame > source.num_frames:
             raise InputError(
                 f"{source.name}: contact {contact.joint_a}-{contact.joint_b} over frames {contact.start_frame} to "
@@ -100,7 +106,7 @@ def aim_contacts(
     """Leave k v + (1 - k) D u less r's vector in `aim` (3, T, M, variant), u where each contact points now.
 
     Args:
-        offsets: x (3, T, 44, variant).
+        offsets: x (3, T, n, variant).
         reference: r's vectors (3, T, M, variant).
         points: Ends of the bones (T, M, 4).
         shares: What they contribute (T, M, 4).

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.contacts import ContactTerm
-from pasdedeux.augmentation.problem import AXIS_GROUP, GIRDLE_PAIRS, Problem, Targets
-from pasdedeux.augmentation.source import NUM_POINTS
+from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import right_hand_side
 from pasdedeux.fitting import (
     BoneForest,
@@ -32,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 
 def laplacian_residual(problem: Problem, targets: Targets, offsets: Array) -> Array:
-    """Return L x - L_c (s q - r) (variant, T, 44, 3), metres, of offsets x = p - r (variant, T, 44, 3)."""
+    """Return L x - L_c (s q - r) (variant, T, n, 3), metres, of offsets x = p - r (variant, T, n, 3)."""
     kept = np.matmul(problem.mesh.laplacian[None], offsets)
     return np.asarray(kept - np.matmul(problem.mesh.cross_laplacian[None], targets.across))
 
@@ -49,10 +48,15 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
         matrix=problem.free_matrix,
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
-        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1) + contacts.spread(kept, NUM_POINTS),
+        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1)
+        + contacts.spread(kept, problem.source.num_points),
         constant=_constant(problem, one) + float((kept * missed).sum()),
     )
-    girdle = DistanceTerm(pairs=GIRDLE_PAIRS, lengths_m=one.girdle_m[0], weights=np.array(problem.weights.girdle))
+    girdle = DistanceTerm(
+        pairs=girdle_pairs(problem.source.num_people),
+        lengths_m=one.girdle_m[0],
+        weights=np.array(problem.weights.girdle),
+    )
     near = problem.clearance
     clearance = HalfSpaceTerm(
         origin_m=one.reference[0],
@@ -79,7 +83,7 @@ def _constant(problem: Problem, one: Targets) -> float:
 
 
 def total_energy(terms: Sequence[Term], positions: Array) -> float:
-    """Return the energy of one variant, stated by `fit_terms`, at positions (T, 44, 3), metres."""
+    """Return the energy of one variant, stated by `fit_terms`, at positions (T, n, 3), metres."""
     return sum(term.energy(positions) for term in terms)
 
 
@@ -90,6 +94,6 @@ def descend(
     start: Array | None = None,
     settings: FitSettings | None = None,
 ) -> FitResult:
-    """Minimise the terms of one variant, from `start` (T, 44, 3) or from plain forward kinematics."""
-    forest = BoneForest((BODY22, BODY22), targets.lengths_m[variant])
+    """Minimise the terms of one variant, from `start` (T, n, 3) or from plain forward kinematics."""
+    forest = BoneForest((BODY22,) * targets.bone_scale.shape[1], targets.lengths_m[variant])
     return fit_bones(forest, forest.state_of(targets.reference[variant] if start is None else start), terms, settings)

@@ -1,8 +1,9 @@
 """The factor that all variants of a take share: a block form of the banded Cholesky, made for many right-hand sides.
 
-Frames are interleaved with joints (half-bandwidth 88).  Two frames form a block of 88, in which the matrix is block
-tridiagonal; its Schur complements are inverted once, and a solve is two matrix products a block, over all variants at
-once.  LAPACK's banded solve takes one right-hand side at a time and is several times slower for a hundred variants.
+Frames are interleaved with the n joints (half-bandwidth 2 n).  Two frames form a block of 2 n, in which the matrix is
+block tridiagonal; its Schur complements are inverted once, and a solve is two matrix products a block, over all
+variants at once.  LAPACK's banded solve takes one right-hand side at a time and is several times slower for a hundred
+variants.
 """
 
 from __future__ import annotations
@@ -14,27 +15,23 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from pasdedeux.augmentation.source import NUM_POINTS
-
 __all__ = ["Factor", "factorise", "solve"]
 
 Array = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
-BLOCK = 2 * NUM_POINTS
-"""Unknowns of two frames."""
 _COLUMNS = 16
 """Right-hand sides of one matrix product; a multiple of every BLAS kernel's width."""
 
 
 @dataclass(frozen=True)
 class Factor:
-    """A factored matrix: inverse Schur complements (block, 88, 88) and the diagonals that couple neighbouring blocks.
+    """A factored matrix: inverse Schur complements (block, 2 n, 2 n) and the diagonals that couple neighbouring blocks.
 
     Args:
-        inverse: Inverse of each block's Schur complement (K, 88, 88).
-        lag1: Coupling of the second frame of a block with the first of the next (K, 44); the last entry is 0.
-        lag2: Coupling of each frame with the same place of the next block (K, 88); the last entry is 0.
+        inverse: Inverse of each block's Schur complement (K, 2 n, 2 n).
+        lag1: Coupling of the second frame of a block with the first of the next (K, n); the last entry is 0.
+        lag2: Coupling of each frame with the same place of the next block (K, 2 n); the last entry is 0.
     """
 
     inverse: Array
@@ -55,23 +52,23 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     """Factor the symmetric positive definite matrix given by its frame blocks and temporal couplings.
 
     Args:
-        matrix: Blocks within a frame (T, 44, 44).
-        lag1: Coupling of each point at frames t and t+1 (T-1, 44).
-        lag2: Coupling of each point at frames t and t+2 (T-2, 44).
+        matrix: Blocks within a frame (T, n, n).
+        lag1: Coupling of each point at frames t and t+1 (T-1, n).
+        lag2: Coupling of each point at frames t and t+2 (T-2, n).
 
     Raises:
         numpy.linalg.LinAlgError: The matrix is not positive definite.
     """
-    frames, n = len(matrix), NUM_POINTS
-    blocks = (frames + 1) // 2
+    frames, n = matrix.shape[:2]
+    blocks, size = (frames + 1) // 2, 2 * n
     inner, outer, halves = np.zeros((blocks, n)), np.zeros((blocks, n)), np.zeros((blocks, 2, n))
     inner[: len(lag1[0::2])] = lag1[0::2]
     outer[: len(lag1[1::2])] = lag1[1::2]
     halves[: len(lag2[0::2]), 0] = lag2[0::2]
     halves[: len(lag2[1::2]), 1] = lag2[1::2]
-    same = halves.reshape(blocks, BLOCK)
-    inverse = np.empty((blocks, BLOCK, BLOCK))
-    is_lower = np.tri(BLOCK, dtype=bool)
+    same = halves.reshape(blocks, size)
+    inverse = np.empty((blocks, size, size))
+    is_lower = np.tri(size, dtype=bool)
     for k in range(blocks):
         # A - B S^-1 B^T: A has two frames coupled by `inner`, B the diagonals `outer` and `same`.
         schur = np.diag(inner[k], n) + np.diag(inner[k], -n)
@@ -156,7 +153,7 @@ def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) 
 
 
 def solve(factor: Factor, rhs: Array, axes: Indices) -> None:
-    """Solve in place for some of the axes of right-hand sides (axis, block, 88, count), of the factor's precision.
+    """Solve in place for some of the axes of right-hand sides (axis, block, 2 n, count), of the factor's precision.
 
     The matrix products always see 16 columns, filled up where fewer are left: BLAS picks its kernels, and with them the
     order of its sums, by the number of columns, so a column's bits would depend on how many others came along.

@@ -1,4 +1,4 @@
-"""The interaction mesh: Delaunay tetrahedra over both people's joints, and its Laplacian (Ho, Komura and Tai 2010)."""
+"""The interaction mesh: Delaunay tetrahedra over all people's joints, and its Laplacian (Ho, Komura and Tai 2010)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import Delaunay, QhullError
 
-from pasdedeux.augmentation.source import NUM_POINTS, Source, points_of
+from pasdedeux.augmentation.source import Source, points_of
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["InteractionMesh", "build_mesh", "delaunay_edges"]
@@ -29,24 +29,22 @@ class InteractionMesh:
     """Row-normalised edge weights of every source frame.
 
     Args:
-        weights: W (frame, 44, 44); row i holds the weights of joint i's neighbours, they sum to 1.
+        weights: W (frame, n, n); row i holds the weights of joint i's neighbours, they sum to 1.
     """
 
     weights: Array
 
     @cached_property
     def laplacian(self) -> Array:
-        """L = I - W (frame, 44, 44)."""
-        return np.asarray(np.eye(NUM_POINTS) - self.weights)
+        """L = I - W (frame, n, n)."""
+        return np.asarray(np.eye(self.weights.shape[-1]) - self.weights)
 
     @cached_property
     def cross_laplacian(self) -> Array:
-        """The part of L over edges between the two people (frame, 44, 44); its rows sum to 0."""
-        half = BODY22.num_joints
-        cross = np.array(self.weights)
-        cross[:, :half, :half] = 0.0
-        cross[:, half:, half:] = 0.0
-        return np.asarray(np.eye(NUM_POINTS) * cross.sum(axis=-1)[:, None, :] - cross)
+        """The part of L over edges between people (frame, n, n); its rows sum to 0."""
+        person = np.arange(self.weights.shape[-1]) // BODY22.num_joints
+        cross = np.where(person[:, None] == person, 0.0, self.weights)
+        return np.asarray(np.eye(len(person)) * cross.sum(axis=-1)[:, None, :] - cross)
 
 
 def delaunay_edges(points: Array) -> npt.NDArray[np.bool_]:
@@ -75,10 +73,9 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     method takes each frame alone (`smoothing_s` 0).
     """
     points = points_of(source.positions_m)
-    half = BODY22.num_joints
-    is_bone = np.zeros((NUM_POINTS, NUM_POINTS), dtype=bool)
+    is_bone = np.zeros((source.num_points, source.num_points), dtype=bool)
     for parent, child in BODY22.bones:
-        for offset in (0, half):
+        for offset in range(0, source.num_points, BODY22.num_joints):
             is_bone[parent + offset, child + offset] = is_bone[child + offset, parent + offset] = True
     squared = ((points[:, :, None] - points[:, None]) ** 2).sum(axis=-1)
     weights = 1.0 / np.maximum(squared, _SMALLEST_SQUARED_DISTANCE_M2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from pasdedeux.augmentation.weights import Weights
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["AXIS_GROUP", "GIRDLE_PAIRS", "Problem", "Targets"]
+__all__ = ["AXIS_GROUP", "Problem", "Targets", "girdle_pairs"]
 
 Array = npt.NDArray[np.float64]
 
@@ -34,10 +35,13 @@ _GIRDLE_NAMES = (
     ("left_shoulder", "neck"),
     ("right_shoulder", "neck"),
 )
-GIRDLE_PAIRS: npt.NDArray[np.int64] = np.array(
-    [[joint + offset for joint in BODY22.indices(pair)] for offset in (0, BODY22.num_joints) for pair in _GIRDLE_NAMES]
-)
-"""Pairs of points (pair, 2) whose distance stays that of the new skeleton, both people."""
+
+
+@lru_cache(maxsize=8)
+def girdle_pairs(num_people: int) -> npt.NDArray[np.int64]:
+    """Return pairs of points (pair, 2) whose distance stays that of the new skeleton, everybody's."""
+    own = np.array([BODY22.indices(pair) for pair in _GIRDLE_NAMES])
+    return np.concatenate([own + person * BODY22.num_joints for person in range(num_people)])
 
 
 @dataclass(frozen=True)
@@ -48,17 +52,17 @@ class Problem:
         source: The template, T frames.
         settings: Settings used.
         mesh: Interaction mesh of the source.
-        matrix: Quadratic form within a frame (group=2, T, 44, 44), temporal terms included.
-        lag1: Coupling of each point at frames t and t+1 (group=2, T-1, 44).
-        lag2: Coupling at frames t and t+2 (group=2, T-2, 44).
+        matrix: Quadratic form within a frame (group=2, T, n, n), temporal terms included.
+        lag1: Coupling of each point at frames t and t+1 (group=2, T-1, n).
+        lag2: Coupling at frames t and t+2 (group=2, T-2, n).
         contacts: Points that keep their distance.
         contact_weights: Their graded weights (T, M); the matrix holds all of them.
-        stance: Weights of the horizontal velocity of each joint between frames (T-1, 44).
-        floor: Weights of the height of each point (T, 44).
+        stance: Weights of the horizontal velocity of each joint between frames (T-1, n).
+        floor: Weights of the height of each point (T, n).
         smoothness: Weight of the second difference at this rate.
-        anchor: Weight of each point's pull towards r or, held fixed, the source (44,).
+        anchor: Weight of each point's pull towards r or, held fixed, the source (n,).
         clearance: Bones that may not come deeper into each other.
-        coupling: Matrix C (T, 44, 44) of the right-hand side's part of the mesh within a frame.
+        coupling: Matrix C (T, n, n) of the right-hand side's part of the mesh within a frame.
     """
 
     source: Source
@@ -88,7 +92,7 @@ class Problem:
 
     @property
     def free_matrix(self) -> Array:
-        """The quadratic form within a frame for each axis (3, T, 44, 44), without contacts that keep their distance."""
+        """The quadratic form within a frame for each axis (3, T, n, n), without contacts that keep their distance."""
         free = np.zeros(self.matrix.shape[1:])
         away = (self.weights.contact_direction - 1.0) * self.contact_weights
         add_stencils(self.contacts.points, self.contacts.shares, away, free)
@@ -100,12 +104,12 @@ class Targets:
     """What belongs to a batch of variants: their reference motion and the targets of their terms.
 
     Args:
-        bone_scale: Scales (variant, 2, 22).
-        reference: r (variant, T, 44, 3), metres.
-        difference: d = q - r (variant, T, 44, 3), metres.
+        bone_scale: Scales (variant, P, 22).
+        reference: r (variant, T, n, 3), metres.
+        difference: d = q - r (variant, T, n, 3), metres.
         across: s q - r, with s the size of bodies whose girth follows their bones, otherwise d.
-        height: Target of the vertical part of x for the floor term (variant, T, 44), metres.
-        lengths_m: New bone lengths (variant, 44), metres; 0 for the roots.
+        height: Target of the vertical part of x for the floor term (variant, T, n), metres.
+        lengths_m: New bone lengths (variant, n), metres; 0 for the roots.
         girdle_m: Distances of the girdle pairs in r (variant, T, pair), metres.
         clearance_m: Least n . B x of near bones (variant, T, M), metres.
         contact_m: Vectors of the contacts as in the source, stretched to the wanted length (variant, T, M, 3), metres.

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
-from pasdedeux.augmentation.source import NUM_POINTS, Girths, Source, widened_m
+from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
 from pasdedeux.augmentation.support import stance_weights
 from pasdedeux.interaction.contacts import TOUCH_M, UserContact
 from pasdedeux.kinematics import bone_lengths
@@ -43,7 +43,6 @@ _LIMITED = JointMap(
 )
 """Which joints of body22 stand for those of pair17, on which the ranges of the joints are defined."""
 _SPINE = BODY22.indices(["pelvis", "spine1", "spine2", "spine3", "neck", "head"])
-_SPINES = np.array([_SPINE, [joint + BODY22.num_joints for joint in _SPINE]])
 
 
 def _check_limit(limit: tuple[float, float]) -> tuple[float, float]:
@@ -121,13 +120,13 @@ class Quality:
     jerk_ratio: float
     invalid_angles: float | None = None
 
-    def judge(self, limits: QualityLimits) -> Verdict:
+    def judge(self, limits: QualityLimits, *, is_alone: bool = False) -> Verdict:
         """Return the verdict, with what was not passed in words, and contact drift beside plain forward kinematics'.
 
-        Without a contact in the source, nothing shows that contacts are kept: at best a warning.
+        Without a contact in the source, nothing shows that contacts are kept: at best a warning, but for who is alone.
         """
         level, reasons = Level.PASS, []
-        if not self.num_contact_pairs:
+        if not self.num_contact_pairs and not is_alone:
             level, reasons = Level.WARN, ["nothing is in contact in the source, so contact drift is not known"]
         for name, (warn, fail) in limits:
             value = getattr(self, name)
@@ -194,8 +193,7 @@ class QualityMeter:
         user_contacts: Sequence[UserContact] = (),
         joint_limits: JointLimits | None = None,
     ) -> None:
-        points = source.positions_m.reshape(-1, NUM_POINTS, 3)
-        half = BODY22.num_joints
+        points = points_of(source.positions_m)
         self._num_frames = len(points)
         self._source, self._girth = source, girth
         self._contacts = source.contacts(touch_m, user_contacts)
@@ -209,7 +207,7 @@ class QualityMeter:
         self._floor = source.floor_m
         self._below = np.maximum(self._floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)
-        self._penetration = self._penetrate(points, self._radii(np.ones((2, half))))
+        self._penetration = self._penetrate(points, self._radii(np.ones(source.radii_m.shape)))
         self._limits = joint_limits and joint_limits.widened(
             _LIMITED.positions(source.positions_m, BODY22.joint_names), name=source.name, percentile=0.0
         )
@@ -221,25 +219,25 @@ class QualityMeter:
         """Measure a variant.
 
         Args:
-            points: Positions (T, 44, 3), metres.
-            reference: Plain forward kinematics (T, 44, 3), metres.
-            bone_scale: Scales (2, 22).
-            lengths_m: Bone lengths (44,), metres.
+            points: Positions (T, n, 3), metres.
+            reference: Plain forward kinematics (T, n, 3), metres.
+            bone_scale: Scales (P, 22).
+            lengths_m: Bone lengths (n,), metres.
             squared_residual: Mean squared Laplacian residual of each frame (T,), square metres.
         """
         bones = self._contacts.bones()[self._held]
         wanted = widened_m(self._distance, bones, self._source, self._girth, bone_scale[None])[0]
         drift = np.abs(self._contact_distances(points) - wanted)
         drift_fk = np.abs(self._contact_distances(reference) - wanted)
-        pair = points.reshape(-1, 2, BODY22.num_joints, 3)
-        bone_error = np.abs(bone_lengths(BODY22, pair) - lengths_m.reshape(2, -1)).max(axis=(1, 2))
+        people = self._people(points)
+        bone_error = np.abs(bone_lengths(BODY22, people) - lengths_m.reshape(bone_scale.shape)).max(axis=(1, 2))
         excursion, by_stance = self._excursions(points)
         below = np.maximum(self._floor - points[..., 1], 0.0)
         radii = self._radii(bone_scale)
         depths = self._penetrate(points, radii)
-        extra = np.maximum(depths[:, 2] - self._penetration[:, 2], 0.0)
+        extra = np.maximum(depths[:, -1] - self._penetration[:, -1], 0.0)
         by_proportions = self._penetrate(reference, radii, is_within=True)
-        within = (depths - np.maximum(self._penetration, by_proportions))[:, :2].sum(axis=-1)
+        within = (depths - np.maximum(self._penetration, by_proportions))[:, :-1].sum(axis=-1)
         within = np.maximum(within, 0.0)
         bends = np.abs(_spine_bends(points) - self._bends).max(axis=1)
         jerk, frame_jerk = _jerk(points)
@@ -275,20 +273,23 @@ class QualityMeter:
             spine_bend_rad=float(np.percentile(bends, _PERCENTILE)),
             # A source without jerk (a still clip) has no ratio: 1 when the variant is still too.
             jerk_ratio=jerk / self._jerk if self._jerk > _STILL_M else 1.0 + jerk,
-            invalid_angles=self._invalid_angles(pair),
+            invalid_angles=self._invalid_angles(people),
         )
         return Measured(quality=quality, frames=frames)
 
-    def _invalid_angles(self, pair: Array) -> float | None:
+    def _people(self, points: Array) -> Array:
+        return points.reshape(-1, *self._source.positions_m.shape[1:])
+
+    def _invalid_angles(self, people: Array) -> float | None:
         if self._limits is None:
             return None
-        return float(self._limits.num_invalid(_LIMITED.positions(pair, BODY22.joint_names)).sum(axis=-1).mean())
+        return float(self._limits.num_invalid(_LIMITED.positions(people, BODY22.joint_names)).sum(axis=-1).mean())
 
     def _contact_distances(self, points: Array) -> Array:
         return np.asarray(np.linalg.norm(self._contacts.vectors(points)[self._held], axis=-1))
 
     def _radii(self, bone_scale: Array) -> Array:
-        wide = bone_scale if self._girth == "follow" else np.array(self._girth)[:, None]
+        wide = bone_scale if self._girth == "follow" else girths_of(self._girth, len(bone_scale))[:, None]
         return np.asarray(self._source.radii_m * wide)
 
     def _excursions(self, points: Array) -> tuple[Array, list[float]]:
@@ -307,7 +308,7 @@ class QualityMeter:
 
     def _penetrate(self, points: Array, radii: Array, *, is_within: bool = False) -> Array:
         model = replace(self._model, between=self._model.between[:0]) if is_within else self._model
-        return model.penetration(points.reshape(-1, 2, BODY22.num_joints, 3), radii)
+        return model.penetration(self._people(points), radii)
 
 
 def _jerk(points: Array) -> tuple[float, Array]:
@@ -322,7 +323,7 @@ def _jerk(points: Array) -> tuple[float, Array]:
 
 
 def _stances(stands: npt.NDArray[np.bool_]) -> list[tuple[int, slice]]:
-    """Return joint and frames of every stance, of which joints stand when (T, 44)."""
+    """Return joint and frames of every stance, of which joints stand when (T, n)."""
     edges = np.diff(np.pad(stands, ((1, 1), (0, 0))).astype(np.int8), axis=0)
     found = []
     for joint in np.flatnonzero(stands.any(axis=0)):
@@ -332,8 +333,9 @@ def _stances(stands: npt.NDArray[np.bool_]) -> list[tuple[int, slice]]:
 
 
 def _spine_bends(points: Array) -> Array:
-    """Return the angle between neighbouring spine bones (frame, 8), radians, both people."""
-    vectors = np.diff(points[:, _SPINES], axis=2)
+    """Return the angle between neighbouring spine bones (frame, 4 P), radians."""
+    spines = np.arange(0, points.shape[1], BODY22.num_joints)[:, None] + _SPINE
+    vectors = np.diff(points[:, spines], axis=2)
     units = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
     cosines = (units[:, :, 1:] * units[:, :, :-1]).sum(axis=-1)
     return np.asarray(np.arccos(np.clip(cosines, -1.0, 1.0)).reshape(len(points), -1))

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
 from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.windows import OVERLAP_S
-from pasdedeux.interaction.contacts import TOUCH_M
+from pasdedeux.interaction.contacts import TOUCH_M, Letter
 from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]
@@ -26,14 +26,16 @@ def _check_fade(fade: tuple[float, float]) -> tuple[float, float]:
 class AugmentationSettings(Settings):
     """Everything that decides how a variant is solved and judged."""
 
-    fixed_person: Literal["A", "B"] | None = Field(None, description="Person who keeps the source's motion")
+    fixed_person: Letter | None = Field(
+        None, description="Person who keeps the source's motion, in takes that have this person"
+    )
     weights: Weights = Field(Weights(), description="Weights of the terms")
     limits: QualityLimits = Field(QualityLimits(), description="Limits of pass, warn and fail")
     frame_limits: FrameLimits = Field(FrameLimits(), description="The same for single frames")
-    girth: tuple[Girth, Girth] | Literal["follow"] = Field(
+    girth: tuple[Girth, ...] | Literal["follow"] = Field(
         (1.0, 1.0),
-        description="Thickness of A's and B's body over the source's; 1 leaves it as it was, whatever the bones do; "
-        "follow: bones are as thick as they are long",
+        description="Thickness of A's, B's, ... body over the source's; 1, as for who is not stated, leaves it as it "
+        "was, whatever the bones do; follow: bones are as thick as they are long",
     )
     floor_m: float | None = Field(
         None, description="Height of toe joints that stand, metres; found from everybody's feet where not given"

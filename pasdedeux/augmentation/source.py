@@ -1,10 +1,11 @@
-"""The source of an augmentation: a pair's motion, its bones and its floor."""
+"""The source of an augmentation: the motion of its people, their bones and their floor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -19,10 +20,10 @@ from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
-    "NUM_POINTS",
     "Girths",
     "Source",
     "complete_scales",
+    "girths_of",
     "points_of",
     "reference_motion",
     "scaled_lengths",
@@ -32,24 +33,26 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-Girths = tuple[float, float] | Literal["follow"]
-
-NUM_POINTS = 2 * BODY22.num_joints
-"""Joints of both people: person A's 22, then person B's."""
+Girths = tuple[float, ...] | Literal["follow"]
 
 _LONGEST_JOINT_DISTANCE_M = 1e4
 _THINNEST_M = 1e-6
 _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
+_WRISTS = BODY22.indices(["left_wrist", "right_wrist"])
+_OWN_TOUCH = np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
+"""Bones with which somebody who is alone may touch himself: forearms, and what is far enough along the body."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Two people's body22 over time, the template of every variant.
+    """The body22 of one or more people over time, the template of every variant.
+
+    The joints of all people make the points: person A's 22, then B's, and so on; n of them.
 
     Args:
-        positions_m: World positions (frame, person=2, joint=22, 3), metres, Y up.
+        positions_m: World positions (frame, person, joint=22, 3), metres, Y up.
         rate_hz: Frames per second.
         name: Name of the take, used in messages.
         ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
@@ -66,10 +69,10 @@ class Source:
     def __post_init__(self) -> None:
         """Check shape, finiteness and rate."""
         shape = self.positions_m.shape
-        if len(shape) != 4 or shape[1:] != (2, BODY22.num_joints, 3):
+        if len(shape) != 4 or not shape[1] or shape[2:] != (BODY22.num_joints, 3):
             raise InputError(
-                f"{self.name}: positions have shape {shape}, expected (frames, 2, {BODY22.num_joints}, 3): "
-                "a pair of people, both on body22"
+                f"{self.name}: positions have shape {shape}, expected (frames, people, {BODY22.num_joints}, 3): "
+                "one person or more, all on body22"
             )
         if shape[0] == 0:
             raise InputError(f"{self.name}: the take has no frames, at least one is needed")
@@ -87,14 +90,24 @@ class Source:
         """Number of frames."""
         return len(self.positions_m)
 
+    @property
+    def num_people(self) -> int:
+        """Number of people P."""
+        return self.positions_m.shape[1]
+
+    @property
+    def num_points(self) -> int:
+        """Joints of all people n, 22 P."""
+        return self.num_people * BODY22.num_joints
+
     @cached_property
     def lengths_m(self) -> Array:
-        """Length of each bone (2, 22), metres: the median over the frames, as a mapped joint may wander a little."""
+        """Length of each bone (P, 22), metres: the median over the frames, as a mapped joint may wander a little."""
         return np.asarray(np.median(bone_lengths(BODY22, self.positions_m), axis=0))
 
     @cached_property
     def directions(self) -> Array:
-        """Unit direction of each bone (frame, 2, 22, 3)."""
+        """Unit direction of each bone (frame, P, 22, 3)."""
         return bone_directions(BODY22, self.positions_m)
 
     @cached_property
@@ -106,34 +119,42 @@ class Source:
         return floor_under(toes, find_standing(toes, rate_hz=self.rate_hz, settings=StandingSettings(away_share=1.0)))
 
     @cached_property
-    def closest_m(self) -> float:
-        """Smallest distance between joints of the two people over the take, metres."""
-        return float(closest_joint_distance(self.positions_m).min())
+    def closest_m(self) -> float | None:
+        """Smallest distance between joints of two people over the take, metres; None where somebody is alone."""
+        couples = combinations(range(self.num_people), 2)
+        closest = [closest_joint_distance(self.positions_m[:, both]).min() for both in map(list, couples)]
+        return float(min(closest)) if closest else None
 
     @cached_property
     def rest_heights_m(self) -> Array:
-        """Height of each joint over `floor_m` when that part of the body lies on the floor (2, 22), metres.
+        """Height of each joint over `floor_m` when that part of the body lies on the floor (P, 22), metres.
 
         An ankle's is that on a flat foot: the 10th percentile of the ankles' heights over their toes.  Other joints lie
         a radius over the floor, which the soles touch.
         """
         heights = self.radii_m - self.radii_m[:, _TOES[:1]]
         feet = self.positions_m[..., 1]
-        flat = np.percentile((feet[:, :, _ANKLES] - feet[:, :, _TOES]).swapaxes(0, 1).reshape(2, -1), 10.0, axis=1)
+        flat = np.percentile(
+            (feet[:, :, _ANKLES] - feet[:, :, _TOES]).swapaxes(0, 1).reshape(self.num_people, -1), 10.0, axis=1
+        )
         heights[:, _ANKLES] = np.maximum(flat, 0.0)[:, None]
         return np.asarray(heights)
 
     @cached_property
     def radii_m(self) -> Array:
-        """Radius of each person's bones (2, 22), named by their child joints, metres; a root is as thick as a waist."""
+        """Radius of each person's bones (P, 22), named by their child joints, metres; a root is as thick as a waist."""
         radii = capsule_model(BODY22).radii_m(body_height_m(BODY22, self.lengths_m))
         radii[:, BODY22.root] = radii[:, _WAIST]
         return radii
 
     def contacts(self, touch_m: tuple[float, float] = TOUCH_M, stated: Sequence[UserContact] = ()) -> Contacts:
-        """Find where the two touch; see `find_contacts`."""
+        """Find where people touch; see `find_contacts`."""
         return find_contacts(
-            *(self.positions_m, self.radii_m, BODY22), rate_hz=self.rate_hz, touch_m=touch_m, stated=stated
+            *(self.positions_m, self.radii_m, BODY22),
+            rate_hz=self.rate_hz,
+            touch_m=touch_m,
+            stated=stated,
+            own=_OWN_TOUCH if self.num_people == 1 else None,
         )
 
     def take_frames(self, frames: slice, *, rate_hz: float | None = None) -> Source:
@@ -145,18 +166,23 @@ class Source:
         return part
 
 
-def points_of(pair: Array) -> Array:
-    """See a pair (*batch, 2, 22, 3) as the points of both people (*batch, 44, 3)."""
-    return pair.reshape(*pair.shape[:-3], NUM_POINTS, pair.shape[-1])
+def points_of(people: Array) -> Array:
+    """See people (*batch, P, 22, 3) as their points (*batch, n, 3)."""
+    return people.reshape(*people.shape[:-3], people.shape[-3] * people.shape[-2], people.shape[-1])
+
+
+def girths_of(girth: tuple[float, ...], num_people: int) -> Array:
+    """Return everybody's thickness over the source's (P,): 1 for who has none stated."""
+    return np.array([*girth, *np.ones(num_people)])[:num_people]
 
 
 def complete_scales(source: Source, bone_scale: Array) -> Array:
-    """Return scales (variant, 2, 22) whose root entries are the leg ratios of the source's own legs.
+    """Return scales (variant, P, 22) whose root entries are the leg ratios of the source's own legs.
 
     Raises:
         InputError: Wrong shape, or a scale that is not positive.
     """
-    check_bone_scales(bone_scale, what=source.name)
+    check_bone_scales(bone_scale, source.num_people, what=source.name)
     completed = np.array(bone_scale, dtype=np.float64)
     completed[..., BODY22.root] = leg_ratio(completed, source.lengths_m)
     return completed
@@ -171,10 +197,10 @@ def reference_motion(source: Source, bone_scale: Array) -> Array:
 
     Args:
         source: The template, T frames.
-        bone_scale: Scales (variant, 2, 22); the root's is the scale of the root height.
+        bone_scale: Scales (variant, P, 22); the root's is the scale of the root height.
 
     Returns:
-        Positions (variant, T, 2, 22, 3), metres.
+        Positions (variant, T, P, 22, 3), metres.
     """
     root = np.repeat(source.positions_m[None, :, :, BODY22.root], len(bone_scale), axis=0)
     height = root[..., 1] - source.floor_m
@@ -184,10 +210,10 @@ def reference_motion(source: Source, bone_scale: Array) -> Array:
 
 
 def scaled_lengths(source: Source, bone_scale: Array) -> Array:
-    """Return the new bone lengths (variant, 44), metres, of scales (variant, 2, 22); 0 for the roots."""
+    """Return the new bone lengths (variant, n), metres, of scales (variant, P, 22); 0 for the roots."""
     lengths = source.lengths_m * bone_scale
     lengths[..., BODY22.root] = 0.0
-    return np.asarray(lengths.reshape(len(bone_scale), NUM_POINTS))
+    return np.asarray(lengths.reshape(len(bone_scale), source.num_points))
 
 
 def widened_m(
@@ -203,39 +229,40 @@ def widened_m(
         lengths_m: Distances in the source (*batch,).
         bones: Child joints of the two bones (*batch, 2), numbered through.
         source: The template.
-        girth: Thickness of A and B over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
-            they are long, and distances follow their radii, so that two people of half the size are half as far apart.
-        bone_scale: Scales (variant, 2, 22).
+        girth: Thickness of A, B, ... over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
+            they are long, and distances follow their radii, so that people of half the size are half as far apart.
+        bone_scale: Scales (variant, P, 22).
     """
     radii = source.radii_m.reshape(-1)[bones]
     if girth == "follow":
         wide = np.stack([(radii * scale.reshape(-1)[bones]).sum(axis=-1) for scale in bone_scale])
         return np.asarray(lengths_m * wide / np.maximum(radii.sum(axis=-1), _THINNEST_M))
-    added = (radii * (np.repeat(girth, BODY22.num_joints)[bones] - 1.0)).sum(axis=-1)
+    added = (radii * (np.repeat(girths_of(girth, source.num_people), BODY22.num_joints)[bones] - 1.0)).sum(axis=-1)
     return np.broadcast_to(np.maximum(lengths_m + added, 0.0), (len(bone_scale), *lengths_m.shape))
 
 
 def variant_rotations(rest_m: Array, bone_scale: Array, positions_m: Array, source_world_unitquat: Array) -> Array:
-    """Return local rotations (T, 2, 22, 4) that play a variant on its own scaled skeleton.
+    """Return local rotations (T, P, 22, 4) that play a variant on its own scaled skeleton.
 
     Joints with several children (pelvis, upper spine) take the rotation that fits all of them best, so a hip or collar
     may miss by what the girdle bends; every other bone is met exactly.
 
     Args:
-        rest_m: body22 of each person in the source's rest pose (2, 22, 3), metres.
-        bone_scale: Scales of the variant (2, 22).
-        positions_m: The variant (T, 2, 22, 3), metres.
-        source_world_unitquat: World rotations of the source from its rest pose (T, 2, 22, 4), whose twist is kept.
+        rest_m: body22 of each person in the source's rest pose (P, 22, 3), metres.
+        bone_scale: Scales of the variant (P, 22).
+        positions_m: The variant (T, P, 22, 3), metres.
+        source_world_unitquat: World rotations of the source from its rest pose (T, P, 22, 4), whose twist is kept.
 
     Raises:
-        InputError: The rest pose does not have two people of 22 joints.
+        InputError: There is not a rest pose of 22 joints for everybody.
     """
-    if rest_m.shape != (2, BODY22.num_joints, 3):
-        raise InputError(f"rest poses have shape {rest_m.shape}, expected (2, {BODY22.num_joints}, 3)")
+    num_people = positions_m.shape[1]
+    if rest_m.shape != (num_people, BODY22.num_joints, 3):
+        raise InputError(f"rest poses have shape {rest_m.shape}, expected ({num_people}, {BODY22.num_joints}, 3)")
     offsets = rest_m - rest_m[:, [max(parent, 0) for parent in BODY22.parents]]
     rest = place_bones(BODY22, rest_m[:, BODY22.root], offsets, bone_scale)
     people = [
         local_rotations(BODY22, rest[person], positions_m[:, person], source_world_unitquat[:, person])
-        for person in (0, 1)
+        for person in range(num_people)
     ]
     return np.stack(people, axis=1)

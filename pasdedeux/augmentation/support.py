@@ -26,7 +26,7 @@ _SMOOTHING_S = 0.1
 
 
 def stance_weights(source: Source) -> Array:
-    """Return how much each joint stands (frame, 2, 22), 1 standing: slow and on the floor in the source."""
+    """Return how much each joint stands (frame, P, 22), 1 standing: slow and on the floor in the source."""
     positions = source.positions_m
     velocity = np.gradient(positions, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(positions.shape)
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
@@ -34,12 +34,12 @@ def stance_weights(source: Source) -> Array:
 
 
 def floor_weights(source: Source) -> Array:
-    """Return how near the floor each joint is in the source (frame, 2, 22), 1 on it."""
+    """Return how near the floor each joint is in the source (frame, P, 22), 1 on it."""
     return _smooth(fade(_heights(source), *_FLOOR_HEIGHT_M), source)
 
 
 def _heights(source: Source) -> Array:
-    """Height of each joint (frame, 2, 22) above where it is when it lies on the floor, metres."""
+    """Height of each joint (frame, P, 22) above where it is when it lies on the floor, metres."""
     return np.asarray(source.positions_m[..., 1] - source.floor_m - source.rest_heights_m)
 
 

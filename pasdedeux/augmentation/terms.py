@@ -28,10 +28,9 @@ import numpy.typing as npt
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
 from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
+from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
-    NUM_POINTS,
     Source,
     complete_scales,
     points_of,
@@ -40,6 +39,7 @@ from pasdedeux.augmentation.source import (
     widened_m,
 )
 from pasdedeux.augmentation.support import floor_weights, stance_weights
+from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.skeletons import BODY22
 
@@ -82,12 +82,13 @@ def build_problem(
 
     contacts = source.contacts(settings.touch_m, user_contacts)
     contact_weights = weights.of_contacts(contacts)
-    standing = stance_weights(source).reshape(frames, NUM_POINTS)
+    standing = stance_weights(source).reshape(frames, -1)
     stance = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
-    floor = weights.floor * floor_weights(source).reshape(frames, NUM_POINTS)
-    anchor = np.full(NUM_POINTS, weights.reference)
+    floor = weights.floor * floor_weights(source).reshape(frames, -1)
+    count = source.num_points
+    anchor = np.full(count, weights.reference)
     if settings.fixed_person is not None:
-        anchor.reshape(2, -1)["AB".index(settings.fixed_person)] += weights.fixed
+        anchor.reshape(source.num_people, -1)[persons_of(settings.fixed_person, source.num_people)] += weights.fixed
     smoothness = weights.smoothness * rate**4
 
     laplacian = mesh.laplacian
@@ -95,11 +96,11 @@ def build_problem(
     add_stencils(contacts.points, contacts.shares, contact_weights, shared)
     bends = bending_rows(source)
     shared += weights.bending * bends.T @ bends
-    shared[:, range(NUM_POINTS), range(NUM_POINTS)] += anchor
+    shared[:, range(count), range(count)] += anchor
     matrix = np.stack([shared, shared])
     diagonal, lag1, lag2 = temporal_couplings(stance, smoothness, frames)
     diagonal[1] += floor
-    matrix[..., range(NUM_POINTS), range(NUM_POINTS)] += diagonal
+    matrix[..., range(count), range(count)] += diagonal
     return Problem(
         source=source,
         settings=settings,
@@ -121,17 +122,18 @@ def build_problem(
 def temporal_couplings(stance: Array, smoothness: float, frames: int) -> tuple[Array, Array, Array]:
     """Return what terms between frames add to the quadratic form.
 
-    That is its diagonal (group=2, T, 44) and its couplings between frames one (group, T-1, 44) and two (group, T-2, 44)
+    That is its diagonal (group=2, T, n) and its couplings between frames one (group, T-1, n) and two (group, T-2, n)
     apart.
 
     Args:
-        stance: Weights of each point's horizontal velocity between frames (T-1, 44).
+        stance: Weights of each point's horizontal velocity between frames (T-1, n).
         smoothness: Weight of the second difference.
         frames: T.
     """
-    lag1 = np.zeros((2, max(frames - 1, 0), NUM_POINTS))
-    lag2 = np.zeros((2, max(frames - 2, 0), NUM_POINTS))
-    diagonal = np.zeros((2, frames, NUM_POINTS))
+    count = stance.shape[-1]
+    lag1 = np.zeros((2, max(frames - 1, 0), count))
+    lag2 = np.zeros((2, max(frames - 2, 0), count))
+    diagonal = np.zeros((2, frames, count))
     if frames > 1:
         diagonal[0, 1:] += stance
         diagonal[0, :-1] += stance
@@ -147,7 +149,7 @@ def temporal_couplings(stance: Array, smoothness: float, frames: int) -> tuple[A
 
 
 def build_targets(problem: Problem, bone_scale: Array) -> Targets:
-    """Return the reference motion and the targets of a batch of variants (variant, 2, 22).
+    """Return the reference motion and the targets of a batch of variants (variant, P, 22).
 
     Raises:
         InputError: Scales of the wrong shape, or not positive.
@@ -157,7 +159,7 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
     reference = reference_motion(source, bone_scale)
     points = points_of(reference)
     difference = points_of(source.positions_m)[None] - points
-    pairs = points[:, :, GIRDLE_PAIRS]
+    pairs = points[:, :, girdle_pairs(source.num_people)]
     girth, contacts = problem.settings.girth, problem.contacts
     across = difference
     if girth == "follow":
@@ -180,7 +182,7 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
-    """Return b (axis=3, T, 44, variant) of the normal equations K x = b of the quadratic terms."""
+    """Return b (axis=3, T, n, variant) of the normal equations K x = b of the quadratic terms."""
     difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
     rhs = np.matmul(problem.coupling[None], np.ascontiguousarray(np.transpose(targets.across, (3, 1, 2, 0))))
     rhs += (problem.anchor - problem.weights.reference)[:, None] * difference
@@ -194,7 +196,7 @@ def right_hand_side(problem: Problem, targets: Targets) -> Array:
 
 
 def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array:
-    """Height targets less r's height (variant, T, 44): the source's, but a foot's higher end rises with its length."""
+    """Height targets less r's height (variant, T, n): the source's, but a foot's higher end rises with its length."""
     heights = np.repeat(source.positions_m[None, ..., 1], len(bone_scale), axis=0)
     for ankle, toe in (("left_ankle", "left_toe"), ("right_ankle", "right_toe")):
         a, t = BODY22.index(ankle), BODY22.index(toe)
@@ -203,15 +205,15 @@ def _floor_heights(source: Source, bone_scale: Array, reference: Array) -> Array
         heights[..., a] += np.where(rise > 0, added, 0.0)
         heights[..., t] -= np.where(rise < 0, added, 0.0)
     difference = heights - reference[..., 1]
-    return np.asarray(difference.reshape(*difference.shape[:2], NUM_POINTS))
+    return np.asarray(difference.reshape(*difference.shape[:2], -1))
 
 
 def bending_rows(source: Source) -> Array:
-    """Return for each pair of neighbouring spine bones difference of their vectors over lengths, as rows (m, 44)."""
+    """Return for each pair of neighbouring spine bones difference of their vectors over lengths, as rows (m, n)."""
     rows = []
-    for person in (0, 1):
+    for person in range(source.num_people):
         for first, second in pairwise(BODY22.indices(_SPINE)):
-            row = np.zeros(NUM_POINTS)
+            row = np.zeros(source.num_points)
             for joint, sign in ((second, 1.0), (first, -1.0)):
                 length = max(source.lengths_m[person, joint], _SHORTEST_SPINE_BONE_M)
                 start = person * BODY22.num_joints

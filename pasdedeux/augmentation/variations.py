@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from string import ascii_uppercase
 from typing import Annotated, Literal
 
 import numpy as np
@@ -28,14 +29,15 @@ __all__ = [
     "group_variations",
     "leg_ratio",
     "make_variations",
+    "persons_of",
     "population_variations",
     "uniform_variations",
 ]
 
 Array = npt.NDArray[np.float64]
 
-PERSONS: Mapping[str, tuple[int, ...]] = {"A": (0,), "B": (1,), "AB": (0, 1)}
-"""Who is scaled, and which persons these are."""
+Persons = Annotated[str, Field(pattern="^(all|[A-Z]+)$")]
+EVERYBODY = "all"
 
 Group = Literal["torso", "shoulders", "arms", "hips", "legs"]
 
@@ -101,8 +103,11 @@ class VariationSet(Settings):
     kinds: tuple[Literal["uniform", "groups", "bones", "drawn", "population"], ...] = Field(
         ("uniform",), min_length=1, description="uniform, groups, bones, drawn, population"
     )
-    persons: tuple[Literal["A", "B", "AB"], ...] = Field(
-        ("A",), min_length=1, description="Who is scaled: A, B, AB (both alike)"
+    persons: tuple[Persons, ...] = Field(
+        ("A",),
+        min_length=1,
+        description="Who is scaled: A, B, C, ...; AB, BC, ... (alike); all (everybody alike).  Who a take does not "
+        "have is left out",
     )
     groups: tuple[Group, ...] = Field(tuple(LIMB_GROUPS), description="Limb groups of kind groups")
 
@@ -118,11 +123,11 @@ class VariationSettings(VariationSet):
 
 @dataclass(frozen=True)
 class Variation:
-    """New proportions of both people: a name and a scale for every bone.
+    """New proportions of everybody: a name and a scale for every bone.
 
     Args:
         variant_id: Name, unique in a take, e.g. `A-uniform-0.80`.
-        bone_scale: Scale of each bone (2, 22), a bone named by its child joint; the root's entry is the root height's.
+        bone_scale: Scale of each bone (P, 22), a bone named by its child joint; the root's entry is the root height's.
 
     Raises:
         InputError: Wrong shape, or a scale that is not a positive number.
@@ -141,13 +146,26 @@ class Variation:
         return float(scales[0]) if np.ptp(scales) < 1e-9 else float("nan")
 
 
-def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
+def persons_of(who: str, num_people: int) -> list[int]:
+    """Return the numbers of the people that letters (or "all") name, without those who are not there.
+
+    >>> persons_of("CA", 3), persons_of("AB", 1), persons_of("all", 2)
+    ([0, 2], [0], [0, 1])
+    """
+    letters = ascii_uppercase[:num_people]
+    return [person for person, letter in enumerate(letters) if who == EVERYBODY or letter in who]
+
+
+def check_bone_scales(bone_scale: Array, num_people: int | None = None, *, what: str = "bone_scale") -> None:
     """Refuse scales of the wrong shape, or outside 0.05 to 20 (zero, negative and non-finite ones included).
+
+    With `num_people` they have to be those of so many people.
 
     Raises:
         InputError: With the person and bone at fault.
     """
-    expected = (2, BODY22.num_joints)
+    people = num_people or (bone_scale.shape[-2] if bone_scale.ndim > 1 else 2)
+    expected = (people, BODY22.num_joints)
     if bone_scale.shape[-2:] != expected:
         raise InputError(
             f"{what}: bone scales have shape {bone_scale.shape}, expected {expected} (person, body22 bone)"
@@ -156,28 +174,35 @@ def check_bone_scales(bone_scale: Array, *, what: str = "bone_scale") -> None:
     if is_bad.any():
         at = tuple(int(i) for i in np.argwhere(is_bad)[0])
         raise InputError(
-            f"{what}: the scale of person {'AB'[at[-2]]}'s bone '{BODY22.joint_names[at[-1]]}' is "
+            f"{what}: the scale of person {ascii_uppercase[at[-2]]}'s bone '{BODY22.joint_names[at[-1]]}' is "
             f"{bone_scale[at]:g}; allowed are {_SMALLEST_SCALE:g} to {_LARGEST_SCALE:g}"
         )
 
 
-def make_variations(settings: VariationSettings, generator_of: Callable[..., np.random.Generator]) -> list[Variation]:
-    """Return the variations asked for, each once; those drawn take the generator `generator_of(*labels)`."""
+def make_variations(
+    settings: VariationSettings, generator_of: Callable[..., np.random.Generator], num_people: int = 2
+) -> list[Variation]:
+    """Return the variations asked for, each once; those drawn take the generator `generator_of(*labels)`.
+
+    Where a take has nobody of those asked for, there are none.
+    """
     found: list[Variation] = []
     for chosen in settings.sets or (settings,):
         for kind in chosen.kinds:
-            for persons in chosen.persons:
+            for who in dict.fromkeys(_letters(persons, num_people) for persons in chosen.persons):
                 match kind:
+                    case _ if not who:
+                        pass
                     case "uniform":
-                        found += uniform_variations(settings.scales, [persons])
+                        found += uniform_variations(settings.scales, [who], num_people)
                     case "groups":
-                        found += group_variations(settings.scales, [persons], chosen.groups)
+                        found += group_variations(settings.scales, [who], chosen.groups, num_people)
                     case "bones":
-                        found += bone_variations(settings.scales, [persons])
+                        found += bone_variations(settings.scales, [who], num_people)
                     case "drawn":
-                        found += drawn_variations(generator_of(persons), settings.drawn, persons)
+                        found += drawn_variations(generator_of(who), settings.drawn, who, num_people)
                     case "population":
-                        found += population_variations(generator_of(kind, persons), settings.population, persons)
+                        found += population_variations(generator_of(kind, who), settings.population, who, num_people)
     return list({variation.variant_id: variation for variation in found}.values())
 
 
@@ -189,42 +214,49 @@ def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
     return np.asarray(np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0))
 
 
-def uniform_variations(scales: Sequence[float], persons: Sequence[str] = ("A",)) -> list[Variation]:
-    """Scale all bones of one person alike, or of both (`AB`), each by every scale.
+def uniform_variations(
+    scales: Sequence[float], persons: Sequence[str] = ("A",), num_people: int = 2
+) -> list[Variation]:
+    """Scale all bones of one person alike, or of several (`AB`), each by every scale.
 
     Raises:
         InputError: A scale that is not allowed.
     """
-    return _scaled({"uniform": BODY22.joint_names}, scales, persons)
+    return _scaled({"uniform": BODY22.joint_names}, scales, persons, num_people)
 
 
 def group_variations(
-    scales: Sequence[float], persons: Sequence[str] = ("A",), groups: Sequence[Group] = tuple(LIMB_GROUPS)
+    scales: Sequence[float],
+    persons: Sequence[str] = ("A",),
+    groups: Sequence[Group] = tuple(LIMB_GROUPS),
+    num_people: int = 2,
 ) -> list[Variation]:
     """Scale one group of limbs (`LIMB_GROUPS`) at a time; the root height follows the legs.
 
     Raises:
         InputError: A scale that is not allowed.
     """
-    return _scaled({group: LIMB_GROUPS[group] for group in groups}, scales, persons)
+    return _scaled({group: LIMB_GROUPS[group] for group in groups}, scales, persons, num_people)
 
 
-def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",)) -> list[Variation]:
+def bone_variations(scales: Sequence[float], persons: Sequence[str] = ("A",), num_people: int = 2) -> list[Variation]:
     """Scale one bone at a time, left and right together; the root height follows the legs."""
     bones: dict[str, tuple[str, ...]] = {}
     for index, name in enumerate(BODY22.joint_names):
         if index != BODY22.root and not name.startswith("right_"):
             mirrored = BODY22.joint_names[BODY22.mirror[index]]
             bones[name.removeprefix("left_")] = (name,) if name == mirrored else (name, mirrored)
-    return _scaled(bones, scales, persons)
+    return _scaled(bones, scales, persons, num_people)
 
 
-def drawn_variations(generator: np.random.Generator, drawn: DrawnScales, persons: str = "AB") -> list[Variation]:
+def drawn_variations(
+    generator: np.random.Generator, drawn: DrawnScales, persons: str = "AB", num_people: int = 2
+) -> list[Variation]:
     """Draw variations with every bone's scale uniform in [low, high], left and right alike."""
     variations = []
     for index in range(drawn.count):
-        bone_scale = np.ones((2, BODY22.num_joints))
-        for person in PERSONS[persons]:
+        bone_scale = np.ones((num_people, BODY22.num_joints))
+        for person in persons_of(persons, num_people):
             scales = generator.uniform(drawn.low, drawn.high, BODY22.num_joints)
             bone_scale[person] = scales[np.minimum(np.arange(BODY22.num_joints), BODY22.mirror)]
         bone_scale[:, BODY22.root] = _root_scale(bone_scale)
@@ -232,7 +264,9 @@ def drawn_variations(generator: np.random.Generator, drawn: DrawnScales, persons
     return variations
 
 
-def population_variations(generator: np.random.Generator, bodies: DrawnBodies, persons: str = "AB") -> list[Variation]:
+def population_variations(
+    generator: np.random.Generator, bodies: DrawnBodies, persons: str = "AB", num_people: int = 2
+) -> list[Variation]:
     """Draw bodies as they differ among adults: overall size and proportions, left and right alike.
 
     With z and z_b standard normal, cut at 3, the scale of bone b is 1 + spread c_b (r z + sqrt(1 - r^2) z_b): c_b from
@@ -246,8 +280,8 @@ def population_variations(generator: np.random.Generator, bodies: DrawnBodies, p
     r = bodies.correlation
     variations = []
     for index in range(bodies.count):
-        bone_scale = np.ones((2, BODY22.num_joints))
-        for person in PERSONS[persons]:
+        bone_scale = np.ones((num_people, BODY22.num_joints))
+        for person in persons_of(persons, num_people):
             size, each = np.split(np.clip(generator.standard_normal(1 + len(names)), -3.0, 3.0), [1])
             scale = 1.0 + bodies.spread * deviations * (r * size + np.sqrt(1.0 - r**2) * each)
             bone_scale[person, bones] = bone_scale[person, mirrored] = scale
@@ -256,14 +290,20 @@ def population_variations(generator: np.random.Generator, bodies: DrawnBodies, p
     return variations
 
 
-def _scaled(bones: Mapping[str, Sequence[str]], scales: Sequence[float], persons: Sequence[str]) -> list[Variation]:
+def _letters(who: str, num_people: int) -> str:
+    return "".join(ascii_uppercase[person] for person in persons_of(who, num_people))
+
+
+def _scaled(
+    bones: Mapping[str, Sequence[str]], scales: Sequence[float], persons: Sequence[str], num_people: int
+) -> list[Variation]:
     """Scale each set of bones by every scale, for each of the persons."""
     variations = []
     for who in persons:
         for kind, names in bones.items():
             for scale in scales:
-                bone_scale = np.ones((2, BODY22.num_joints))
-                for person in PERSONS[who]:
+                bone_scale = np.ones((num_people, BODY22.num_joints))
+                for person in persons_of(who, num_people):
                     bone_scale[person, BODY22.indices(names)] = scale
                 if kind != "uniform":
                     bone_scale[:, BODY22.root] = _root_scale(bone_scale)

@@ -35,7 +35,7 @@ class SolvedWindow:
     """A batch of variants over one window.
 
     Args:
-        positions: (variant, T, 44, 3), metres; always finite.
+        positions: (variant, T, n, 3), metres; always finite.
         energy: Energy (variant,).
         energy_fk: Energy of plain forward kinematics (variant,), which is never lower.
         squared_residual: Mean squared Laplacian residual of each frame (variant, T), square metres.
@@ -62,7 +62,7 @@ class WindowSolver:
         self._bulk = BulkSolver(self.problem)
 
     def solve(self, bone_scale: Array) -> SolvedWindow:
-        """Solve variants (variant, 2, 22); what one gets does not depend on the others, to the last bit.
+        """Solve variants (variant, P, 22); what one gets does not depend on the others, to the last bit.
 
         Plain forward kinematics stays where it is as good (everybody has the source's size) and where bulk fails: gives
         nothing finite, or something worse.

@@ -13,7 +13,7 @@ from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.mesh import build_mesh
 from pasdedeux.augmentation.problem import Problem, Targets
-from pasdedeux.augmentation.source import NUM_POINTS, Source
+from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import uniform_variations
 from pasdedeux.augmentation.window_solver import POLISH
@@ -126,9 +126,10 @@ def shared_factor() -> BenchmarkResult:
     """Right-hand sides a second of the block factor beside LAPACK's banded Cholesky."""
     problem = build_problem(benchmark_source())
     factor = factorise(problem.matrix[0], problem.lag1[0], problem.lag2[0]).astype(np.float64)
-    rhs = np.random.default_rng(1).normal(size=(1, factor.num_blocks, 2 * NUM_POINTS, _VARIANTS))
+    n = problem.source.num_points
+    rhs = np.random.default_rng(1).normal(size=(1, factor.num_blocks, 2 * n, _VARIANTS))
     banded = cholesky_banded(banded_matrix(problem), lower=True)
-    flat = rhs.reshape(-1, _VARIANTS)[: _FRAMES * NUM_POINTS]
+    flat = rhs.reshape(-1, _VARIANTS)[: _FRAMES * n]
     return BenchmarkResult(
         name="augmentation: solves with the shared factor",
         unit="right-hand sides",
@@ -136,13 +137,13 @@ def shared_factor() -> BenchmarkResult:
         fast_per_s=measure_rate(lambda: solve(factor, rhs.copy(), np.array([0])), count=_VARIANTS),
         plain_name="LAPACK banded",
         plain_per_s=measure_rate(lambda: cho_solve_banded((banded, True), flat), count=_VARIANTS),
-        note=f"{_FRAMES} frames of {NUM_POINTS} unknowns, {_VARIANTS} right-hand sides, 64 bits",
+        note=f"{_FRAMES} frames of {n} unknowns, {_VARIANTS} right-hand sides, 64 bits",
     )
 
 
 def banded_matrix(problem: Problem) -> Array:
-    """Return the horizontal matrix in LAPACK's lower banded form (2 * 44 + 1, T * 44)."""
-    frames, n = problem.num_frames, NUM_POINTS
+    """Return the horizontal matrix in LAPACK's lower banded form (2 n + 1, T n)."""
+    frames, n = problem.num_frames, problem.source.num_points
     banded = np.zeros((2 * n + 1, frames * n))
     for shift in range(n):
         rows = np.arange(n - shift)

@@ -1,13 +1,15 @@
-"""A duet: two motions, and what is known to be true of them because it was built that way."""
+"""A duet: the motions of two people or more, and what is known to be true of them because it was built that way."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from string import ascii_uppercase
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pasdedeux.choreography.anthropometry import Body, make_body
 from pasdedeux.choreography.figure import SIDES, Figure
@@ -27,14 +29,24 @@ CLOTH_M = 0.004
 class DuetStyle(Settings):
     """What every duet may be told; each duet adds its own."""
 
+    num_people: ClassVar[int] = 2
+
     duration_s: float = Field(10.0, ge=0.5, le=600.0, description="Length, seconds; frames lie at 0, 1 / rate, ...")
     rate_hz: float = Field(60.0, ge=1.0, le=1000.0, description="Frames per second; any rate samples the same motion")
-    heights_m: tuple[float, float] = Field(
-        (1.82, 1.65), description="Standing heights of person A and person B, metres"
+    heights_m: tuple[float, ...] = Field(
+        (1.82, 1.65),
+        min_length=2,
+        description="Standing heights of person A, B, ...; of a trio's C the mean if not told",
     )
     variation: int = Field(
         0, ge=0, description="0 for the duet as written; another number gives another take with slightly other style"
     )
+
+    @model_validator(mode="after")
+    def _has_these_people(self) -> Self:
+        if len(self.heights_m) > self.num_people:
+            raise ValueError(f"{len(self.heights_m)} heights are told for {self.num_people} people")
+        return self
 
     @property
     def time_s(self) -> Array:
@@ -43,13 +55,14 @@ class DuetStyle(Settings):
 
     @property
     def mean_m(self) -> float:
-        """Mean height of the two."""
+        """Mean height of those told."""
         return float(np.mean(self.heights_m))
 
     @property
-    def bodies(self) -> tuple[Body, Body]:
-        """The two bodies."""
-        return make_body(self.heights_m[0]), make_body(self.heights_m[1])
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies of all people."""
+        missing = (self.mean_m,) * (self.num_people - len(self.heights_m))
+        return tuple(map(make_body, (*self.heights_m, *missing)))
 
     def vary(self, count: int) -> Array:
         """Return `count` numbers in -1..1 that tell this variation from others; zeros for variation 0."""
@@ -63,7 +76,7 @@ class BonePoint:
     """A point on a person's bone: a share of the way from the parent joint (0) to the named joint (1).
 
     Args:
-        person: 0 is A, 1 is B.
+        person: 0 is A, 1 is B, ...
         bone: Joint of `body22` in which the bone ends.
         fraction: Share of the bone.
     """
@@ -73,7 +86,7 @@ class BonePoint:
     fraction: float = 1.0
 
     def position_m(self, positions_m: Array) -> Array:
-        """Return the point (frame, 3) from positions of the pair (frame, person, 22, 3)."""
+        """Return the point (frame, 3) from everybody's positions (frame, person, 22, 3)."""
         child = BODY22.index(self.bone)
         end = positions_m[:, self.person, child]
         start = positions_m[:, self.person, BODY22.parents[child]]
@@ -113,11 +126,11 @@ class Stance:
 
 @dataclass(frozen=True)
 class Duet:
-    """Two people's motion with its truth.
+    """The motion of two people or more with its truth.
 
     Args:
         name: Which dance.
-        motions: Person A and person B on `body22`, world frame, Y up, floor at 0.
+        motions: Person A, B, ... on `body22`, world frame, Y up, floor at 0.
         bodies: Sizes and girths.
         contacts: Known contacts, by start.
         stances: Known stances, by person and foot.
@@ -125,8 +138,8 @@ class Duet:
     """
 
     name: str
-    motions: tuple[Motion, Motion]
-    bodies: tuple[Body, Body]
+    motions: tuple[Motion, ...]
+    bodies: tuple[Body, ...]
     contacts: tuple[Contact, ...]
     stances: tuple[Stance, ...]
     parameters: Mapping[str, object] = field(default_factory=dict)
@@ -142,7 +155,7 @@ class Duet:
         return self.motions[0].rate_hz
 
     def positions_m(self) -> Array:
-        """Return world positions of the pair (frame, person, 22, 3)."""
+        """Return world positions of everybody (frame, person, 22, 3)."""
         return np.stack([motion.world()[0] for motion in self.motions], axis=1)
 
     def frames(self, interval: Contact | Stance) -> npt.NDArray[np.intp]:
@@ -158,8 +171,18 @@ class Duet:
             a, b = sorted((contact.point_a, contact.point_b), key=lambda point: point.person)
             first, stop = (int(np.ceil(time_s * rate_hz - 1e-6)) for time_s in (contact.start_s, contact.stop_s))
             if first < stop:
-                bones = {"joint_a": a.bone, "share_a": a.fraction, "joint_b": b.bone, "share_b": b.fraction}
-                stated.append(UserContact(**bones, start_frame=first, stop_frame=stop))
+                stated.append(
+                    UserContact(
+                        joint_a=a.bone,
+                        joint_b=b.bone,
+                        share_a=a.fraction,
+                        share_b=b.fraction,
+                        person_a=ascii_uppercase[a.person],
+                        person_b=ascii_uppercase[b.person],
+                        start_frame=first,
+                        stop_frame=stop,
+                    )
+                )
         return tuple(stated)
 
 
@@ -177,8 +200,8 @@ def wrist_contact(
     return Contact(name, *ends, *span_s, distance_m)
 
 
-def finish(name: str, style: DuetStyle, figures: tuple[Figure, Figure], contacts: list[Contact]) -> Duet:
-    """Make the duet of two solved figures: motions, stances from the feet, contacts that fall into its time."""
+def finish(name: str, style: DuetStyle, figures: tuple[Figure, ...], contacts: list[Contact]) -> Duet:
+    """Make the duet of solved figures: motions, stances from the feet, contacts that fall into its time."""
     stop = style.duration_s
     contacts = [replace(c, start_s=max(0.0, c.start_s), stop_s=min(stop, c.stop_s)) for c in contacts]
     stances = [
@@ -190,8 +213,8 @@ def finish(name: str, style: DuetStyle, figures: tuple[Figure, Figure], contacts
     ]
     return Duet(
         name=name,
-        motions=(figures[0].motion(style.rate_hz), figures[1].motion(style.rate_hz)),
-        bodies=(figures[0].body, figures[1].body),
+        motions=tuple(figure.motion(style.rate_hz) for figure in figures),
+        bodies=tuple(figure.body for figure in figures),
         contacts=tuple(sorted((c for c in contacts if c.start_s < c.stop_s), key=lambda contact: contact.start_s)),
         stances=tuple(stances),
         parameters=style.model_dump(),

@@ -17,6 +17,7 @@ from pasdedeux.choreography.hug import HugStyle, make_hug
 from pasdedeux.choreography.judo import JudoStyle, make_judo
 from pasdedeux.choreography.lift import LiftStyle, make_lift
 from pasdedeux.choreography.push_hands import PushHandsStyle, make_push_hands
+from pasdedeux.choreography.trio import TrioStyle, make_trio
 from pasdedeux.choreography.waltz import WaltzStyle, make_waltz
 from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
@@ -43,6 +44,7 @@ DUETS: dict[str, Dance[Any]] = {
     "judo": Dance(JudoStyle, make_judo),
     "push_hands": Dance(PushHandsStyle, make_push_hands),
     "lift": Dance(LiftStyle, make_lift),
+    "trio": Dance(TrioStyle, make_trio),
 }
 """The built-in duets by name."""
 

@@ -72,7 +72,7 @@ def make_hug(style: HugStyle) -> Duet:
     return finish("hug", style, figures, _embrace(figures, plan, time_s))
 
 
-def _walk(person: int, bodies: tuple[Body, Body], plan: _Plan, time_s: Array) -> Figure:
+def _walk(person: int, bodies: tuple[Body, ...], plan: _Plan, time_s: Array) -> Figure:
     """Place trunk and feet: A comes along +Z, B along -Z; each keeps to its own left."""
     body = bodies[person]
     height = body.height_m

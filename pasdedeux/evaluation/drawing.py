@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,8 +35,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-PERSON_COLOURS = ("#c1440e", "#1f5fa8")
-"""Colour of person A and of person B, in every picture."""
+PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
+"""Colours of person A, B, ... in every picture; a sixth person has the first one again."""
 TRUTH_COLOUR = "#9a9a9a"
 _SIDES = {"left_": 0.62, "right_": 1.0}
 """Brightness of left and right limbs."""
@@ -59,11 +60,11 @@ class Panel:
     links_m: Array | None = None
 
 
-def pair_panel(title: str, skeleton: Skeleton, pair_m: Array, links_m: Array | None = None) -> Panel:
-    """Return the panel of a pair (2, joint, 3) in the two persons' colours."""
+def pair_panel(title: str, skeleton: Skeleton, people_m: Array, links_m: Array | None = None) -> Panel:
+    """Return the panel of people (person, joint, 3) in everybody's colour."""
     poses = tuple(
         Pose(skeleton=skeleton, positions_m=positions, colour=colour)
-        for positions, colour in zip(pair_m, PERSON_COLOURS, strict=True)
+        for positions, colour in zip(people_m, cycle(PERSON_COLOURS), strict=False)
     )
     return Panel(title=title, poses=poses, links_m=links_m)
 

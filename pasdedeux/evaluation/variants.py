@@ -12,8 +12,7 @@ from pasdedeux.augmentation.source import Girths, Source, points_of, reference_m
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.interaction.contacts import Contacts, find_contacts
-from pasdedeux.plausibility import capsule_model
+from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 
@@ -96,7 +95,7 @@ def contact_scores(
         contacts: Those of the take: known ones where it has such, otherwise those found.
         source: The take.
         girth: How thick the variants' bodies are.
-        variants: Scales (2, 22) and motion (T, 2, 22, 3) of each.
+        variants: Scales (P, 22) and motion (T, P, 22, 3) of each.
         item: Name of the take.
     """
     held = np.nonzero(contacts.is_held)
@@ -158,23 +157,22 @@ def drift_figure(qualities: VariantQualities) -> bytes:
     )
 
 
-def variant_sheet(take_id: str, source_m: Array, variants_m: Mapping[str, Array], *, num_moments: int = 4) -> bytes:
+def variant_sheet(take_id: str, source: Source, variants_m: Mapping[str, Array], *, num_moments: int = 4) -> bytes:
     """Draw moments of the source and of variants side by side with the source's contacts as green lines; PNG bytes.
 
     Args:
         take_id: Name of the take.
-        source_m: Source, (frame, 2, 22, 3), metres.
-        variants_m: Variants by name, each (frame, 2, 22, 3).
+        source: The take.
+        variants_m: Variants by name, each (frame, P, 22, 3), metres.
         num_moments: Moments drawn, evenly spread.
     """
-    frames = evenly_spread(len(source_m), num_moments, has_ends=False)
+    frames = evenly_spread(source.num_frames, num_moments, has_ends=False)
     panels: list[Panel] = []
-    radii = capsule_model(BODY22).radii_of(source_m)
-    for frame in frames:
-        found = find_contacts(source_m[[frame]], radii, BODY22, rate_hz=1.0)
+    for frame in map(int, frames):
+        found = source.take_frames(slice(frame, frame + 1)).contacts()
         held = found.is_held[0]
         ends, shares = found.points[0, held].reshape(-1, 2, 2), np.abs(found.shares[0, held].reshape(-1, 2, 2, 1))
-        for name, motion in {"source": source_m, **variants_m}.items():
+        for name, motion in {"source": source.positions_m, **variants_m}.items():
             links = (shares * motion[frame].reshape(-1, 3)[ends]).sum(axis=2)
             panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, motion[frame], links))
     return skeleton_sheet(panels, title=f"{take_id}: source beside variants, contacts in green")

@@ -1,16 +1,18 @@
-"""Contacts of two people: points of two bones whose surfaces meet.
+"""Contacts of people: points of two bones whose surfaces meet.
 
 A body is capsules round its bones; people touch where the surface of one meets that of the other, anywhere along a
-bone.  A contact is a point of a bone of A and one of B: a bone is named by its child joint, the point by the share of
-the bone from its parent joint.  It is found where two surfaces are nearest, or stated; its weight fades with the
-distance of the surfaces and nothing switches.  This is what "in contact" means everywhere.
+bone.  A contact is a point of a bone of one person and one of another's, or of one's own: a bone is named by its child
+joint, the point by the share of the bone from its parent joint.  It is found where two surfaces are nearest, or stated;
+its weight fades with the distance of the surfaces and nothing switches.  This is what "in contact" means everywhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import combinations
+from string import ascii_uppercase
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,7 @@ __all__ = [
     "TOUCH_M",
     "Contacts",
     "Gaps",
+    "Letter",
     "UserContact",
     "closest_joint_distance",
     "fade",
@@ -40,6 +43,9 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
+
+Letter = Annotated[str, Field(pattern="^[A-Z]$")]
+"""A person of a take: A is the first."""
 
 TOUCH_M = (0.02, 0.08)
 """Distance of surfaces: in contact up to the first (cloth, flesh, capsules that taper less than limbs do), not beyond
@@ -101,15 +107,15 @@ def surface_gaps(pair_m: Array, radii_m: Array, skeleton: Skeleton) -> Gaps:
     bones, half = np.array([child for _, child in skeleton.bones]), skeleton.num_joints
     flat = np.ascontiguousarray(pair_m, dtype=np.float64).reshape(-1, 2 * half, 3)
     pairs = np.stack(np.broadcast_arrays(bones[:, None], bones + half), axis=-1).reshape(-1, 2)
-    share, gap = nearest_on_bones(flat, pairs, parents_of(skeleton), np.ravel(np.asarray(radii_m, dtype=np.float64)))
+    share, gap = nearest_on_bones(flat, pairs, parents_of(skeleton, 2), np.ravel(np.asarray(radii_m, dtype=np.float64)))
     shape = (*np.shape(pair_m)[:-3], len(bones), len(bones))
     return Gaps(gap.reshape(shape), share.reshape(*shape, 2), bones)
 
 
-def parents_of(skeleton: Skeleton) -> Indices:
-    """Return the parent of each joint of two people (2 J,), joints numbered through; a root is its own."""
+def parents_of(skeleton: Skeleton, num_people: int) -> Indices:
+    """Return the parent of each joint of all people (P J,), joints numbered through; a root is its own."""
     parents = np.maximum(np.array(skeleton.parents), skeleton.root * (np.array(skeleton.parents) < 0))
-    return np.concatenate([parents, parents + skeleton.num_joints])
+    return np.concatenate([parents + person * skeleton.num_joints for person in range(num_people)])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,10 +145,12 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
 class UserContact(Settings):
     """A contact that is stated, in place of what is found between the two bones."""
 
-    joint_a: str = Field(description="Joint of person A in which the bone ends, by its name in body22")
-    joint_b: str = Field(description="Joint of person B in which the bone ends")
-    share_a: float = Field(1.0, ge=0, le=1, description="Where on the bone of A: 0 at its beginning, 1 at the joint")
-    share_b: float = Field(1.0, ge=0, le=1, description="The same on the bone of B")
+    joint_a: str = Field(description="Joint of the first person in which the bone ends, by its name in body22")
+    joint_b: str = Field(description="Joint of the second person in which the bone ends")
+    share_a: float = Field(1.0, ge=0, le=1, description="Where on the first bone: 0 at its beginning, 1 at the joint")
+    share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone")
+    person_a: Letter = Field("A", description="The first person")
+    person_b: Letter = Field("B", description="The second person, who may be the first")
     start_frame: int = Field(0, ge=0, description="First frame")
     stop_frame: int = Field(description="Frame after the last")
     weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
@@ -160,6 +168,16 @@ class UserContact(Settings):
             raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
         return self
 
+    @property
+    def persons(self) -> tuple[int, int]:
+        """The two people's numbers."""
+        return ascii_uppercase.index(self.person_a), ascii_uppercase.index(self.person_b)
+
+    def bones(self, skeleton: Skeleton) -> tuple[int, int]:
+        """Return the child joints of the two bones, the joints of all people numbered through."""
+        first, second = (person * skeleton.num_joints for person in self.persons)
+        return first + skeleton.index(self.joint_a), second + skeleton.index(self.joint_b)
+
     def within(self, start: int, stop: int) -> UserContact | None:
         """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
         first, last = max(self.start_frame, start), min(self.stop_frame, stop)
@@ -172,10 +190,10 @@ class Contacts:
     """The contacts of each frame, up to M of them, filled up with contacts of no weight.
 
     Args:
-        points: Ends of A's bone and of B's (T, M, 4), the joints of both people numbered through.
-        shares: What the ends contribute to the vector from B's point to A's (T, M, 4).
+        points: Ends of the first bone and of the second (T, M, 4), the joints of all people numbered through.
+        shares: What the ends contribute to the vector from the second point to the first (T, M, 4).
         weights: From 0 to 1, or as stated (T, M).
-        hand: How much A's and B's point is one of a hand or foot (T, M, 2), from 0 to 1.
+        hand: How much the two points are of a hand or foot (T, M, 2), from 0 to 1.
     """
 
     points: Indices
@@ -198,11 +216,11 @@ class Contacts:
         return np.asarray(self.points[..., 1::2])
 
     def vectors(self, points_m: Array) -> Array:
-        """Return the vectors from B's point to A's (*batch, T, M, 3) of joints (*batch, T, 2 J, 3), metres."""
+        """Return the vectors from second to first point (*batch, T, M, 3) of joints (*batch, T, P J, 3), metres."""
         return stencil_vectors(self.points, self.shares, points_m)
 
     def spread(self, pulls: Array, num_points: int) -> Array:
-        """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, 2 J, 3)."""
+        """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, P J, 3)."""
         spread = np.zeros((len(pulls), num_points, 3))
         frames = np.broadcast_to(np.arange(len(pulls))[:, None, None], self.points.shape)
         np.add.at(spread, (frames, self.points), self.shares[..., None] * pulls[:, :, None])
@@ -210,38 +228,48 @@ class Contacts:
 
 
 def find_contacts(
-    pair_m: Array,
+    people_m: Array,
     radii_m: Array,
     skeleton: Skeleton,
     *,
     rate_hz: float,
     touch_m: tuple[float, float] = TOUCH_M,
     stated: Sequence[UserContact] = (),
+    own: Indices | None = None,
 ) -> Contacts:
-    """Find where two people touch; weights and points are averaged over a moment.
+    """Find where people touch each other; weights and points are averaged over a moment.
 
     Args:
-        pair_m: Motion of both (T, person=2, joint, 3), metres.
-        radii_m: Radius of the bone that ends in each joint (person=2, joint), metres.
+        people_m: Motion of everybody (T, person, joint, 3), metres.
+        radii_m: Radius of the bone that ends in each joint (person, joint), metres.
         skeleton: Whose joints.
         rate_hz: Frames per second.
         touch_m: Distance of the surfaces: full weight up to the first, none from the second on; hands reach beyond
             their wrists.
         stated: Contacts that replace what is found between two bones; names are those of the skeleton.
+        own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
+            not reach beyond its wrist, or arms that hang would touch the thighs.
     """
-    gaps = surface_gaps(pair_m, radii_m, skeleton)
-    frames, count = len(pair_m), len(gaps.bones)
-    bones = np.stack(np.broadcast_arrays(gaps.bones[:, None], gaps.bones), axis=-1).reshape(-1, 2)
-    share = gaps.share.reshape(frames, -1, 2)
-    reach = _HAND_M * (_hands(bones, share, skeleton) * _is_hand(skeleton)[bones]).sum(axis=-1)
-    weights = fade(gaps.gap_m.reshape(frames, -1) - reach, *touch_m)
-    places = {int(bone): place for place, bone in enumerate(gaps.bones)}
+    (frames, num_people), joints = people_m.shape[:2], skeleton.num_joints
+    children = np.array([child for _, child in skeleton.bones])
+    each = np.stack(np.broadcast_arrays(children[:, None], children), axis=-1).reshape(-1, 2)
+    bones = np.concatenate(
+        [each + joints * np.array(both) for both in combinations(range(num_people), 2)]
+        + [own + joints * person for person in range(num_people) if own is not None]
+        + [np.zeros((0, 2), np.int64)]
+    )
+    points = np.ascontiguousarray(people_m, dtype=np.float64).reshape(frames, -1, 3)
+    radii = np.ravel(np.asarray(radii_m, dtype=np.float64))
+    share, gap = nearest_on_bones(points, bones, parents_of(skeleton, num_people), radii)
+    reach = _HAND_M * (_hands(bones, share, skeleton) * _is_hand(skeleton)[bones % joints]).sum(axis=-1)
+    weights = fade(gap - reach * (bones[:, 0] // joints != bones[:, 1] // joints), *touch_m)
+    places = {frozenset(pair): place for place, pair in enumerate(bones.tolist())}
     told = []
     for contact in stated:
-        ends = [skeleton.index(contact.joint_a), skeleton.index(contact.joint_b)]
+        ends = contact.bones(skeleton)
         when = slice(contact.start_frame, contact.stop_frame)
-        if all(end in places for end in ends):
-            weights[when, places[ends[0]] * count + places[ends[1]]] = 0.0
+        if frozenset(ends) in places:
+            weights[when, places[frozenset(ends)]] = 0.0
         weight = np.zeros(frames)
         weight[when] = contact.weight
         told.append((ends, (contact.share_a, contact.share_b), weight))
@@ -268,7 +296,7 @@ def stated_contacts(stated: Sequence[UserContact], num_frames: int, skeleton: Sk
     """Return contacts just as they are stated, without those found and without averaging."""
     rows = [(frame, contact) for contact in stated for frame in range(contact.start_frame, contact.stop_frame)]
     rows.sort(key=lambda row: row[0])
-    bones = np.array([[skeleton.index(c.joint_a), skeleton.index(c.joint_b)] for _, c in rows]).reshape(-1, 2)
+    bones = np.array([contact.bones(skeleton) for _, contact in rows], dtype=np.int64).reshape(-1, 2)
     share = np.array([[c.share_a, c.share_b] for _, c in rows]).reshape(-1, 2)
     frame = np.array([frame for frame, _ in rows], dtype=np.intp)
     return _pack(frame, num_frames, bones, share, np.array([c.weight for _, c in rows]), skeleton)
@@ -278,10 +306,10 @@ def _pack(
     frame: npt.NDArray[np.intp], num_frames: int, bones: Indices, share: Array, weights: Array, skeleton: Skeleton
 ) -> Contacts:
     """Lay contacts of these frames (n,) out by frame: bones and places on them (n, 2), weights (n,)."""
-    packed, children = packer(frame, num_frames), bones + np.array([0, skeleton.num_joints])
-    s, t = share.T
+    packed, s, t = packer(frame, num_frames), *share.T
+    parents = parents_of(skeleton, 1 + int(bones.max(initial=0)) // skeleton.num_joints)
     return Contacts(
-        points=packed(np.stack([parents_of(skeleton)[children], children], axis=-1).reshape(-1, 4)),
+        points=packed(np.stack([parents[bones], bones], axis=-1).reshape(-1, 4)),
         shares=packed(np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)),
         weights=packed(weights),
         hand=packed(_hands(bones, share, skeleton)),
@@ -296,7 +324,8 @@ def _hands(bones: Indices, share: Array, skeleton: Skeleton) -> Array:
     """Return how much points (T, n, 2) at a share of bones (n, 2) are of a hand or foot."""
     is_end = np.array([name.endswith(("wrist", "ankle")) for name in skeleton.joint_names])
     is_foot = np.array([name.endswith("toe") for name in skeleton.joint_names])
-    return np.where(is_end[bones], fade(-share, -1.0, -_HAND_SHARE), is_foot[bones])
+    joints = bones % skeleton.num_joints
+    return np.where(is_end[joints], fade(-share, -1.0, -_HAND_SHARE), is_foot[joints])
 
 
 def packer(frame: npt.NDArray[np.intp], num_frames: int) -> Callable[[npt.NDArray[Any]], npt.NDArray[Any]]:

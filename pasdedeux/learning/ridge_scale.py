@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
-from pasdedeux.augmentation.source import NUM_POINTS, complete_scales
+from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import Items, LogEntry, TrainingItem, VariantModel, VariantRequest
 from pasdedeux.skeletons import BODY22
@@ -24,6 +24,7 @@ __all__ = ["RidgeScaleModel"]
 
 Array = npt.NDArray[np.float64]
 
+_NUM_POINTS = 2 * BODY22.num_joints
 _RIDGE = 3e-3
 """Ridge of the quadratic, as a share of the mean diagonal.
 
@@ -59,7 +60,7 @@ class RidgeScaleModel(VariantModel):
 
     is_by_group: bool = False
     coefficients: dict[str, Array] = field(default_factory=dict)
-    mix: Array = field(default_factory=lambda: np.eye(NUM_POINTS))
+    mix: Array = field(default_factory=lambda: np.eye(_NUM_POINTS))
 
     @classmethod
     def train(cls, items: Items, *, ridge_share: float = _RIDGE) -> tuple[VariantModel, list[LogEntry]]:
@@ -73,7 +74,7 @@ class RidgeScaleModel(VariantModel):
             raise InputError("ridge_scale: there is no variant to train on; check the split and the scales")
         model = cls(is_by_group=is_by_group)
         sums: dict[str, _Sums] = {}
-        gram, moment = np.zeros((2, NUM_POINTS, NUM_POINTS))
+        gram, moment = np.zeros((2, _NUM_POINTS, _NUM_POINTS))
         for item in items():
             model._add(item, sums)
             plain, change = _displacements(item)
@@ -155,9 +156,9 @@ def _ridge(gram: Array, moment: Array, share: float) -> Array:
 def _plain_displacement(request: VariantRequest) -> Array:
     scales = complete_scales(request.source, request.bone_scale[None])
     moved = reference_motion(request.source, scales)[0] - request.source.positions_m
-    return moved.reshape(-1, NUM_POINTS, 3)
+    return moved.reshape(-1, _NUM_POINTS, 3)
 
 
 def _displacements(item: TrainingItem) -> tuple[Array, Array]:
     change = item.motion_m - item.request.source.positions_m
-    return _plain_displacement(item.request), change.reshape(-1, NUM_POINTS, 3)
+    return _plain_displacement(item.request), change.reshape(-1, _NUM_POINTS, 3)

@@ -95,19 +95,20 @@ class CapsuleModel:
         typical = np.median(lengths.reshape(-1, *lengths.shape[-2:]), axis=0)
         return self.radii_m(body_height_m(self.skeleton, typical))
 
-    def penetration(self, pairs_m: Array, radii_m: Array | None = None) -> Array:
-        """Return the sums of penetration depths within A, within B and between them, (*batch, 3), metres.
+    def penetration(self, people_m: Array, radii_m: Array | None = None) -> Array:
+        """Return the sums of penetration depths within each person and, last, between them (*batch, P + 1), metres.
 
         Args:
-            pairs_m: Pairs (*batch, person=2, J, 3), metres.
-            radii_m: Radii of each person's bones, (person=2, J), metres; None: those of each pair's own leg lengths.
+            people_m: People (*batch, person, J, 3), metres.
+            radii_m: Radii of each person's bones, (person, J), metres; None: those of each pose's own leg lengths.
         """
-        pairs = np.ascontiguousarray(pairs_m, dtype=np.float64).reshape(-1, 2, self.skeleton.num_joints, 3)
+        *batch, num_people, _, _ = np.shape(people_m)
+        people = np.ascontiguousarray(people_m, dtype=np.float64).reshape(-1, num_people, self.skeleton.num_joints, 3)
         if radii_m is None:
-            radii_m = self.radii_m(body_height_m(self.skeleton, bone_lengths(self.skeleton, pairs)))
-        radii = np.ascontiguousarray(np.broadcast_to(radii_m, pairs.shape[:-1]))
-        sums = _penetrations(pairs, radii, self.parents, self.within, self.between)
-        return np.asarray(sums.reshape(*np.shape(pairs_m)[:-3], 3))
+            radii_m = self.radii_m(body_height_m(self.skeleton, bone_lengths(self.skeleton, people)))
+        radii = np.ascontiguousarray(np.broadcast_to(radii_m, people.shape[:-1]))
+        sums = _penetrations(people, radii, self.parents, self.within, self.between)
+        return np.asarray(sums.reshape(*batch, num_people + 1))
 
 
 def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
@@ -149,38 +150,45 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_penetration(
-    pair: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
+    people: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
 ) -> float:
-    """Return the sum of penetration depths of one pair, metres.
+    """Return the sum of penetration depths of a pair, or of any number of people, metres.
 
     Args:
-        pair: Positions (person=2, J, 3), float64, metres.
-        radii: Radii (person=2, J), metres.
+        people: Positions (person, J, 3), float64, metres.
+        radii: Radii (person, J), metres.
         parents: `CapsuleModel.parents`, (J,).
         within: `CapsuleModel.within`, (pair, 2).
         between: `CapsuleModel.between`, (pair, 2).
-        out: The sums within person A, within person B and between them are written here, (3,).
+        out: The sums within person A, within B, ... and, last, between people are written here, (P + 1,).
     """
-    for person in range(2):
+    count = people.shape[0]
+    for person in range(count):
         total = 0.0
-        points, radius = pair[person], radii[person]
+        points, radius = people[person], radii[person]
         for row in range(within.shape[0]):
             one, other = within[row, 0], within[row, 1]
             total += _depth(points, parents[one], one, points, parents[other], other, radius[one] + radius[other])
         out[person] = total
     total = 0.0
-    for row in range(between.shape[0]):
-        one, other = between[row, 0], between[row, 1]
-        total += _depth(pair[0], parents[one], one, pair[1], parents[other], other, radii[0, one] + radii[1, other])
-    out[2] = total
-    return out[0] + out[1] + out[2]
+    for a in range(count):
+        for b in range(a + 1, count):
+            for row in range(between.shape[0]):
+                one, other = between[row, 0], between[row, 1]
+                reach = radii[a, one] + radii[b, other]
+                total += _depth(people[a], parents[one], one, people[b], parents[other], other, reach)
+    out[count] = total
+    everything = 0.0
+    for part in range(count + 1):
+        everything += out[part]
+    return everything
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _penetrations(pairs: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
-    sums = np.empty((pairs.shape[0], 3))
-    for row in range(pairs.shape[0]):
-        pair_penetration(pairs[row], radii[row], parents, within, between, sums[row])
+def _penetrations(people: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
+    sums = np.empty((people.shape[0], people.shape[1] + 1))
+    for row in range(people.shape[0]):
+        pair_penetration(people[row], radii[row], parents, within, between, sums[row])
     return sums
 
 

@@ -11,6 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
+from string import ascii_uppercase
 from typing import Self
 
 import numpy as np
@@ -77,7 +79,9 @@ class CaptureLimits(Settings):
     upright_share: Limit = Field(
         (0.05, 0.01), description="Least share of the time in which somebody is upright; push-ups on a partner have 0.6"
     )
-    distance_m: Limit = Field((1.0, 5.0), description="Least distance of the partners' closest joints, metres")
+    distance_m: Limit = Field(
+        (1.0, 5.0), description="Least distance of the partners' closest joints, metres; of who is furthest from others"
+    )
     trunk_m: Limit = Field(
         (0.12, 0.08),
         description="Least distance of the partners' spines, metres; close dance has 0.15, a hug 0.25",
@@ -181,11 +185,11 @@ def judge_capture(people: Sequence[PersonCapture], limits: CaptureLimits, names:
         limits: What is allowed.
         names: Names of the files of the people, where there are any: those of different takes are a warning.
     """
-    apart = _names_apart(*names) if len(names) == 2 else ""
+    apart = next(filter(None, (_names_apart(*both) for both in combinations(names, 2))), "")
     shared = [Complaint(Level.WARN, apart, is_of_take=True)] if apart else []
     found = [shared + person.complaints(limits) for person in people]
     everybody = [
-        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{'AB'[person]}: {one.text}")
+        one if one.is_of_take or len(people) == 1 else replace(one, text=f"{ascii_uppercase[person]}: {one.text}")
         for person, own in enumerate(found)
         for one in own
     ]
@@ -216,7 +220,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     """Return the figures of each person of a take.
 
     Args:
-        body22_m: Positions (frame, person, 22, 3) of one or two people, y up, metres, at the capture's own rate; at
+        body22_m: Positions (frame, person, 22, 3) of everybody, y up, metres, at the capture's own rate; at
             least one frame.
         rate_hz: Frames per second.
 
@@ -234,15 +238,22 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
     statures = body_height_m(BODY22, np.median(bone_lengths(BODY22, body22_m), axis=0))
     some = body22_m[:: max(1, round(rate_hz * _SAMPLE_S))]
     is_high = some[..., _UP].min(axis=-1) > floor + _AIR_M
-    if body22_m.shape[1] == 2:
-        closest = closest_joint_distance(some)
-        is_high &= closest[:, None] >= _HELD_M
-        axes = surface_gaps(some, np.zeros((2, BODY22.num_joints)), BODY22)
-        is_trunk = np.isin(axes.bones, _TRUNK)
+    couples = [list(both) for both in combinations(range(body22_m.shape[1]), 2)]
+    if couples:
+        nearest = np.full(some.shape[:2], np.inf)  # of anybody else (frame, person)
+        trunk_m, twin_m = [], []
+        for both in couples:
+            pair = some[:, both]
+            nearest[:, both] = np.minimum(nearest[:, both], closest_joint_distance(pair)[:, None])
+            axes = surface_gaps(pair, np.zeros((2, BODY22.num_joints)), BODY22)
+            is_trunk = np.isin(axes.bones, _TRUNK)
+            trunk_m.append(float(axes.gap_m[:, is_trunk][:, :, is_trunk].min()))
+            twin_m.append(_difference(*(pair * (USUAL_HEIGHT_M / statures[both, None, None])).swapaxes(0, 1)))
+        is_high &= nearest >= _HELD_M
         of_take |= {
-            "distance_m": float(closest.min()),
-            "trunk_m": float(axes.gap_m[:, is_trunk][:, :, is_trunk].min()),
-            "twin_m": _difference(*(some * (USUAL_HEIGHT_M / statures[:, None, None])).swapaxes(0, 1)),
+            "distance_m": float(nearest.min(axis=0).max()),
+            "trunk_m": min(trunk_m),
+            "twin_m": min(twin_m),
         }
     step = max(1, round(rate_hz * _STEP_S))
     found = []

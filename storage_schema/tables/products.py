@@ -5,25 +5,35 @@ from __future__ import annotations
 import pyarrow as pa
 
 from storage_schema.columns import Table, array, boolean, float64, integer, text
-from storage_schema.tables.common import FRAME, MODEL_ID, TAKE_ID, TIME_S, VARIANT_ID, VERDICT, positions, unitquats
+from storage_schema.tables.common import (
+    FRAME,
+    MODEL_ID,
+    PERSON,
+    TAKE_ID,
+    TIME_S,
+    VARIANT_ID,
+    VERDICT,
+    positions,
+    unitquats,
+)
 
 __all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY", "VERDICTS"]
 
 VARIANTS = Table(
     name="variants",
-    meaning="One row per variant of a take and frame: both people's body22 after augmentation.",
-    sorted_by=("take_id", "variant_id", "frame"),
+    meaning="One row per variant of a take, frame and person: body22 after augmentation.",
+    sorted_by=("take_id", "variant_id", "frame", "person"),
     columns=(
         TAKE_ID,
         VARIANT_ID,
         FRAME,
+        PERSON,
         TIME_S,
-        positions("body22", "World positions", num_people=2),
+        positions("body22", "World positions"),
         unitquats(
             "body22_unitquat",
             "body22",
             "Local rotations (x, y, z, w): swing from the bones, twist from the source",
-            num_people=2,
         ),
     ),
 )
@@ -37,13 +47,10 @@ VARIANT_QUALITY = Table(
         VARIANT_ID,
         array(
             "bone_scale",
-            "Scale of each bone (bone = its child joint; the root's is the root height)",
-            axes={"person": 2, "joint": 22},
-            joints="body22",
+            "Scale of each bone, (person, 22) flattened (bone = its child joint; the root's is the root height)",
             dtype=pa.float64(),
         ),
-        float64("scale_a", "Uniform scale of person A, NaN where not uniform"),
-        float64("scale_b", "Uniform scale of person B, NaN where not uniform"),
+        array("uniform_scale", "Uniform scale of each person, NaN where not uniform", dtype=pa.float64()),
         integer("num_frames", "Frames solved"),
         integer("num_contact_pairs", "Contacts of points of bones in the source, summed over frames"),
         float64("bone_error_m", "Greatest difference of a bone from its target length", unit="m"),
@@ -88,7 +95,7 @@ VARIANT_QUALITY = Table(
         float64("floor_penetration_m", "Greatest depth of a joint under the floor beyond the source's", unit="m"),
         float64(
             "penetration_m",
-            "95th percentile over frames of the capsule penetration between the two beyond the source's",
+            "95th percentile over frames of the capsule penetration between people beyond the source's",
             unit="m",
         ),
         float64(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import known_contacts, read_pair
+from tasks.augmentation import known_contacts, read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
@@ -48,7 +48,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     homes = [ref for ref, table in zip(parts, tables, strict=True) for _ in range(table.num_rows)]
     qualities = VariantQualities(
         take_id=take_id,
-        scale=np.concatenate([table["scale_a"] for table in tables]),
+        scale=np.array([scales[0] for table in tables for scales in table["uniform_scale"]]),
         values={name: np.concatenate([table[name] for table in tables]) for name in QUALITY_COLUMNS},
         drift_fk_m=np.concatenate([table["contact_drift_fk_m"] for table in tables]),
         verdicts=[verdict for table in tables for verdict in table["verdict"]],
@@ -61,24 +61,25 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     has_contacts = bool(np.isfinite(qualities.values["contact_drift_m"]).any())
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
-    pair = read_pair(store, take).source
-    source = pair.positions_m
+    source = read_take(store, take).source
     known = known_contacts(store.manifest(take))
-    contacts = stated_contacts(known, pair.num_frames, BODY22) if known else pair.contacts()
+    contacts = stated_contacts(known, source.num_frames, BODY22) if known else source.contacts()
     if contacts.weights.size:
         whose = "known because the take was built that way" if known else "found in the source"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
-    kept = contact_scores(contacts, pair, _girth(store, parts), _motions(store, parts, tables), item=take_id)
+    kept = contact_scores(contacts, source, _girth(store, parts), _motions(store, parts, tables), item=take_id)
     drawn = _extremes(qualities)
-    sheet = variant_sheet(take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in drawn})
+
+    def read(chosen: Iterable[int]) -> dict[str, np.ndarray]:
+        return {names[i]: _read_variant(store, homes[i], names[i], source.num_people) for i in chosen}
+
+    sheet = variant_sheet(take_id, source, read(drawn))
     worst = worst_variants(qualities)
     pictures = {f"variants-{take_id}.png": sheet}
     if has_contacts:
         pictures[f"drift-{take_id}.png"] = drift_figure(qualities)
     if worst:
-        pictures[f"worst-{take_id}.png"] = variant_sheet(
-            take_id, source, {names[i]: _read_variant(store, homes[i], names[i]) for i in worst}, num_moments=1
-        )
+        pictures[f"worst-{take_id}.png"] = variant_sheet(take_id, source, read(worst), num_moments=1)
     listed = "; ".join(f"{names[i]}: {', '.join(columns)}" for i, columns in worst.items())
     captions = {
         f"variants-{take_id}.png": f"{take_id}: source, the smallest and greatest scale, and the worst contact drift.",
@@ -96,17 +97,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _girth(store: Store, parts: Sequence[ArtifactRef]) -> Girths:
     """Return how thick the bodies of the variants are."""
     girth = store.manifest(parts[0]).facts["girth"]
-    return girth if girth == "follow" else (float(girth[0]), float(girth[1]))
+    return girth if girth == "follow" else tuple(map(float, girth))
 
 
 def _motions(
     store: Store, parts: Sequence[ArtifactRef], tables: Sequence[TableData]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield scales (2, 22) and motion (T, 2, 22, 3) of every variant."""
+    """Yield scales (P, 22) and motion (T, P, 22, 3) of every variant."""
     for ref, table in zip(parts, tables, strict=True):
         motions = store.read(ref, "variants", columns=["variant_id", "body22_m"])
         for variant_id, scale in zip(table["variant_id"], table["bone_scale"], strict=True):
-            yield scale, motions["body22_m"][motions["variant_id"] == variant_id].astype(np.float64)
+            bone_scale = scale.reshape(-1, BODY22.num_joints)
+            mine = motions["body22_m"][motions["variant_id"] == variant_id].astype(np.float64)
+            yield bone_scale, mine.reshape(-1, *bone_scale.shape, 3)
 
 
 def _extremes(qualities: VariantQualities) -> list[int]:
@@ -116,12 +119,12 @@ def _extremes(qualities: VariantQualities) -> list[int]:
     return sorted({int(np.argmin(scale)), int(np.argmax(scale)), int(np.argmax(worst))})
 
 
-def _read_variant(store: Store, ref: ArtifactRef, variant_id: str) -> np.ndarray:
-    """Read one variant's positions (frame, 2, 22, 3) without holding the others."""
+def _read_variant(store: Store, ref: ArtifactRef, variant_id: str, num_people: int) -> np.ndarray:
+    """Read one variant's positions (frame, P, 22, 3) without holding the others."""
     parts = []
     for batch in store.iter_batches(ref, "variants", columns=["variant_id", "body22_m"]):
         parts.append(batch["body22_m"][batch["variant_id"] == variant_id].astype(np.float64))
-    return np.concatenate(parts)
+    return np.concatenate(parts).reshape(-1, num_people, BODY22.num_joints, 3)
 
 
 TOPIC = Topic(

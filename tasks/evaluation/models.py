@@ -10,7 +10,7 @@ from pasdedeux.evaluation.models import key_contacts, model_errors, model_figure
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
 from storage_schema import ArtifactRef, Store
-from tasks.augmentation import read_pair
+from tasks.augmentation import read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.training import read_items
@@ -32,7 +32,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants."""
     facts = store.manifest(shard.ref("models")).facts
-    takes = {store.manifest(ref).facts["take_id"]: read_pair(store, ref) for ref in shard.refs("takes")}
+    takes = {store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in shard.refs("takes")}
     keys, homes, scales = _test_variants(store, shard.refs("variants"), facts["test"])
     models = _read_models(store, shard.ref("models"))
     keys_of = {take_id: key_contacts(take.source.contacts()) for take_id, take in takes.items()}
@@ -69,12 +69,12 @@ def _test_variants(
     keys, homes, scales = [], {}, {}
     for ref in refs:
         take_id = store.manifest(ref).facts["take_id"]
-        table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "scale_a"])
+        table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "uniform_scale"])
         for row, variant_id in enumerate(table["variant_id"]):
             if variant_id in wanted[take_id]:
-                keys.append(VariantKey(take_id, str(variant_id), table["bone_scale"][row]))
+                keys.append(VariantKey(take_id, str(variant_id), table["bone_scale"][row].reshape(2, -1)))
                 homes[take_id, str(variant_id)] = ref
-                scales[take_id, str(variant_id)] = float(table["scale_a"][row])
+                scales[take_id, str(variant_id)] = float(table["uniform_scale"][row][0])
     return keys, homes, scales
 
 

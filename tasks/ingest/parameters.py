@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -102,7 +102,7 @@ class CommonOptions(Parameters):
     frames: tuple[int, int] | None = Field(
         default=None, description="Source frames taken: first, and one past the last"
     )
-    swap_persons: bool = Field(default=False, description="Make the second file person A")
+    swap_persons: bool = Field(default=False, description="Make the last file person A, and so on")
     on_unequal: Literal["refuse", "trim"] = Field(
         default="refuse", description="What to do with files of unequal length"
     )
@@ -111,7 +111,7 @@ class CommonOptions(Parameters):
         description="auto: shift a take whose feet do not stand near y = 0; keep: leave the world as it is",
     )
     persons: tuple[PersonOptions, ...] = Field(
-        default=(), max_length=2, description="Options of each file, in their order"
+        default=(), max_length=26, description="Options of each file, in their order"
     )
     licence: str | None = Field(default=None, description="Licence of the source; known for CMU, else 'not stated'")
     credit: str | None = Field(default=None, description="Credit line of the source; known for CMU, else 'not stated'")
@@ -128,7 +128,7 @@ class TakeOptions(CommonOptions):
     """One take: a file per person."""
 
     id: str = Field(pattern=_ID, max_length=100, description="Name of the take, unique in the study")
-    files: tuple[Path, ...] = Field(min_length=1, max_length=2, description="A motion file for each person")
+    files: tuple[Path, ...] = Field(min_length=1, max_length=26, description="A motion file for each person")
 
 
 class PairOptions(CommonOptions):
@@ -139,7 +139,7 @@ class PairOptions(CommonOptions):
         default="auto",
         description="File name with {subject} and {take}; auto takes {subject}_{take}.bvh, else {subject}_{take}.amc",
     )
-    subjects: tuple[str, ...] = Field(min_length=1, max_length=2, description="Subjects: person A, then person B")
+    subjects: tuple[str, ...] = Field(min_length=1, max_length=26, description="Subjects: person A, then B, ...")
     takes: tuple[str, ...] = Field(min_length=1, description="Takes, as they stand in the file names")
     id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
 
@@ -153,6 +153,8 @@ class PairOptions(CommonOptions):
 
 class DuetOptions(DuetStyle, Parameters):
     """A built-in duet."""
+
+    num_people: ClassVar[int] = max(dance.style.num_people for dance in DUETS.values())
 
     name: str = Field(description="Which dance: " + ", ".join(BUILT_IN_DUETS))
     id: str | None = Field(
@@ -288,7 +290,7 @@ class IngestParameters(Parameters):
 
     rate_hz: float = Field(default=30.0, gt=0, le=1000, description="Frame rate of all poses of the study")
     duets: tuple[DuetOptions, ...] | None = Field(default=None, description="Built-in duets")
-    takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one or two people, file by file")
+    takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one person or more, file by file")
     pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
     annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
     mappings: Mappings = Field(

@@ -209,7 +209,8 @@ def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator
         return
     cameras = options.model_dump(include=set(VirtualCameras.model_fields))
     cameras["pitch_deviation_deg"] = min(options.pitch_deviation_deg, UNIFORM_PITCH_DEG)
-    is_pair = isinstance(told, DuetParameters) or len(told.persons) == 2
+    num_people = DUETS[told.duet.name].style.num_people if isinstance(told, DuetParameters) else len(told.persons)
+    is_pair = num_people == 2
     num_random_views = options.num_random_views if is_pair and not told.is_held_out else 0
     wanted: list[tuple[Purpose, int, DetectorOptions | None]] = [
         ("video", options.num_videos, None),

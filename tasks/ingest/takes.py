@@ -132,8 +132,9 @@ def _verdict(persons: tuple[PersonParameters, ...], up: AxisGuess | None) -> Ver
         reasons.append(f"its length unit is a guess (confidence {unit:.1f}); set metres_per_unit")
     if up is not None and axis < SURE:
         reasons.append(f"its up axis {up.axis} is a guess (confidence {axis:.1f}); set up_axis")
-    if len(persons) == 1:
-        reasons.append("it has one person only: what needs pairs passes it over")
+    if len(persons) != 2:
+        who = "one person only" if len(persons) == 1 else f"{len(persons)} people"
+        reasons.append(f"it has {who}: what needs pairs passes it over")
     level = Level.WARN if reasons else Level.PASS
     return Verdict(level, "; ".join(reasons), figure="confidence of unit and up axis", value=min(unit, axis))
 

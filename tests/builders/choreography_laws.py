@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -78,8 +79,12 @@ def _penetration(duet: Duet, positions) -> tuple[float, float]:
     names = np.array(BODY22.joint_names)
     is_neighbour = (names[model.within[:, 0]] == "spine2") & np.char.endswith(names[model.within[:, 1]], "_knee")
     pairs = model.within[~is_neighbour]
-    within = max(_depth(positions[:, p], positions[:, p], radii[p], radii[p], pairs, model) for p in (0, 1))
-    return within, _depth(positions[:, 0], positions[:, 1], radii[0], radii[1], model.between, model)
+    people = range(len(radii))
+    within = max(_depth(positions[:, p], positions[:, p], radii[p], radii[p], pairs, model) for p in people)
+    couples = combinations(people, 2)
+    return within, max(
+        _depth(positions[:, a], positions[:, b], radii[a], radii[b], model.between, model) for a, b in couples
+    )
 
 
 def _depth(first, second, radii_a, radii_b, pairs, model) -> float:

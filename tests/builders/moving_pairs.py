@@ -33,10 +33,17 @@ def standing_person() -> npt.NDArray[np.float64]:
 
 def swaying_pair(num_frames: int = 24, *, apart_m: float = 0.72, seed: int = 0) -> npt.NDArray[np.float64]:
     """Return a pair (frame, 2, 22, 3) that sways on planted feet, B facing A, bone lengths constant, metres."""
+    return swaying_people(2, num_frames, apart_m=apart_m, seed=seed)
+
+
+def swaying_people(
+    count: int, num_frames: int = 24, *, apart_m: float = 0.72, seed: int = 0
+) -> npt.NDArray[np.float64]:
+    """Return people (frame, person, 22, 3) who sway as a pair does; from the third on each stands behind the other."""
     generator = np.random.default_rng(seed)
     phase = np.linspace(0.0, 2.0 * np.pi * num_frames / 60.0, num_frames)
     people = []
-    for size in (1.0, 0.94):
+    for size in 1.0 - 0.06 * np.arange(count):
         # Nobody is quite symmetric, and Delaunay tetrahedra of cospherical joints are decided by rounding.
         rest = standing_person() * size + generator.normal(0.0, 0.005, (BODY22.num_joints, 3))
         offsets = rest - rest[[max(parent, 0) for parent in BODY22.parents]]
@@ -50,5 +57,6 @@ def swaying_pair(num_frames: int = 24, *, apart_m: float = 0.72, seed: int = 0) 
         directions /= np.where(lengths > 0, np.linalg.norm(directions, axis=-1), 1.0)[..., None]
         root = np.repeat(rest[None, BODY22.root], num_frames, axis=0)
         people.append(place_bones(BODY22, root, directions, lengths))
-    people[1] = people[1] @ yaw_rotmat(np.pi).T + np.array([0.0, 0.0, apart_m])
+    for person in range(1, count):
+        people[person] = people[person] @ yaw_rotmat(np.pi).T + np.array([0.0, 0.0, person * apart_m])
     return np.stack(people, axis=1)

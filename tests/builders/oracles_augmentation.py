@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pasdedeux.augmentation.problem import GIRDLE_PAIRS, Problem, Targets
+from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.terms import bending_rows
 
 
@@ -30,6 +30,6 @@ def plain_residuals(problem: Problem, targets: Targets, offsets: np.ndarray) -> 
         between = (near.shares[t][..., None] * offsets[t, near.points[t]]).sum(axis=1)
         short = targets.clearance_m[0, t] - (between * near.normals[t]).sum(axis=-1)
         parts.append(np.sqrt(near.weights[t]) * np.maximum(short, 0.0))
-    ends = (targets.reference[0] + offsets)[:, GIRDLE_PAIRS]
+    ends = (targets.reference[0] + offsets)[:, girdle_pairs(problem.source.num_people)]
     girdle = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) - targets.girdle_m[0]
     return np.concatenate([*(part.ravel() for part in parts), np.sqrt(w.girdle) * girdle.ravel()])

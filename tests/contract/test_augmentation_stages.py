@@ -18,18 +18,17 @@ from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation, training
-from tasks.augmentation import AugmentationParameters, read_pair
+from tasks.augmentation import AugmentationParameters, read_take
 from tasks.graph import load_graph
 from tasks.stage import StageInputs, verdict_of
 from tasks.training import TrainingParameters
-from tests.builders.moving_pairs import standing_person, swaying_pair
+from tests.builders.moving_pairs import standing_person, swaying_people
 
 FRAMES = 12
 
 
 def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: bool = False) -> Manifest:
-    pair = swaying_pair(FRAMES, seed=len(take_id))[:, :num_persons]
-    people = np.swapaxes(pair, 0, 1).reshape(-1, 22, 3)
+    people = np.swapaxes(swaying_people(num_persons, FRAMES, seed=len(take_id)), 0, 1).reshape(-1, 22, 3)
     rows = len(people)
     identity = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 22, 1))
     frame = np.tile(np.arange(FRAMES), num_persons)
@@ -106,33 +105,54 @@ def augment(store: Store, takes: list[Manifest], **parameters: Any) -> list[Mani
     return [store.manifest(augmentation.run_shard(shard, store)) for shard in shards]
 
 
-def test_pairs_get_variants_and_single_people_none(store: Store) -> None:
+def test_a_take_without_anybody_who_is_scaled_says_so(store: Store) -> None:
     takes = [put_take(store, "pair"), put_take(store, "alone", num_persons=1)]
-    *made, alone = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
+    pair, alone = augment(store, takes, scales=(0.8,), persons=("B", "C"))
     verdict = verdict_of(alone)
     assert verdict is not None
-    assert (verdict.level, verdict.reason) == (Level.WARN, "one person: only takes of two have variants")
+    assert (verdict.level, verdict.reason) == (Level.WARN, "one person, and nobody of those who are scaled: B, C")
     assert not alone.tables
+    assert pair.facts["variants"] == ["B-uniform-0.80"]
+
+
+def test_everybody_of_any_number_gets_a_row_a_frame(store: Store) -> None:
+    takes = [put_take(store, "alone", num_persons=1), put_take(store, "trio", num_persons=3)]
+    alone, trio = augment(store, takes, scales=(0.8,), persons=("A", "BC", "all"), girth=(1.1,))
+    assert alone.facts["variants"] == ["A-uniform-0.80"]
+    assert trio.facts["variants"] == ["A-uniform-0.80", "BC-uniform-0.80", "ABC-uniform-0.80"]
+    for manifest, people in ((alone, 1), (trio, 3)):
+        variants, quality = store.read(manifest.ref, "variants"), store.read(manifest.ref, "variant_quality")
+        count = quality.num_rows
+        assert variants["person"].tolist() == [*range(people)] * FRAMES * count
+        assert variants["frame"].tolist() == np.repeat(np.arange(FRAMES), people).tolist() * count
+        assert [len(scales) for scales in quality["uniform_scale"]] == [people] * count
+        source = read_take(store, manifest.inputs[0]).source
+        motions = variants["body22_m"].reshape(count, FRAMES, people, 22, 3).astype(float)
+        for motion, scale in zip(motions, quality["bone_scale"], strict=True):
+            wanted = source.lengths_m * scale.reshape(people, 22)
+            wanted[:, BODY22.root] = 0.0
+            lengths = bone_lengths(BODY22, motion)
+            np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
+    assert verdict_of(alone).level is Level.PASS
+
+
+def test_pairs_get_variants_with_figures(store: Store) -> None:
+    takes = [put_take(store, "pair")]
+    made = augment(store, takes, scales=(0.8, 0.95, 1.05, 1.2), variants_per_shard=3)
     assert [manifest.facts["takes"] for manifest in made] == [["pair"], ["pair"]]
     assert [len(manifest.facts["variants"]) for manifest in made] == [3, 1]
     variants = store.read(made[0].ref, "variants")
     quality = store.read(made[0].ref, "variant_quality")
-    assert variants.num_rows == 3 * FRAMES
+    assert variants.num_rows == 3 * FRAMES * 2
     assert list(quality["variant_id"]) == ["A-uniform-0.80", "A-uniform-0.95", "A-uniform-1.05"]
     for column in ("body22_m", "body22_unitquat", "time_s"):
         assert np.isfinite(variants[column]).all()
-    np.testing.assert_allclose(quality["scale_a"], [0.8, 0.95, 1.05])
-    np.testing.assert_allclose(quality["scale_b"], 1.0)
+    np.testing.assert_allclose(np.stack(list(quality["uniform_scale"])), [[0.8, 1.0], [0.95, 1.0], [1.05, 1.0]])
     assert np.all(quality["contact_drift_m"] < quality["contact_drift_fk_m"])
     verdict = verdict_of(made[0])
     assert verdict is not None
     assert (verdict.count, verdict.figure, verdict.unit) == (3, "contact drift", "m")
     assert verdict.value == np.median(quality["contact_drift_m"]) < verdict.baseline
-    source = read_pair(store, takes[0].ref).source
-    lengths = bone_lengths(BODY22, variants["body22_m"][:FRAMES].astype(np.float64))
-    wanted = source.lengths_m * quality["bone_scale"][0]
-    wanted[:, BODY22.root] = 0.0
-    np.testing.assert_allclose(lengths, np.broadcast_to(wanted, lengths.shape), atol=1e-6)
 
 
 def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) -> None:
@@ -174,7 +194,7 @@ def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> N
     (made,) = augment(store, [take], kinds=("population",), persons=("AB",), population={"count": 3}, girth=(1.2, 1.0))
     quality = store.read(made.ref, "variant_quality")
     assert list(quality["variant_id"]) == [f"AB-population-{index:04d}" for index in range(3)]
-    assert np.isnan(quality["scale_a"]).all()
+    assert np.isnan(np.stack(list(quality["uniform_scale"]))).all()
 
 
 def test_polished_variants_end_with_descent_and_failures_name_their_frames(store: Store) -> None:
@@ -210,14 +230,14 @@ def test_stored_rotations_play_the_variant_on_its_own_skeleton(store: Store) -> 
     take = put_take(store, "pair")
     (made,) = augment(store, [take], scales=(0.8,))
     variants = store.read(made.ref, "variants")
-    scale = store.read(made.ref, "variant_quality")["bone_scale"][0]
+    scale = store.read(made.ref, "variant_quality")["bone_scale"][0][:22]
     rest = standing_person()
-    offsets = (rest - rest[[max(parent, 0) for parent in BODY22.parents]]) * scale[0][:, None]
-    played, _ = forward_kinematics(
-        BODY22, offsets, variants["body22_m"][:, 0, 0].astype(float), variants["body22_unitquat"][:, 0].astype(float)
-    )
+    offsets = (rest - rest[[max(parent, 0) for parent in BODY22.parents]]) * scale[:, None]
+    first = variants["body22_m"][variants["person"] == 0].astype(float)
+    turns = variants["body22_unitquat"][variants["person"] == 0].astype(float)
+    played, _ = forward_kinematics(BODY22, offsets, first[:, 0], turns)
     # The invented skeleton differs from its own rest pose by some millimetres a joint.
-    assert np.abs(played - variants["body22_m"][:, 0]).max() < 0.08
+    assert np.abs(played - first).max() < 0.08
 
 
 def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None:
@@ -229,8 +249,9 @@ def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None
     assert [m.ref for m in one] == [m.ref for m in two]
 
 
-def test_held_out_takes_are_never_trained_on(store: Store) -> None:
+def test_held_out_takes_and_those_that_are_no_pair_are_never_trained_on(store: Store) -> None:
     takes = [put_take(store, "one"), put_take(store, "second"), put_take(store, "held", is_held_out=True)]
+    takes.append(put_take(store, "trio", num_persons=3))
     variants = augment(store, takes)
     inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
     parameters = TrainingParameters(splits=("cross_scale", "cross_interaction"))
@@ -254,7 +275,7 @@ def test_a_stored_model_predicts(store: Store) -> None:
     assert (verdict.level, verdict.figure, verdict.unit) == (Level.PASS, "test error of ridge_scale", "cm")
     assert verdict.value < verdict.baseline
     table = store.read(made.ref, "models")
-    source = read_pair(store, takes[0].ref).source
+    source = read_take(store, takes[0].ref).source
     quality = store.read(variants[0].ref, "variant_quality")
     motions = store.read(variants[0].ref, "variants")["body22_m"].reshape(-1, FRAMES, 2, 22, 3)
     errors = {}
@@ -264,7 +285,9 @@ def test_a_stored_model_predicts(store: Store) -> None:
             for row in range(table.num_rows)
             if table["model"][row] == name
         }
-        predicted = load_model(name, arrays).predict(VariantRequest("one", source, quality["bone_scale"][1]))
+        predicted = load_model(name, arrays).predict(
+            VariantRequest("one", source, quality["bone_scale"][1].reshape(2, 22))
+        )
         errors[name] = float(np.linalg.norm(predicted - motions[1], axis=-1).mean())
     assert errors["ridge_scale"] < 0.8 * errors["naive_fk"]
     assert errors["ridge_scale"] < 0.8 * errors["copy"]
@@ -299,7 +322,7 @@ def test_a_split_without_far_scales_says_what_it_needs(store: Store) -> None:
         {"scales": (-1.0,)},
         {"grid": {"start": 1.2, "stop": 0.8, "step": 0.1}},
         {"groups": ("wings",)},
-        {"persons": ("C",)},
+        {"persons": ("cat",)},
         {"weights": {"reference": 0.0}},
         {"limits": {"nonsense": (1, 2)}},
         {"girth": (0.0, 1.0)},

@@ -145,12 +145,13 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
         "variants",
         {
             "variants": {
-                "take_id": ["a"] * 8,
-                "variant_id": ["x"] * 4 + ["y"] * 4,
-                "frame": [0, 1, 2, 3] * 2,
-                "time_s": np.tile(np.arange(4) / 48.0, 2),
-                "body22_m": rng.normal(size=(8, 2, 22, 3)),
-                "body22_unitquat": np.zeros((8, 2, 22, 4)),
+                "take_id": ["a"] * 16,
+                "variant_id": ["x"] * 8 + ["y"] * 8,
+                "frame": np.tile(np.repeat(np.arange(4), 2), 2),
+                "person": [0, 1] * 8,
+                "time_s": np.tile(np.repeat(np.arange(4) / 48.0, 2), 2),
+                "body22_m": rng.normal(size=(16, 22, 3)),
+                "body22_unitquat": np.zeros((16, 22, 4)),
             }
         },
         {"takes": ["a"]},

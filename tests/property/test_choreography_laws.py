@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pasdedeux.choreography import DUETS, make_duet
 from tests.builders.choreography_laws import measure
 
-HEIGHTS = st.tuples(st.floats(1.5, 2.0), st.floats(1.5, 2.0))
+HEIGHT = st.floats(1.5, 2.0)
 STYLES = {
     "waltz": {
         "tempo_bpm": (60.0, 100.0),
@@ -20,6 +20,13 @@ STYLES = {
     "hug": {"sway": (0.0, 0.03), "sway_s": (1.6, 5.0), "approach": (0.7, 1.0)},
     "judo": {"apart": (0.38, 0.42), "stride": (0.0, 0.15), "circle_rad": (-0.4, 0.4), "turn_rad": (1.3, 1.36)},
     "lift": {"lift": (0.05, 0.22), "turn_rad": (-1.5, 1.5), "stride": (0.0, 0.15)},
+    "trio": {
+        "tempo_bpm": (60.0, 110.0),
+        "radius": (0.33, 0.36),
+        "closing": (0.0, 0.06),
+        "stride": (0.0, 0.05),
+        "rise": (0.0, 0.08),
+    },
     "push_hands": {"circle_s": (1.8, 6.0), "width": (0.0, 0.06), "depth": (0.03, 0.07), "shift": (0.03, 0.06)},
 }
 
@@ -32,7 +39,7 @@ def test_laws_hold_for_all_heights_takes_and_styles(name, data):
     duet = make_duet(
         name,
         rate_hz=20.0,
-        heights_m=data.draw(HEIGHTS, label="heights_m"),
+        heights_m=data.draw(st.tuples(*[HEIGHT] * DUETS[name].style.num_people), label="heights_m"),
         variation=data.draw(st.integers(0, 50), label="variation"),
         **style,
     )

@@ -120,8 +120,8 @@ def test_bad_sources_are_refused_in_words() -> None:
     good = swaying_pair(5)
     with pytest.raises(InputError, match="no frames"):
         Source(good[:0], 30.0)
-    with pytest.raises(InputError, match="a pair of people"):
-        Source(good[:, :1], 30.0)
+    with pytest.raises(InputError, match="one person or more"):
+        Source(good[:, :0], 30.0)
     with pytest.raises(InputError, match="rate is 0"):
         Source(good, 0.0)
     bad = good.copy()

@@ -343,7 +343,7 @@ def test_the_result_does_not_depend_much_on_the_frame_rate() -> None:
         ({"weights": {"stance": -1.0}}, "weights.stance"),
         ({"weights": {"floor": float("nan")}}, "weights.floor"),
         ({"weights": {"reference": 0.0}}, "weights.reference"),
-        ({"fixed_person": "C"}, "fixed_person"),
+        ({"fixed_person": "c"}, "fixed_person"),
         ({"touch_m": (0.3, 0.2)}, "must end beyond its start"),
         ({"limits": {"jerk_ratio": (2.0, 1.0)}}, "0 <= warn <= fail"),
         ({"window_s": 5.0}, "window_s"),

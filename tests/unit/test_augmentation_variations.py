@@ -13,6 +13,7 @@ from pasdedeux.augmentation.variations import (
     bone_variations,
     drawn_variations,
     group_variations,
+    make_variations,
     population_variations,
 )
 from pasdedeux.errors import InputError
@@ -29,6 +30,26 @@ def test_a_uniform_variation_is_named_after_person_kind_and_scale() -> None:
 def test_both_people_scale_alike_under_ab() -> None:
     (variation,) = uniform_variations([1.2], ["AB"])
     assert np.all(variation.bone_scale == 1.2)
+
+
+def test_letters_name_those_who_are_there_and_each_variation_is_made_once() -> None:
+    settings = VariationSettings(
+        kinds=("uniform", "drawn"),
+        scales=(0.9,),
+        persons=("A", "CA", "B", "all"),
+        drawn=DrawnScales(count=1),
+    )
+    made = {
+        count: make_variations(settings, lambda *labels: np.random.default_rng(len(str(labels))), count)
+        for count in (1, 2, 3)
+    }
+    names = {
+        count: [v.variant_id.split("-")[0] for v in found if "uniform" in v.variant_id] for count, found in made.items()
+    }
+    assert names == {1: ["A"], 2: ["A", "B", "AB"], 3: ["A", "AC", "B", "ABC"]}
+    assert all(v.bone_scale.shape == (count, 22) for count, found in made.items() for v in found)
+    (both,) = (v for v in made[3] if v.variant_id == "AC-uniform-0.90")
+    assert [both.uniform_scale(person) for person in range(3)] == [0.9, 1.0, 0.9]
 
 
 def test_limb_groups_cover_every_bone_once_and_left_like_right() -> None:
@@ -74,7 +95,7 @@ def test_scales_of_the_wrong_length_are_refused() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"persons": ("C",)},
+        {"persons": ("cat",)},
         {"groups": ("wings",)},
         {"kinds": ("spiral",)},
         {"drawn": {"low": 1.2, "high": 0.8}},

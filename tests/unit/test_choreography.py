@@ -26,12 +26,12 @@ def measured(duet) -> Measured:
     return measure(duet)
 
 
-def test_five_duets_ship():
-    assert set(DUETS) == {"waltz", "hug", "judo", "push_hands", "lift"}
+def test_five_duets_and_a_trio_ship():
+    assert set(DUETS) == {"waltz", "hug", "judo", "push_hands", "lift", "trio"}
 
 
 def test_a_duet_lasts_ten_seconds_at_sixty_frames_with_two_body_sizes(duet):
-    assert [motion.num_frames for motion in duet.motions] == [600, 600]
+    assert [motion.num_frames for motion in duet.motions] == [600] * (3 if duet.name == "trio" else 2)
     assert duet.rate_hz == 60.0
     lengths = [bone_lengths(BODY22, motion.world()[0][:1]).sum() for motion in duet.motions]
     assert lengths[0] / lengths[1] == pytest.approx(1.82 / 1.65)
@@ -72,7 +72,9 @@ def test_known_contacts_are_stated_for_any_rate(duet):
         positions = np.stack([motion.resample(rate_hz).world()[0] for motion in duet.motions], axis=1)
         stated = duet.known_contacts(rate_hz)
         contacts = stated_contacts(stated, len(positions), BODY22)
-        distances = np.linalg.norm(contacts.vectors(positions.reshape(-1, 44, 3)), axis=-1)[contacts.is_held]
+        distances = np.linalg.norm(contacts.vectors(positions.reshape(len(positions), -1, 3)), axis=-1)[
+            contacts.is_held
+        ]
         known = np.array([contact.distance_m for contact in duet.contacts])
         assert np.abs(distances[:, None] - known).min(axis=1).max() < 2e-3
         assert contacts.is_held.sum() == sum(contact.stop_frame - contact.start_frame for contact in stated)
@@ -81,14 +83,14 @@ def test_known_contacts_are_stated_for_any_rate(duet):
 
 def test_standing_feet_do_not_slide(duet, measured):
     assert {(stance.person, stance.foot) for stance in duet.stances} == {
-        (person, foot) for person in (0, 1) for foot in ("left", "right")
+        (person, foot) for person in range(len(duet.motions)) for foot in ("left", "right")
     }
     assert measured.slide_m < 1e-6
     assert measured.lowest_m > 0.015
 
 
 def test_everybody_who_is_not_carried_stands_on_a_foot_at_every_moment(duet):
-    for person in (0,) if duet.name == "lift" else (0, 1):
+    for person in (0,) if duet.name == "lift" else range(len(duet.motions)):
         is_standing = np.zeros(duet.num_frames, dtype=bool)
         for stance in duet.stances:
             if stance.person == person:
@@ -141,12 +143,12 @@ def _facing(duet: Duet, person: int) -> np.ndarray:
 
 
 def test_people_face_each_other(duet):
-    positions = duet.positions_m()
-    towards = positions[:, 1, 0] - positions[:, 0, 0]
+    roots = duet.positions_m()[:, :, 0]
+    others = (roots.sum(axis=1, keepdims=True) - roots) / (roots.shape[1] - 1)
+    towards = others - roots
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
-    a = np.sum(_facing(duet, 0) * towards, axis=-1)
-    b = -np.sum(_facing(duet, 1) * towards, axis=-1)
-    assert b.min() > 0.8
+    a, *rest = (np.sum(_facing(duet, person) * towards[:, person], axis=-1) for person in range(roots.shape[1]))
+    assert np.min(rest) > 0.8
     assert np.median(a) > 0.8
     if duet.name == "judo":
         assert a.min() < 0.5  # turned in
@@ -214,6 +216,20 @@ def test_in_the_lift_b_hangs_in_a_s_hands_with_both_feet_off_the_floor():
     assert np.hypot(went[0], went[2]) > 0.3
 
 
+def test_the_trio_holds_hands_all_round_and_the_ring_turns_closes_and_opens():
+    trio = make_duet("trio", heights_m=(1.8, 1.6))
+    assert [body.height_m for body in trio.bodies] == pytest.approx([1.8, 1.6, 1.7])
+    assert {(c.point_a.person, c.point_b.person) for c in trio.contacts} == {(0, 1), (1, 2), (2, 0)}
+    assert all((c.start_s, c.stop_s) == (0.0, 10.0) for c in trio.contacts)
+    assert all((c.point_a.bone, c.point_b.bone) == ("left_wrist", "right_wrist") for c in trio.contacts)
+    roots = trio.positions_m()[:, :, 0]
+    middle = roots.mean(axis=1, keepdims=True)
+    apart = np.linalg.norm((roots - middle)[..., [0, 2]], axis=-1)
+    assert np.ptp(apart, axis=0).min() > 0.03
+    angle = np.unwrap(np.arctan2(*(roots - middle)[:, 0, [2, 0]].T))
+    assert angle[-1] - angle[0] > 1.0  # to everybody's left
+
+
 def test_push_hands_feet_never_leave_the_floor():
     duet = make_duet("push_hands")
     assert len(duet.stances) == 4
@@ -232,6 +248,7 @@ def test_unknown_names_are_answered_with_the_nearest_known_one():
     [
         ({"heights_m": (1.0, 1.7)}, "body height of 1 m"),
         ({"heights_m": (1.7, float("nan"))}, "body height of nan"),
+        ({"heights_m": (1.7, 1.8, 1.9)}, "3 heights are told for 2 people"),
         ({"duration_s": 0.0}, "duration_s is 0"),
         ({"rate_hz": float("nan")}, "rate_hz is nan"),
         ({"variation": -1}, "variation is -1"),

@@ -122,6 +122,8 @@ def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], sc
         "variant_id": [variant for _, variant in names for _ in range(frames)],
         "frame": np.tile(np.arange(frames), count),
     }
+    rows = {name: np.repeat(np.array(values), 2) for name, values in place.items()}
+    rows |= {"person": np.tile([0, 1], frames * count), "body22_m": np.tile(scaled.reshape(-1, 22, 3), (count, 1, 1))}
     quality = {"take_id": [take for take, _ in names], "variant_id": [variant for _, variant in names]}
     return store.commit(
         stage="augmentation",
@@ -134,12 +136,10 @@ def variants_of(store: Store, ref: ArtifactRef, names: list[tuple[str, str]], sc
         inputs=[ref],
         files=[],
         tables={
-            "variants": random_columns("variants", frames * count)
-            | place
-            | {"body22_m": np.concatenate([scaled] * count)},
+            "variants": random_columns("variants", 2 * frames * count) | rows,
             "variant_quality": random_columns("variant_quality", count)
             | quality
-            | {"bone_scale": np.full((count, 2, 22), scale)},
+            | {"bone_scale": np.full((count, 44), scale)},
         },
         facts={},
     )

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
+from pasdedeux.sampling.density import PRIOR_ONLY
 
 __all__ = [
     "as_good_as_real_frames",
@@ -68,7 +69,7 @@ def coverage_scores(
     """Return the curves and their ends as scores; prior-only and the real frames are baselines."""
     scores = []
     for method, curve in {**curves, "real_frames": levels}.items():
-        is_baseline = method.startswith(("prior_only", "real_frames", "seeds"))
+        is_baseline = method.startswith((PRIOR_ONLY, "real_frames", "seeds"))
         for measure, values, unit in _measures(curve):
             points = [*zip(curve.num_draws.tolist(), values.tolist(), strict=True)]
             points.append((float("nan"), float(values[-1])))
@@ -104,7 +105,7 @@ def union_scores(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, gro
                 ("coverage_D_C", float(least.mean()), "m"),
                 ("as_good_as_real_frames_D_C", worth, "frames"),
             ):
-                is_baseline = method.startswith("prior_only")
+                is_baseline = method.startswith(PRIOR_ONLY)
                 name = f"{method}_and_{grown}"
                 scores.append(Score(metric, name, value, unit, is_baseline, split, count=len(least)))
     return scores
@@ -131,7 +132,7 @@ def realism_scores(
             metric="draw_to_nearest_real_D_C",
             method=method,
             unit="m",
-            is_baseline=method.startswith("prior_only"),
+            is_baseline=method.startswith(PRIOR_ONLY),
             split=split,
         )
     return scores
@@ -139,14 +140,14 @@ def realism_scores(
 
 def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
     """Say in a sentence whether the annotations helped: densities that use them against prior-only, at all draws."""
-    if "prior_only" not in curves or len(curves) < 2:
+    if PRIOR_ONLY not in curves or len(curves) < 2:
         return ""
-    baseline = float(curves["prior_only"].cartesian_m[-1])
+    baseline = float(curves[PRIOR_ONLY].cartesian_m[-1])
     parts = [
         f"{name} is {'better' if (own := float(curve.cartesian_m[-1])) < baseline else 'not better'} "
         f"({100 * own:.1f} against {100 * baseline:.1f} cm in D_C)"
         for name, curve in curves.items()
-        if name != "seeds" and not name.startswith("prior_only")
+        if name != "seeds" and not name.startswith(PRIOR_ONLY)
     ]
     return f"Coverage of {split.replace('_', ' ')} frames against prior-only: {'; '.join(parts)}."
 
@@ -163,9 +164,7 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
         panels.append(
             CurvePanel(
                 curves=[
-                    Curve(
-                        name, counts, factor * measures[index][1], is_baseline=name.startswith(("prior_only", "seeds"))
-                    )
+                    Curve(name, counts, factor * measures[index][1], is_baseline=name.startswith((PRIOR_ONLY, "seeds")))
                     for name, (measures, counts) in by_method.items()
                 ],
                 y_label=f"{measure} to the nearest draw" + (" (cm)" if unit == "m" else ""),

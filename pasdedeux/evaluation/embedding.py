@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.drawing import figure_png, new_figure
 from pasdedeux.interaction.nearest import interaction_distances
+from pasdedeux.sampling.density import PRIOR_ONLY
 
 __all__ = ["PairMap", "map_figure"]
 
@@ -87,7 +88,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         "ic": "#c2188f",
         "cartesian": "#12a4b5",
         "shape_context": "#7d4f2a",
-        "prior_only": "#2a9d3a",
+        PRIOR_ONLY: "#2a9d3a",
         "grown_seeds": "#e0861a",
     }
     columns = max(len(panels), 1)

@@ -21,6 +21,7 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
 __all__ = [
+    "PRIOR_ONLY",
     "DensityInputs",
     "DensityKind",
     "Evaluation",
@@ -35,6 +36,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+
+PRIOR_ONLY = "prior_only"
+"""The density that knows no annotation: what others are compared with."""
 
 
 class Likelihood(Protocol):
@@ -263,7 +267,7 @@ class DensityKind(ABC, Generic[S]):
 class PriorOnlyKind(DensityKind[Settings]):
     """The physical prior alone."""
 
-    name = "prior_only"
+    name = PRIOR_ONLY
     meaning = "the physical prior alone"
     settings = Settings
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, SerializeAsAny, ValidationError, create_model, model_validator
 
-from pasdedeux.sampling.density import DensityKind, TargetSettings
+from pasdedeux.sampling.density import PRIOR_ONLY, DensityKind, TargetSettings
 from pasdedeux.sampling.proposals import PROPOSALS, ProposalKind
 from pasdedeux.settings import Settings
 from tasks.chains.densities import DENSITIES
@@ -70,7 +70,7 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
     """What is sampled, how much, and with which steps; with the settings of every density and every proposal."""
 
     densities: tuple[DensityName, ...] = Field(
-        ("ic", "prior_only"),
+        ("ic", PRIOR_ONLY),
         min_length=1,
         description="Densities: " + ", ".join(f"{kind.name} ({kind.meaning})" for kind in DENSITIES.values()),
     )

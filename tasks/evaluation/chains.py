@@ -8,6 +8,7 @@ import numpy as np
 
 from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import scores_of, summarise
+from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
@@ -79,7 +80,7 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
             metric="log_prior",
             method=density,
             unit="",
-            is_baseline=density == "prior_only",
+            is_baseline=density == PRIOR_ONLY,
             item="first chain",
         )
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
@@ -93,7 +94,7 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
         density, seed = table["density"][0], int(table["seed_index"][0])
         for name, (unit, kind) in _FIGURES.items():
             figure = {f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
-            more = {"is_baseline": density == "prior_only", "item": f"seed {seed}", "count": table.num_rows}
+            more = {"is_baseline": density == PRIOR_ONLY, "item": f"seed {seed}", "count": table.num_rows}
             scores += scores_of(figure, density, unit, **more)
         notable = np.flatnonzero(table["verdict"] != "pass")
         if len(notable):

@@ -19,6 +19,7 @@ from pasdedeux.evaluation.embedding import PairMap, map_figure
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.experiments.exploration import exploration_table
 from pasdedeux.sampling.coverage import coverage_curve
+from pasdedeux.sampling.density import PRIOR_ONLY
 from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
@@ -177,6 +178,6 @@ TOPIC = Topic(
     plan=_plan,
     run=_run,
     settings=CoverageSettings,
-    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", ("prior_only",)),),
+    yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", (PRIOR_ONLY,)),),
     tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),
 )

@@ -16,6 +16,7 @@ from pasdedeux.evaluation.lifted_pairs import (
 )
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store
@@ -53,7 +54,7 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     found = []
     if lifted and takes and annotations:
         found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
-    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != "prior_only"]
+    draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
     if settings.num_completed_pairs and draws and takes:
         found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=takes, draws=draws))
     return found

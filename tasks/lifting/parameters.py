@@ -8,6 +8,7 @@ from pydantic import Field
 
 from pasdedeux.completion.fit import FitOptions
 from pasdedeux.completion.retrieval import RetrievalOptions
+from pasdedeux.sampling.density import PRIOR_ONLY
 from tasks.stage import Parameters
 
 __all__ = ["VERSION", "LiftingParameters", "LiftingShard"]
@@ -32,4 +33,4 @@ class LiftingShard(RetrievalOptions, FitOptions, Parameters):
 class LiftingParameters(LiftingShard):
     """Which annotations are lifted, from which draws, and how."""
 
-    left_out: tuple[str, ...] = Field(("prior_only",), description="Densities whose draws are left out")
+    left_out: tuple[str, ...] = Field((PRIOR_ONLY,), description="Densities whose draws are left out")

@@ -4,44 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from pasdedeux.errors import FormatError, InputError
+from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.placement import place_motion
 from pasdedeux.kinematics.rotations import multiply
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
-from pasdedeux.verdict import Level, Verdict
-from storage_schema import ArtifactRef, Manifest, Store
+from pasdedeux.verdict import Level
+from storage_schema import Store
 from tasks.evaluation import STAGE as EVALUATION
-from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import Shard, StageInputs, verdict_of
-from tests.builders.source_samples import AMC, ASF, coco_text, csv_text, figure_motion, openpose_text, positions_npz
-
-
-def planned(**section: Any) -> list[Shard]:
-    return STAGE.plan(StageInputs(manifests={}, seed=5), IngestParameters.model_validate(section))
-
-
-def run(store: Store, shards: list[Shard]) -> dict[tuple[str, str], Manifest]:
-    refs: dict[tuple[str, str], ArtifactRef] = {}
-    for shard in shards:
-        refs[shard.partition, shard.name] = STAGE.run_shard(shard, store)
-    return {key: store.manifest(ref) for key, ref in refs.items()}
+from tasks.ingest import IngestParameters
+from tests.builders.ingest_runs import judged, planned, run, write_figure_pair
+from tests.builders.source_samples import AMC, ASF, figure_motion, positions_npz
 
 
 @pytest.fixture
 def pair(tmp_path: Path) -> tuple[Path, Path]:
-    """Return two BVH files: the figure, and a second person 1 m to its left that faces it."""
-    first, second = tmp_path / "60_01.bvh", tmp_path / "61_01.bvh"
-    motion = figure_motion(num_frames=40, rate_hz=60.0)
-    first.write_text(write_bvh(motion))
-    second.write_text(write_bvh(place_motion(motion, translation_m=(1.0, 0.0, 0.0), yaw_rad=np.pi)))
-    return first, second
+    return write_figure_pair(tmp_path)
 
 
 def test_one_of_a_pair_may_lie_on_the_floor_all_the_time(tmp_path: Path, pair: tuple[Path, Path]) -> None:
@@ -299,161 +281,6 @@ def test_positions_without_rotations_are_flagged(tmp_path: Path) -> None:
     assert list(store.read(manifest.ref, "takes")["is_position_only"]) == [True]
 
 
-def write_openpose(folder: Path, count: int = 6) -> None:
-    folder.mkdir()
-    for frame in range(count):
-        (folder / f"w_{frame:012d}_keypoints.json").write_text(
-            openpose_text("coco18", people=2, seed=frame, missing=(4,))
-        )
-
-
-def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    (tmp_path / "c.json").write_text(coco_text())
-    (tmp_path / "t.csv").write_text(csv_text())
-    store = Store(tmp_path / "store")
-    shards = planned(
-        annotations=[
-            {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "licence": "mine", "credit": "me"},
-            {"id": "coco", "path": tmp_path / "c.json"},
-            {"id": "table", "path": tmp_path / "t.csv"},
-        ]
-    )
-    manifests = run(store, shards)
-    walk = manifests["walk", "annotations"]
-    assert walk.facts["purpose"] == "given"
-    assert walk.facts["takes"] == []
-    assert (walk.facts["num_frames"], walk.facts["num_persons"]) == (6, 2)
-    assert walk.sources[0].licence == "mine"
-    rows = store.read(walk.ref, "annotations")
-    assert rows.num_rows == 12
-    assert np.isnan(rows["op14_px"][:, OP14.index("right_wrist")]).all()
-    assert (rows["op14_confidence"][:, OP14.index("right_wrist")] == 0).all()
-    np.testing.assert_allclose(rows["time_s"][-1], 5 / 25.0)
-    assert manifests["table", "annotations"].facts["rate_hz"] == 25.0
-    coco = store.read(manifests["coco", "annotations"].ref, "annotations")
-    assert set(coco["layout"]) == {"coco17"}
-
-
-def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    bad = tmp_path / "walk" / "w_000000000003_keypoints.json"
-    bad.write_text(bad.read_text()[:40])
-    section = {"id": "walk", "path": tmp_path / "walk"}
-    with pytest.raises(FormatError, match=r"annotations walk: w_000000000003_keypoints.json: .*on_unreadable"):
-        planned(annotations=[section])
-    shards = planned(annotations=[section | {"on_unreadable": "skip"}])
-    manifest = run(Store(tmp_path / "store"), shards)["walk", "annotations"]
-    assert manifest.facts["num_skipped_frames"] == 1
-    assert manifest.facts["skipped_files"] == [bad.name]
-    assert manifest.facts["num_frames"] == 5
-
-
-def test_a_wrong_layout_is_refused_while_planning(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    with pytest.raises(InputError, match=r"annotations walk: .*'body25' is asked for, but the files have 18"):
-        planned(annotations=[{"id": "walk", "path": tmp_path / "walk", "layout": "body25"}])
-
-
-def spoil(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "sentence"),
-    [
-        ("Frames: 40", "Frames: 41", "take d: 61_01.bvh: line .* the file ends after 40 of 41 frames"),
-        ("JOINT head", "JOINT skull", "take d: 61_01.bvh: its joints fit none of the known layouts"),
-        (
-            "OFFSET 27.000000 0.000000 0.000000",
-            "OFFSET 0.0 0.0 0.0",
-            "from 'left_shoulder' to 'left_elbow' of 'pair17'",
-        ),
-        ("Frame Time: 0.016666666666666666", "Frame Time: 0.02", "different frame rates, 60 and 50 Hz; set rate_hz"),
-        ("95.000000", "nan", "take d: 61_01.bvh: line .*Yposition of 'pelvis': 'nan' is not a finite number"),
-    ],
-)
-def test_bad_files_are_refused_while_planning(pair: tuple[Path, Path], old: str, new: str, sentence: str) -> None:
-    spoil(pair[1], old, new)
-    with pytest.raises(InputError, match=sentence):
-        planned(takes=[{"id": "d", "files": list(pair)}])
-
-
-def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    pair[1].write_text(write_bvh(figure_motion(num_frames=30, rate_hz=60.0)))
-    section = {"id": "d", "files": list(pair)}
-    with pytest.raises(InputError, match=r"take d: .*\(60_01.bvh 40 and 61_01.bvh 30 frames\)"):
-        planned(takes=[section])
-    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.num_frames == 30
-    with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
-        planned(takes=[section | {"frames": [0, 35]}])
-
-
-def test_frames_that_one_take_holds_out_and_another_learns_from_are_refused(pair: tuple[Path, Path]) -> None:
-    learned = {"id": "learned", "files": list(pair), "frames": [0, 20]}
-    held_out = {"id": "kept", "files": list(pair), "frames": [10, 30]}
-    with pytest.raises(InputError, match=r"takes learned and kept share frames of 60_01.bvh, but only one .* held out"):
-        planned(takes=[learned, held_out], held_out=["kept"])
-    assert planned(takes=[learned, held_out | {"frames": [20, 40]}], held_out=["kept"])
-    assert planned(takes=[learned, held_out])
-
-
-def test_amc_and_bvh_of_one_cmu_performance_are_known_for_the_same(data_dir: Path) -> None:
-    alone = {"id": "alone", "files": [data_dir / "cmu_asfamc" / "60_01.amc"]}
-    salsa = {"folder": data_dir / "cmu_salsa_bvh", "subjects": ["60", "61"], "id": "salsa_{take}"}
-    with pytest.raises(InputError, match=r"alone and salsa_01 share frames of 60_01.amc, also 60_01.bvh, but only one"):
-        planned(takes=[alone], pairs={"salsa": salsa | {"takes": ["01"]}}, held_out=["salsa_01"])
-    assert planned(takes=[alone], pairs={"salsa": salsa | {"takes": ["02"]}}, held_out=["salsa_02"])
-
-
-def test_a_missing_file_and_an_unclear_unit_are_named(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    with pytest.raises(InputError, match=r"take d: file .*nothing.bvh does not exist"):
-        planned(takes=[{"id": "d", "files": [tmp_path / "nothing.bvh"]}])
-    strange = tmp_path / "strange.bvh"
-    strange.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
-    with pytest.raises(InputError, match=r"its length unit cannot be told .*set metres_per_unit"):
-        planned(takes=[{"id": "d", "files": [strange]}])
-
-
-@pytest.mark.parametrize(
-    ("section", "sentence"),
-    [
-        ({"held_out": ["waltzz"]}, "'waltzz' is not a take of this study; did you mean 'waltz'"),
-        ({"duets": [{"name": "waltz"}, {"name": "waltz"}]}, "two takes are named 'waltz'"),
-        (
-            {"duets": [{"name": "waltz"}], "held_out": ["waltz"], "prior": ["waltz"]},
-            "is held out and cannot be a prior",
-        ),
-        ({"duetts": []}, "Extra inputs are not permitted"),
-        ({"takes": [{"id": "a/b", "files": ["x"]}]}, "should match pattern"),
-        ({"takes": [{"id": "a", "files": ["x"], "frames": [5, 5]}]}, "one past the last"),
-    ],
-)
-def test_parameters_that_do_not_fit_are_refused(section: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ValidationError, match=sentence):
-        IngestParameters.model_validate(section)
-
-
-def test_an_unknown_duet_is_named() -> None:
-    with pytest.raises(InputError, match="duet 'tango' is not known; known duets: waltz"):
-        planned(duets=[{"name": "tango"}])
-
-
-def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
-    shards = planned(takes=[{"id": "d", "files": list(pair)}])
-    pair[0].write_text(pair[0].read_text() + "\n")
-    with pytest.raises(InputError, match=r"60_01.bvh changed since the run was planned"):
-        STAGE.run_shard(shards[0], Store(tmp_path / "store"))
-
-
-def judged(manifest: Manifest) -> Verdict:
-    verdict = verdict_of(manifest)
-    assert verdict is not None
-    return verdict
-
-
 def test_a_take_is_doubted_where_its_unit_was_guessed_or_it_has_one_person_only(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
@@ -527,17 +354,6 @@ def test_a_video_is_judged_by_the_share_of_the_joints_in_its_image(tmp_path: Pat
     assert (levels["large"].level, levels["large"].value) == (Level.PASS, 100.0)
     assert levels["small"].level is Level.FAIL
     assert levels["small"].value < 50
-
-
-def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Path) -> None:
-    write_openpose(tmp_path / "walk")
-    section = {"id": "walk", "path": tmp_path / "walk", "on_unreadable": "skip"}
-    whole = judged(run(Store(tmp_path / "a"), planned(annotations=[section]))["walk", "annotations"])
-    assert whole.level is Level.PASS
-    assert 80 < whole.value < 100
-    (tmp_path / "walk" / "w_000000000003_keypoints.json").write_text("{")
-    cut = judged(run(Store(tmp_path / "b"), planned(annotations=[section]))["walk", "annotations"])
-    assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were left out")
 
 
 @pytest.mark.slow

@@ -1,14 +1,11 @@
-"""`reconstruct`: OpenPose files to BVH at once, and to lines while another process is still writing them."""
+"""`reconstruct`: 2D poses that lie there to BVH at once; bad options, and people who come and go."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,116 +13,31 @@ import pyarrow.parquet
 import pytest
 
 from flows.console.app import run_command_line
-from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
-from flows.console.live_lines import follow_lines, told_to_stop
-from pasdedeux.cameras import look_at_camera
+from flows.console.following import list_frames
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.npz import read_npz
-from pasdedeux.kinematics import forward_kinematics
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
-from pasdedeux.projections.retarget import centre_and_face, mid_hip
-from pasdedeux.reconstruction.body import SHARED, body_through, pose_body
-from pasdedeux.reconstruction.bones import bone_rotations
-from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.people import sized_by_stature
-from pasdedeux.reconstruction.reconstruct import Reconstruction, Searcher
+from pasdedeux.reconstruction.reconstruct import Reconstruction
 from pasdedeux.reconstruction.tracks import Lens, PersonTrack, Track
-from pasdedeux.skeletons import OP14, Skeleton
-from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
+from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from storage_schema import Store, artifact_key
+from storage_schema import Store
 from storage_schema.errors import SchemaError
-from tasks.projections import ProjectionsParameters
 from tasks.reconstruction import read_database
 from tests.builders.walkers import reconstruction, walk
-
-LAYOUT = KEYPOINT_LAYOUTS["coco18"]
-FRAMES = 40
-
-WRITER = """
-import pathlib, sys
-source, target = map(pathlib.Path, sys.argv[1:])
-for path in sorted(source.iterdir()):
-    data = path.read_bytes()
-    with (target / path.name).open("wb") as file:
-        file.write(data[: len(data) // 2])
-        file.flush()
-        file.write(data[len(data) // 2 :])
-(target / "STOP").touch()
-"""
-
-
-def openpose(points: np.ndarray) -> str:
-    """One frame of people (person, 14, 2) as OpenPose writes COCO-18; joints that op14 lacks are not detected."""
-    people = []
-    for person in points:
-        values = np.zeros((18, 3))
-        for name, point in zip(OP14.joint_names, person, strict=True):
-            name = {"head": "nose"}.get(name, name)
-            values[LAYOUT.keypoint_names.index(name)] = [*point, 0.9]
-        people.append({"person_id": [-1], "pose_keypoints_2d": values.reshape(-1).tolist()})
-    return json.dumps({"version": 1.3, "people": people})
+from tests.builders.walkers_on_video import FRAMES, LAYOUT, build_store, openpose, reference, write_walkers
 
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of two walkers, listed in changing order."""
-    worlds = np.stack([walk(FRAMES, seed=50 + i, rate_hz=30.0) + np.array([1.4 * i, 0.0, 0.0]) for i in (0, 1)], axis=1)
-    camera = look_at_camera(
-        mid_hip(worlds).mean(axis=(0, 1)), distance_m=5.0, yaw_rad=0.3, pitch_rad=0.1, focal_px=1400.0
-    )
-    folder = tmp_path_factory.mktemp("video")
-    for frame, points in enumerate(camera.project(worlds).px):
-        listed = points[::-1] if frame % 2 else points
-        (folder / f"film_{frame:012d}_keypoints.json").write_text(openpose(listed))
-    return folder
+    return write_walkers(tmp_path_factory.mktemp("video"))
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """A store with one projections artifact."""
-    poses = np.concatenate([centre_and_face(walk(72, seed=seed)).poses_m for seed in range(4)])
-    count = len(poses)
-    built = Store(tmp_path_factory.mktemp("store"))
-    built.commit(
-        stage="projections",
-        key=artifact_key(stage="projections", version=1, parameters={}, input_digests=[], seed=0),
-        partition="walk",
-        name="walk",
-        version=1,
-        parameters={},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables={
-            "projections": {
-                "origin": ["take"] * count,
-                "take_id": ["walk"] * count,
-                "person": np.zeros(count, dtype=int),
-                "frame": np.arange(count),
-                "is_sequence_start": np.arange(count) % 72 == 0,
-                "op14_m": poses,
-                "op14_unitquat": bone_rotations(poses),
-                "body22_unitquat": pose_body(body_through(poses), poses)[1],
-                "heading_rad": np.zeros(count),
-                "root_translation_m": np.zeros((count, 3)),
-                "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
-            }
-        },
-        facts={
-            "kind": "projections",
-            "takes": ["walk"],
-            "rate_hz": 24.0,
-            "views": ProjectionsParameters().views.model_dump(mode="json"),
-        },
-    )
-    return built
-
-
-def reference(store: Store) -> list[str]:
-    (manifest,) = store.artifacts("projections")
-    return ["--store", str(store.root), "--database", f"projections@{manifest.ref.key[:16]}"]
+    return build_store(tmp_path_factory.mktemp("store"))
 
 
 @pytest.mark.parametrize("units", ["cm", "m"])
@@ -217,125 +129,6 @@ def test_who_is_who_is_written_and_a_changed_table_overrules_it(
     assert run_command_line([*command, str(tmp_path / "none"), "--people", str(tmp_path / "no.csv")]) == 2
     assert run_command_line([*command, str(tmp_path / "none"), "--people", str(changed), "--follow"]) == 2
     assert "--people is for whole videos" in capsys.readouterr().err
-
-
-def test_files_being_written_by_another_process_become_lines_in_order(
-    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder, out = tmp_path / "live", tmp_path / "lines" / "poses.jsonl"
-    folder.mkdir()
-    with subprocess.Popen([sys.executable, "-c", WRITER, str(video), str(folder)]) as writer:
-        command = ["reconstruct", str(folder), *reference(store), "--follow", "--out", str(out)]
-        assert run_command_line([*command, "--idle", "60", "--lag", "3"]) == 0
-    assert writer.returncode == 0
-    _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
-    for person in (0, 1):
-        own = [line for line in lines if line["person_id"] == person]
-        assert [line["frame"] for line in own] == list(range(FRAMES))
-        steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
-        assert steps.max() < 0.25
-    said = capsys.readouterr().err
-    assert "a pose left 3 frames after its image (3 at most)" in said
-    assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
-
-
-def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
-    video: Path, store: Store, tmp_path: Path
-) -> None:
-    out = tmp_path / "lines"
-    command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
-    assert run_command_line(command) == 0
-    head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
-    assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
-    skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))
-    offsets: dict[int, np.ndarray] = {}
-    floors = []
-    for line in lines:
-        if "rest_offset_m" in line:
-            offsets[line["person_id"]] = np.array(line["rest_offset_m"])
-        joints, _ = forward_kinematics(
-            skeleton, offsets[line["person_id"]], np.array(line["hips_m"]), np.array(line["local_unitquat"])
-        )
-        own = joints[[skeleton.index(HUMANOID_NAMES[name].mixamo) for name in SHARED]]
-        op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
-        np.testing.assert_allclose(own, op14, atol=2e-6)
-        floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
-    assert sum("rest_offset_m" in line for line in lines) == 2
-    assert 0.05 < np.median(floors) < 0.09
-
-
-def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
-    """Follow a folder; every time the follower waits, the next step is taken, and ten seconds pass."""
-    now = [0.0]
-
-    def sleep(_: float) -> None:
-        now[0] += 10.0
-        if steps:
-            steps.pop(0)()
-
-    return list(follow_folder(folder, idle_s=idle_s, sleep=sleep, clock=lambda: now[0]))
-
-
-def test_half_a_file_is_waited_for(video: Path, tmp_path: Path) -> None:
-    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
-    names = [tmp_path / f"film_{n}.json" for n in range(3)]
-    steps: list[Callable[[], object]] = [
-        lambda: names[0].write_bytes(data[0][:50]),
-        lambda: names[0].write_bytes(data[0]),
-        lambda: names[1].write_bytes(b""),
-        lambda: names[1].write_bytes(data[1]),
-        lambda: names[2].write_bytes(data[2]),
-        lambda: (tmp_path / STOP_NAME).touch(),
-    ]
-    found = read_while(tmp_path, steps)
-    assert [one.number for one in found] == [0, 1, 2]
-    assert all(one.frame is not None for one in found)
-    assert steps == []
-
-
-def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(video: Path, tmp_path: Path) -> None:
-    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
-    steps: list[Callable[[], object]] = [
-        lambda: (tmp_path / "film_7.json").write_bytes(data[0][:50]),
-        lambda: (tmp_path / "film_9.json").write_bytes(data[1]),
-        lambda: (tmp_path / "film_8.json").write_bytes(data[2]),
-    ]
-    found = read_while(tmp_path, steps, idle_s=35.0)
-    assert [(one.number, one.frame is None) for one in found] == [(7, True), (9, False)]
-    assert "JSON" in found[0].problem
-
-
-def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_path: Path) -> None:
-    with told_to_stop() as is_stopped:
-        assert not is_stopped()
-        signal.raise_signal(signal.SIGINT)
-        assert is_stopped()
-        (tmp_path / "film_3.json").write_bytes(list_frames(video)[0][1].read_bytes())
-        found = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
-        assert [one.number for one in found] == [3]
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-
-
-def test_times_are_told_of_files_that_came_while_following(
-    video: Path, store: Store, capsys: pytest.CaptureFixture[str]
-) -> None:
-    manifest = next(iter(store.artifacts("projections")))
-    database, _, _ = read_database(store, [manifest.ref])
-    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
-    files = list(follow_folder(video, idle_s=-1.0))
-    newest = max(file.path.stat().st_mtime for file in files)
-    follow_lines(people, iter(files), None, rate_hz=30.0, began=newest + 1.0)
-    said = capsys.readouterr()
-    assert len(said.out.splitlines()) == 1 + 2 * FRAMES
-    assert "came while following" not in said.err
-    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
-    follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
-    assert f"({FRAMES - 2} files that came while following)" in capsys.readouterr().err
-
-
-def test_nothing_new_for_the_idle_time_ends_it(tmp_path: Path) -> None:
-    assert read_while(tmp_path, [], idle_s=25.0) == []
 
 
 @pytest.mark.parametrize(

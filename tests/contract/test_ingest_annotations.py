@@ -1,0 +1,82 @@
+"""2D poses through ingest: every format, damaged frames, a wrong layout, and how a source is judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.skeletons import OP14
+from pasdedeux.verdict import Level
+from storage_schema import Store
+from tests.builders.ingest_runs import judged, planned, run
+from tests.builders.source_samples import coco_text, csv_text, openpose_text
+
+
+def write_openpose(folder: Path, count: int = 6) -> None:
+    folder.mkdir()
+    for frame in range(count):
+        (folder / f"w_{frame:012d}_keypoints.json").write_text(
+            openpose_text("coco18", people=2, seed=frame, missing=(4,))
+        )
+
+
+def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    (tmp_path / "c.json").write_text(coco_text())
+    (tmp_path / "t.csv").write_text(csv_text())
+    store = Store(tmp_path / "store")
+    shards = planned(
+        annotations=[
+            {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "licence": "mine", "credit": "me"},
+            {"id": "coco", "path": tmp_path / "c.json"},
+            {"id": "table", "path": tmp_path / "t.csv"},
+        ]
+    )
+    manifests = run(store, shards)
+    walk = manifests["walk", "annotations"]
+    assert walk.facts["purpose"] == "given"
+    assert walk.facts["takes"] == []
+    assert (walk.facts["num_frames"], walk.facts["num_persons"]) == (6, 2)
+    assert walk.sources[0].licence == "mine"
+    rows = store.read(walk.ref, "annotations")
+    assert rows.num_rows == 12
+    assert np.isnan(rows["op14_px"][:, OP14.index("right_wrist")]).all()
+    assert (rows["op14_confidence"][:, OP14.index("right_wrist")] == 0).all()
+    np.testing.assert_allclose(rows["time_s"][-1], 5 / 25.0)
+    assert manifests["table", "annotations"].facts["rate_hz"] == 25.0
+    coco = store.read(manifests["coco", "annotations"].ref, "annotations")
+    assert set(coco["layout"]) == {"coco17"}
+
+
+def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    bad = tmp_path / "walk" / "w_000000000003_keypoints.json"
+    bad.write_text(bad.read_text()[:40])
+    section = {"id": "walk", "path": tmp_path / "walk"}
+    with pytest.raises(FormatError, match=r"annotations walk: w_000000000003_keypoints.json: .*on_unreadable"):
+        planned(annotations=[section])
+    shards = planned(annotations=[section | {"on_unreadable": "skip"}])
+    manifest = run(Store(tmp_path / "store"), shards)["walk", "annotations"]
+    assert manifest.facts["num_skipped_frames"] == 1
+    assert manifest.facts["skipped_files"] == [bad.name]
+    assert manifest.facts["num_frames"] == 5
+
+
+def test_a_wrong_layout_is_refused_while_planning(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    with pytest.raises(InputError, match=r"annotations walk: .*'body25' is asked for, but the files have 18"):
+        planned(annotations=[{"id": "walk", "path": tmp_path / "walk", "layout": "body25"}])
+
+
+def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    section = {"id": "walk", "path": tmp_path / "walk", "on_unreadable": "skip"}
+    whole = judged(run(Store(tmp_path / "a"), planned(annotations=[section]))["walk", "annotations"])
+    assert whole.level is Level.PASS
+    assert 80 < whole.value < 100
+    (tmp_path / "walk" / "w_000000000003_keypoints.json").write_text("{")
+    cut = judged(run(Store(tmp_path / "b"), planned(annotations=[section]))["walk", "annotations"])
+    assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were left out")

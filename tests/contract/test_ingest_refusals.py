@@ -1,0 +1,114 @@
+"""What ingest refuses while it plans: spoiled, unequal, missing or changed files, and parameters that do not fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from pasdedeux.errors import InputError
+from pasdedeux.formats.bvh_writer import write_bvh
+from storage_schema import Store
+from tasks.ingest import STAGE, IngestParameters
+from tests.builders.ingest_runs import planned, write_figure_pair
+from tests.builders.source_samples import figure_motion
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    return write_figure_pair(tmp_path)
+
+
+def spoil(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("Frames: 40", "Frames: 41", "take d: 61_01.bvh: line .* the file ends after 40 of 41 frames"),
+        ("JOINT head", "JOINT skull", "take d: 61_01.bvh: its joints fit none of the known layouts"),
+        (
+            "OFFSET 27.000000 0.000000 0.000000",
+            "OFFSET 0.0 0.0 0.0",
+            "from 'left_shoulder' to 'left_elbow' of 'pair17'",
+        ),
+        ("Frame Time: 0.016666666666666666", "Frame Time: 0.02", "different frame rates, 60 and 50 Hz; set rate_hz"),
+        ("95.000000", "nan", "take d: 61_01.bvh: line .*Yposition of 'pelvis': 'nan' is not a finite number"),
+    ],
+)
+def test_bad_files_are_refused_while_planning(pair: tuple[Path, Path], old: str, new: str, sentence: str) -> None:
+    spoil(pair[1], old, new)
+    with pytest.raises(InputError, match=sentence):
+        planned(takes=[{"id": "d", "files": list(pair)}])
+
+
+def test_files_of_unequal_length_are_refused_or_trimmed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    pair[1].write_text(write_bvh(figure_motion(num_frames=30, rate_hz=60.0)))
+    section = {"id": "d", "files": list(pair)}
+    with pytest.raises(InputError, match=r"take d: .*\(60_01.bvh 40 and 61_01.bvh 30 frames\)"):
+        planned(takes=[section])
+    assert planned(takes=[section | {"on_unequal": "trim"}])[0].parameters.num_frames == 30
+    with pytest.raises(InputError, match=r"frames from 0 to 35 are wanted, but 61_01.bvh has 30 frames"):
+        planned(takes=[section | {"frames": [0, 35]}])
+
+
+def test_frames_that_one_take_holds_out_and_another_learns_from_are_refused(pair: tuple[Path, Path]) -> None:
+    learned = {"id": "learned", "files": list(pair), "frames": [0, 20]}
+    held_out = {"id": "kept", "files": list(pair), "frames": [10, 30]}
+    with pytest.raises(InputError, match=r"takes learned and kept share frames of 60_01.bvh, but only one .* held out"):
+        planned(takes=[learned, held_out], held_out=["kept"])
+    assert planned(takes=[learned, held_out | {"frames": [20, 40]}], held_out=["kept"])
+    assert planned(takes=[learned, held_out])
+
+
+def test_amc_and_bvh_of_one_cmu_performance_are_known_for_the_same(data_dir: Path) -> None:
+    alone = {"id": "alone", "files": [data_dir / "cmu_asfamc" / "60_01.amc"]}
+    salsa = {"folder": data_dir / "cmu_salsa_bvh", "subjects": ["60", "61"], "id": "salsa_{take}"}
+    with pytest.raises(InputError, match=r"alone and salsa_01 share frames of 60_01.amc, also 60_01.bvh, but only one"):
+        planned(takes=[alone], pairs={"salsa": salsa | {"takes": ["01"]}}, held_out=["salsa_01"])
+    assert planned(takes=[alone], pairs={"salsa": salsa | {"takes": ["02"]}}, held_out=["salsa_02"])
+
+
+def test_a_missing_file_and_an_unclear_unit_are_named(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    with pytest.raises(InputError, match=r"take d: file .*nothing.bvh does not exist"):
+        planned(takes=[{"id": "d", "files": [tmp_path / "nothing.bvh"]}])
+    strange = tmp_path / "strange.bvh"
+    strange.write_text(write_bvh(figure_motion(), units_per_metre=7.0))
+    with pytest.raises(InputError, match=r"its length unit cannot be told .*set metres_per_unit"):
+        planned(takes=[{"id": "d", "files": [strange]}])
+
+
+@pytest.mark.parametrize(
+    ("section", "sentence"),
+    [
+        ({"held_out": ["waltzz"]}, "'waltzz' is not a take of this study; did you mean 'waltz'"),
+        ({"duets": [{"name": "waltz"}, {"name": "waltz"}]}, "two takes are named 'waltz'"),
+        (
+            {"duets": [{"name": "waltz"}], "held_out": ["waltz"], "prior": ["waltz"]},
+            "is held out and cannot be a prior",
+        ),
+        ({"duetts": []}, "Extra inputs are not permitted"),
+        ({"takes": [{"id": "a/b", "files": ["x"]}]}, "should match pattern"),
+        ({"takes": [{"id": "a", "files": ["x"], "frames": [5, 5]}]}, "one past the last"),
+    ],
+)
+def test_parameters_that_do_not_fit_are_refused(section: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValidationError, match=sentence):
+        IngestParameters.model_validate(section)
+
+
+def test_an_unknown_duet_is_named() -> None:
+    with pytest.raises(InputError, match="duet 'tango' is not known; known duets: waltz"):
+        planned(duets=[{"name": "tango"}])
+
+
+def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:
+    shards = planned(takes=[{"id": "d", "files": list(pair)}])
+    pair[0].write_text(pair[0].read_text() + "\n")
+    with pytest.raises(InputError, match=r"60_01.bvh changed since the run was planned"):
+        STAGE.run_shard(shards[0], Store(tmp_path / "store"))

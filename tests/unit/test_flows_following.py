@@ -1,0 +1,167 @@
+"""`reconstruct`: OpenPose files to lines while another process is still writing them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.console.app import run_command_line
+from flows.console.following import STOP_NAME, FollowedFile, follow_folder, list_frames
+from flows.console.live_lines import follow_lines, told_to_stop
+from pasdedeux.kinematics import forward_kinematics
+from pasdedeux.reconstruction.body import SHARED
+from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
+from pasdedeux.reconstruction.reconstruct import Searcher
+from pasdedeux.skeletons import Skeleton
+from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
+from storage_schema import Store
+from tasks.reconstruction import read_database
+from tests.builders.walkers_on_video import FRAMES, build_store, reference, write_walkers
+
+WRITER = """
+import pathlib, sys
+source, target = map(pathlib.Path, sys.argv[1:])
+for path in sorted(source.iterdir()):
+    data = path.read_bytes()
+    with (target / path.name).open("wb") as file:
+        file.write(data[: len(data) // 2])
+        file.flush()
+        file.write(data[len(data) // 2 :])
+(target / "STOP").touch()
+"""
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_walkers(tmp_path_factory.mktemp("video"))
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return build_store(tmp_path_factory.mktemp("store"))
+
+
+def test_files_being_written_by_another_process_become_lines_in_order(
+    video: Path, store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = tmp_path / "live", tmp_path / "lines" / "poses.jsonl"
+    folder.mkdir()
+    with subprocess.Popen([sys.executable, "-c", WRITER, str(video), str(folder)]) as writer:
+        command = ["reconstruct", str(folder), *reference(store), "--follow", "--out", str(out)]
+        assert run_command_line([*command, "--idle", "60", "--lag", "3"]) == 0
+    assert writer.returncode == 0
+    _, *lines = [json.loads(line) for line in out.read_text().splitlines()]
+    for person in (0, 1):
+        own = [line for line in lines if line["person_id"] == person]
+        assert [line["frame"] for line in own] == list(range(FRAMES))
+        steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
+        assert steps.max() < 0.25
+    said = capsys.readouterr().err
+    assert "a pose left 3 frames after its image (3 at most)" in said
+    assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
+
+
+def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
+    video: Path, store: Store, tmp_path: Path
+) -> None:
+    out = tmp_path / "lines"
+    command = ["reconstruct", str(video), *reference(store), "--follow", "--idle", "0", "--out", str(out)]
+    assert run_command_line(command) == 0
+    head, *lines = [json.loads(line) for line in out.read_text().splitlines()]
+    assert (head["unit"], head["rate_hz"], head["joint_names"][head["parents"].index(-1)]) == ("m", 30.0, "Hips")
+    skeleton = Skeleton("live", tuple(head["joint_names"]), tuple(head["parents"]))
+    offsets: dict[int, np.ndarray] = {}
+    floors = []
+    for line in lines:
+        if "rest_offset_m" in line:
+            offsets[line["person_id"]] = np.array(line["rest_offset_m"])
+        joints, _ = forward_kinematics(
+            skeleton, offsets[line["person_id"]], np.array(line["hips_m"]), np.array(line["local_unitquat"])
+        )
+        own = joints[[skeleton.index(HUMANOID_NAMES[name].mixamo) for name in SHARED]]
+        op14 = np.array(line["op14_m"])[[head["op14_names"].index(name) for name in SHARED]]
+        np.testing.assert_allclose(own, op14, atol=2e-6)
+        floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
+    assert sum("rest_offset_m" in line for line in lines) == 2
+    assert 0.05 < np.median(floors) < 0.09
+
+
+def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
+    """Follow a folder; every time the follower waits, the next step is taken, and ten seconds pass."""
+    now = [0.0]
+
+    def sleep(_: float) -> None:
+        now[0] += 10.0
+        if steps:
+            steps.pop(0)()
+
+    return list(follow_folder(folder, idle_s=idle_s, sleep=sleep, clock=lambda: now[0]))
+
+
+def test_half_a_file_is_waited_for(video: Path, tmp_path: Path) -> None:
+    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
+    names = [tmp_path / f"film_{n}.json" for n in range(3)]
+    steps: list[Callable[[], object]] = [
+        lambda: names[0].write_bytes(data[0][:50]),
+        lambda: names[0].write_bytes(data[0]),
+        lambda: names[1].write_bytes(b""),
+        lambda: names[1].write_bytes(data[1]),
+        lambda: names[2].write_bytes(data[2]),
+        lambda: (tmp_path / STOP_NAME).touch(),
+    ]
+    found = read_while(tmp_path, steps)
+    assert [one.number for one in found] == [0, 1, 2]
+    assert all(one.frame is not None for one in found)
+    assert steps == []
+
+
+def test_a_file_that_never_becomes_whole_is_passed_over_when_the_writer_went_on(video: Path, tmp_path: Path) -> None:
+    data = [path.read_bytes() for _, path in list_frames(video)[:3]]
+    steps: list[Callable[[], object]] = [
+        lambda: (tmp_path / "film_7.json").write_bytes(data[0][:50]),
+        lambda: (tmp_path / "film_9.json").write_bytes(data[1]),
+        lambda: (tmp_path / "film_8.json").write_bytes(data[2]),
+    ]
+    found = read_while(tmp_path, steps, idle_s=35.0)
+    assert [(one.number, one.frame is None) for one in found] == [(7, True), (9, False)]
+    assert "JSON" in found[0].problem
+
+
+def test_ctrl_c_ends_the_video_and_the_second_time_everything(video: Path, tmp_path: Path) -> None:
+    with told_to_stop() as is_stopped:
+        assert not is_stopped()
+        signal.raise_signal(signal.SIGINT)
+        assert is_stopped()
+        (tmp_path / "film_3.json").write_bytes(list_frames(video)[0][1].read_bytes())
+        found = list(follow_folder(tmp_path, idle_s=1e9, is_stopped=is_stopped))
+        assert [one.number for one in found] == [3]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_times_are_told_of_files_that_came_while_following(
+    video: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manifest = next(iter(store.artifacts("projections")))
+    database, _, _ = read_database(store, [manifest.ref])
+    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
+    files = list(follow_folder(video, idle_s=-1.0))
+    newest = max(file.path.stat().st_mtime for file in files)
+    follow_lines(people, iter(files), None, rate_hz=30.0, began=newest + 1.0)
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 1 + 2 * FRAMES
+    assert "came while following" not in said.err
+    people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
+    follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
+    assert f"({FRAMES - 2} files that came while following)" in capsys.readouterr().err
+
+
+def test_nothing_new_for_the_idle_time_ends_it(tmp_path: Path) -> None:
+    assert read_while(tmp_path, [], idle_s=25.0) == []

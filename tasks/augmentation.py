@@ -22,6 +22,7 @@ from pasdedeux.augmentation import (
 )
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
@@ -189,10 +190,26 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
         for name in ("body22_m", "body22_world_unitquat")
     )
     return TakeMotion(
-        source=Source(np.ascontiguousarray(people), float(facts["rate_hz"]), f"take {facts['take_id']}"),
+        source=Source(
+            np.ascontiguousarray(people),
+            float(facts["rate_hz"]),
+            f"take {facts['take_id']}",
+            objects=_read_objects(store, ref),
+        ),
         rest_m=takes["body22_rest_m"].astype(np.float64),
         world_unitquat=np.ascontiguousarray(world),
         time_s=np.asarray(poses["time_s"][: len(people)]),
+    )
+
+
+def _read_objects(store: Store, ref: ArtifactRef) -> MovingObjects | None:
+    if "objects" not in store.manifest(ref).tables:
+        return None
+    rows = store.read(ref, "objects", columns=["object", "ends_m", "radius_m"])
+    names = tuple(dict.fromkeys(map(str, rows["object"])))
+    ends = rows["ends_m"].astype(np.float64).reshape(len(names), -1, 2, 3)
+    return MovingObjects(
+        names, np.ascontiguousarray(np.swapaxes(ends, 0, 1)), rows["radius_m"].reshape(len(names), -1)[:, 0]
     )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk import project_to_bones
-from pasdedeux.augmentation.contacts import check_contacts
 from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
@@ -22,7 +21,7 @@ from pasdedeux.augmentation.source import (
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.contacts import UserContact, check_contacts
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.verdict import Level, Verdict
 
@@ -101,7 +100,13 @@ class Augmenter:
             source = replace(source, ground_m=self.settings.floor_m)
         self.source = source
         self._windows = plan_windows(source.num_frames, source.rate_hz, self._longest_s(source.rate_hz))
-        check_contacts(source, user_contacts)
+        check_contacts(
+            user_contacts,
+            name=source.name,
+            num_frames=source.num_frames,
+            num_people=source.num_people,
+            objects=source.objects,
+        )
         self._user_contacts = user_contacts
         joint_limits = JointLimits.published() if self.settings.is_joint_limited else None
         self._meter = QualityMeter(

@@ -154,7 +154,7 @@ class _Level:
         self._girdle = self._narrow([problem.weights.girdle])
         self._contact_shares = self._narrow(problem.contacts.shares)
         self._contact_weights = self._narrow(problem.contact_weights)
-        self._direction = self._narrow([problem.weights.contact_direction])
+        self._direction = self._narrow(problem.contact_direction)
 
     def _narrow(self, values: npt.ArrayLike) -> AnyFloat:
         """Return values in the precision of the iteration."""

@@ -11,46 +11,23 @@ so the bulk solver takes u from where the contact points now; z is linear in the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from string import ascii_uppercase
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.source import Source
-from pasdedeux.errors import InputError
 from pasdedeux.fitting import Term
 from pasdedeux.fitting.terms import Normal
-from pasdedeux.interaction.contacts import Contacts, UserContact
+from pasdedeux.interaction.contacts import Contacts
 
-__all__ = ["ContactTerm", "aim_contacts", "check_contacts"]
+__all__ = ["ContactTerm", "aim_contacts"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 _SHORTEST_M = 1e-6
-
-
-def check_contacts(source: Source, user: Sequence[UserContact]) -> None:
-    """Refuse contacts stated by the user for frames or people that the take does not have.
-
-    Raises:
-        InputError: A contact lasts longer than the take, or is of somebody who is not there.
-    """
-    for contact in user:
-        if max(contact.persons) >= source.num_people:
-            raise InputError(
-                f"{source.name}: contact of {contact.person_a}'s {contact.joint_a} and {contact.person_b}'s "
-                f"{contact.joint_b}, but the take has the people {', '.join(ascii_uppercase[: source.num_people])}"
-            )
-        if contact.stop_frame > source.num_frames:
-            raise InputError(
-                f"{source.name}: contact {contact.joint_a}-{contact.joint_b} over frames {contact.start_frame} to "
-                f"{contact.stop_frame}; allowed are frames within 0 to {source.num_frames}"
-            )
 
 
 @dataclass(frozen=True)
@@ -112,17 +89,18 @@ def aim_contacts(
         shares: What they contribute (T, M, 4).
         vectors: v (3, T, M, variant).
         weights: 0 for places that are not used (T, M).
-        direction: k (1,).
+        direction: k (T, M).
         aim: Written here.
     """
     frames, num_contacts, count = aim.shape[1:]
     squared, wanted = np.empty(count, aim.dtype), np.empty(count, aim.dtype)
-    smallest, keep = aim.dtype.type(_SHORTEST_M), direction[0]
-    free = aim.dtype.type(1.0) - keep
+    smallest, one_whole = aim.dtype.type(_SHORTEST_M), aim.dtype.type(1.0)
     for t in range(frames):
         for e in range(num_contacts):
             if weights[t, e] <= 0:
                 continue
+            keep = direction[t, e]
+            free = one_whole - keep
             a, b, c, d = points[t, e, 0], points[t, e, 1], points[t, e, 2], points[t, e, 3]
             sa, sb, sc, sd = shares[t, e, 0], shares[t, e, 1], shares[t, e, 2], shares[t, e, 3]
             squared[:] = 0

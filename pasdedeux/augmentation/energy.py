@@ -40,9 +40,9 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
     """State the energy of one variant as terms of a fit."""
     one = targets.select([variant])
     groups = list(AXIS_GROUP)
-    direction, contacts = problem.weights.contact_direction, problem.contacts
+    direction, contacts = problem.contact_direction, problem.contacts
     missed = one.contact_m[0] - contacts.vectors(one.reference[0])
-    kept = direction * problem.contact_weights[..., None] * missed
+    kept = (direction * problem.contact_weights)[..., None] * missed
     quadratic = QuadraticTerm(
         origin_m=one.reference[0],
         matrix=problem.free_matrix,

@@ -91,10 +91,15 @@ class Problem:
         return self.source.num_frames
 
     @property
+    def contact_direction(self) -> Array:
+        """Share of each contact's weight that keeps its direction (T, M): all of it where an object is held."""
+        return np.where(self.contacts.objects >= 0, 1.0, self.weights.contact_direction)
+
+    @property
     def free_matrix(self) -> Array:
         """The quadratic form within a frame for each axis (3, T, n, n), without contacts that keep their distance."""
         free = np.zeros(self.matrix.shape[1:])
-        away = (self.weights.contact_direction - 1.0) * self.contact_weights
+        away = (self.contact_direction - 1.0) * self.contact_weights
         add_stencils(self.contacts.points, self.contacts.shares, away, free)
         return np.asarray(self.matrix[list(AXIS_GROUP)] + free)
 

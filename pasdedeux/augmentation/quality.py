@@ -203,7 +203,7 @@ class QualityMeter:
         self._distance = self._contact_distances(points)
         self._jerk, self._frame_jerk = _jerk(points)
         self._points = points
-        self._stances = _stances(stance_weights(source).reshape(len(points), -1) >= _STANDS)
+        self._stances = _stances(stance_weights(source, user_contacts).reshape(len(points), -1) >= _STANDS)
         self._floor = source.floor_m
         self._below = np.maximum(self._floor - points[..., 1], 0.0)
         self._model = capsule_model(BODY22)

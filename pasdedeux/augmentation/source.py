@@ -15,6 +15,7 @@ from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import TOUCH_M, Contacts, UserContact, closest_joint_distance, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
+from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22
@@ -56,15 +57,18 @@ class Source:
         rate_hz: Frames per second.
         name: Name of the take, used in messages.
         ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
+        objects: What people handle; it moves as it did, whoever has another size.
 
     Raises:
-        InputError: Wrong shape, no frames, a frame that is not finite or kilometres away, a rate that is not positive.
+        InputError: Wrong shape, no frames, a frame that is not finite or kilometres away, a rate that is not positive,
+            objects of another number of frames.
     """
 
     positions_m: Array
     rate_hz: float
     name: str = "take"
     ground_m: float | None = None
+    objects: MovingObjects | None = None
 
     def __post_init__(self) -> None:
         """Check shape, finiteness and rate."""
@@ -84,6 +88,10 @@ class Source:
             )
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise InputError(f"{self.name}: the frame rate is {self.rate_hz}, it must be positive")
+        if self.objects is not None and self.objects.num_frames != self.num_frames:
+            raise InputError(
+                f"{self.name}: its objects have {self.objects.num_frames} frames, the people {self.num_frames}"
+            )
 
     @property
     def num_frames(self) -> int:
@@ -155,11 +163,13 @@ class Source:
             touch_m=touch_m,
             stated=stated,
             own=_OWN_TOUCH if self.num_people == 1 else None,
+            objects=self.objects,
         )
 
     def take_frames(self, frames: slice, *, rate_hz: float | None = None) -> Source:
         """Return some frames with the bones, floor and feet of the whole take; thinned out, they have another rate."""
-        part = replace(self, positions_m=self.positions_m[frames], rate_hz=rate_hz or self.rate_hz)
+        objects = self.objects and self.objects.at(frames)
+        part = replace(self, positions_m=self.positions_m[frames], objects=objects, rate_hz=rate_hz or self.rate_hz)
         # What is measured over the whole take takes the place of the part's own cached properties.
         whole = {name: getattr(self, name) for name in ("lengths_m", "floor_m", "rest_heights_m")}
         part.__dict__.update(whole)
@@ -227,17 +237,21 @@ def widened_m(
 
     Args:
         lengths_m: Distances in the source (*batch,).
-        bones: Child joints of the two bones (*batch, 2), numbered through.
+        bones: Child joints of the two bones (*batch, 2), numbered through; -1, -2, ... for objects, which never change.
         source: The template.
         girth: Thickness of A, B, ... over the source's: distances of surfaces stay.  Or "follow": bones are as thick as
             they are long, and distances follow their radii, so that people of half the size are half as far apart.
         bone_scale: Scales (variant, P, 22).
     """
-    radii = source.radii_m.reshape(-1)[bones]
+    things = np.ones(0) if source.objects is None else source.objects.radii_m[::-1]
+    radii = np.concatenate([source.radii_m.ravel(), things])[bones]
+    same = np.ones(len(things))
     if girth == "follow":
-        wide = np.stack([(radii * scale.reshape(-1)[bones]).sum(axis=-1) for scale in bone_scale])
+        scales = (np.concatenate([scale.ravel(), same])[bones] for scale in bone_scale)
+        wide = np.stack([(radii * scale).sum(axis=-1) for scale in scales])
         return np.asarray(lengths_m * wide / np.maximum(radii.sum(axis=-1), _THINNEST_M))
-    added = (radii * (np.repeat(girths_of(girth, source.num_people), BODY22.num_joints)[bones] - 1.0)).sum(axis=-1)
+    wider = np.concatenate([np.repeat(girths_of(girth, source.num_people), BODY22.num_joints), same])
+    added = (radii * (wider[bones] - 1.0)).sum(axis=-1)
     return np.broadcast_to(np.maximum(lengths_m + added, 0.0), (len(bone_scale), *lengths_m.shape))
 
 

@@ -6,12 +6,15 @@ contacts alone.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
-from pasdedeux.interaction.contacts import fade
+from pasdedeux.interaction.contacts import UserContact, fade
+from pasdedeux.skeletons import BODY22
 
 __all__ = ["floor_weights", "stance_weights"]
 
@@ -25,17 +28,20 @@ _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of all weights over time."""
 
 
-def stance_weights(source: Source) -> Array:
-    """Return how much each joint stands (frame, P, 22), 1 standing: slow and on the floor in the source."""
+def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
+    """Return how much each joint stands (frame, P, 22), 1 standing: slow and on the floor in the source.
+
+    Contacts with the floor that are stated stand in place of what is found.
+    """
     positions = source.positions_m
     velocity = np.gradient(positions, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(positions.shape)
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
-    return _smooth(fade(speed, *_STANCE_SPEED_M_S) * fade(_heights(source), *_STANCE_HEIGHT_M), source)
+    return _smooth(fade(speed, *_STANCE_SPEED_M_S) * fade(_heights(source), *_STANCE_HEIGHT_M), source, stated)
 
 
-def floor_weights(source: Source) -> Array:
-    """Return how near the floor each joint is in the source (frame, P, 22), 1 on it."""
-    return _smooth(fade(_heights(source), *_FLOOR_HEIGHT_M), source)
+def floor_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
+    """Return how near the floor each joint is in the source (frame, P, 22), 1 on it, or stated to be."""
+    return _smooth(fade(_heights(source), *_FLOOR_HEIGHT_M), source, stated)
 
 
 def _heights(source: Source) -> Array:
@@ -43,7 +49,11 @@ def _heights(source: Source) -> Array:
     return np.asarray(source.positions_m[..., 1] - source.floor_m - source.rest_heights_m)
 
 
-def _smooth(weights: Array, source: Source) -> Array:
+def _smooth(weights: Array, source: Source, stated: Sequence[UserContact]) -> Array:
+    for contact in stated:
+        if contact.is_of_floor:
+            when = slice(contact.start_frame, contact.stop_frame)
+            weights[when, contact.persons[0], BODY22.index(contact.joint_a)] = min(contact.weight, 1.0)
     if source.num_frames < 2:
         return weights
     sigma = _SMOOTHING_S * source.rate_hz

@@ -82,9 +82,9 @@ def build_problem(
 
     contacts = source.contacts(settings.touch_m, user_contacts)
     contact_weights = weights.of_contacts(contacts)
-    standing = stance_weights(source).reshape(frames, -1)
+    standing = stance_weights(source, user_contacts).reshape(frames, -1)
     stance = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
-    floor = weights.floor * floor_weights(source).reshape(frames, -1)
+    floor = weights.floor * floor_weights(source, user_contacts).reshape(frames, -1)
     count = source.num_points
     anchor = np.full(count, weights.reference)
     if settings.fixed_person is not None:

@@ -53,20 +53,23 @@ class Pose:
 
 @dataclass(frozen=True)
 class Panel:
-    """One moment: a title, the people in it, and point pairs (n, 2, 3) to be joined (contacts)."""
+    """One moment: a title, the people in it, point pairs (n, 2, 3) to be joined (contacts), and objects' axes alike."""
 
     title: str
     poses: tuple[Pose, ...]
     links_m: Array | None = None
+    objects_m: Array | None = None
 
 
-def pair_panel(title: str, skeleton: Skeleton, people_m: Array, links_m: Array | None = None) -> Panel:
+def pair_panel(
+    title: str, skeleton: Skeleton, people_m: Array, links_m: Array | None = None, objects_m: Array | None = None
+) -> Panel:
     """Return the panel of people (person, joint, 3) in everybody's colour."""
     poses = tuple(
         Pose(skeleton=skeleton, positions_m=positions, colour=colour)
         for positions, colour in zip(people_m, cycle(PERSON_COLOURS), strict=False)
     )
-    return Panel(title=title, poses=poses, links_m=links_m)
+    return Panel(title=title, poses=poses, links_m=links_m, objects_m=objects_m)
 
 
 def skeleton_sheet(panels: Sequence[Panel], *, yaws_rad: Sequence[float] = (0.0, np.pi / 2), title: str = "") -> bytes:
@@ -145,9 +148,10 @@ def _draw_panel(axis: Axes, panel: Panel, yaw_rad: float, reach: float) -> None:
         )
         head = pose.skeleton.index("head")
         axis.plot(seen[head, 0], seen[head, 1], "o", color=pose.colour, markersize=4.5)
-    if panel.links_m is not None and len(panel.links_m):
-        links = (panel.links_m - middle * [1, 0, 1]) @ turn.T
-        axis.add_collection(LineCollection(list(links[..., :2]), colors="#2a9d3a", linewidths=1.0))
+    for lines_m, colour, width in ((panel.objects_m, "#777777", 4.0), (panel.links_m, "#2a9d3a", 1.0)):
+        if lines_m is not None and len(lines_m):
+            lines = (lines_m - middle * [1, 0, 1]) @ turn.T
+            axis.add_collection(LineCollection(list(lines[..., :2]), colors=colour, linewidths=width))
     axis.plot([-reach, reach], [0, 0], color="#bbbbbb", linewidth=0.8, zorder=0)
     top = float(finite[:, 1].max()) if len(finite) else 1.8
     axis.set_xlim(-reach, reach)

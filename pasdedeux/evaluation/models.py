@@ -31,20 +31,27 @@ _UNITS = {"E_r": "cm", "E_b": "mm", "JPD": "cm"}
 
 
 def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
-    """Return the contacts of a take that last longest, at the mean of their places, as those of a single frame.
+    """Return the contacts of people that last longest, at the mean of their places, as those of a single frame.
 
     Args:
         contacts: The contacts of a take.
         max_pairs: How many pairs of bones are given at most; none that is never in contact.
     """
-    held = contacts.is_held
+    held = contacts.is_held & (contacts.objects < 0)
     bones, which, count = np.unique(contacts.points[held], axis=0, return_inverse=True, return_counts=True)
     shares, hand = np.zeros((len(bones), 4)), np.zeros((len(bones), 2))
     np.add.at(shares, which.ravel(), contacts.shares[held])
     np.add.at(hand, which.ravel(), contacts.hand[held])
     order = np.argsort(-count, kind="stable")[:max_pairs]
     mean = 1.0 / count[order, None]
-    return Contacts(bones[None, order], mean * shares[None, order], np.ones((1, len(order))), mean * hand[None, order])
+    return Contacts(
+        points=bones[None, order],
+        shares=mean * shares[None, order],
+        weights=np.ones((1, len(order))),
+        hand=mean * hand[None, order],
+        objects=np.full((1, len(order)), -1),
+        places_m=np.zeros((1, len(order), 3)),
+    )
 
 
 def model_errors(predicted_m: Array, true_m: Array, keys: Contacts | None = None) -> dict[str, float]:

@@ -174,5 +174,7 @@ def variant_sheet(take_id: str, source: Source, variants_m: Mapping[str, Array],
         ends, shares = found.points[0, held].reshape(-1, 2, 2), np.abs(found.shares[0, held].reshape(-1, 2, 2, 1))
         for name, motion in {"source": source.positions_m, **variants_m}.items():
             links = (shares * motion[frame].reshape(-1, 3)[ends]).sum(axis=2)
-            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, motion[frame], links))
+            links[:, 1] += found.places_m[0, held]
+            objects = source.objects.ends_m[frame] if source.objects else None
+            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, motion[frame], links, objects))
     return skeleton_sheet(panels, title=f"{take_id}: source beside variants, contacts in green")

@@ -12,7 +12,7 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["floor_shift", "place_motion"]
+__all__ = ["floor_shift", "place_motion", "place_points"]
 
 Array = npt.NDArray[np.float64]
 
@@ -30,10 +30,15 @@ def place_motion(motion: Motion, *, translation_m: Sequence[float], yaw_rad: flo
     root = motion.skeleton.root
     local = motion.local_unitquat.copy()
     local[:, root] = multiply(np.broadcast_to(turn, local[:, root].shape), local[:, root])
-    turned = rotate(np.broadcast_to(turn, (motion.num_frames, 4)), motion.root_translation_m)
-    return replace(
-        motion, root_translation_m=turned + np.asarray(translation_m, dtype=np.float64), local_unitquat=local
-    )
+    root_m = place_points(motion.root_translation_m, translation_m=translation_m, yaw_rad=yaw_rad)
+    return replace(motion, root_translation_m=root_m, local_unitquat=local)
+
+
+def place_points(points_m: Array, *, translation_m: Sequence[float], yaw_rad: float) -> Array:
+    """Turn points (*batch, 3) about the world's Y axis by `yaw_rad` and then shift them by `translation_m` (3,)."""
+    turn = unitquat_from_rotvec(np.array([0.0, yaw_rad, 0.0]))
+    turned = rotate(np.broadcast_to(turn, (*points_m.shape[:-1], 4)), points_m)
+    return np.asarray(turned + np.asarray(translation_m, dtype=np.float64))
 
 
 def floor_shift(body22_m: Array) -> float:

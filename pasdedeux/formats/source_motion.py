@@ -13,7 +13,7 @@ from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import conjugate, multiply, rotate, unitquat_from_rotvec
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["UP_AXES", "SourceMotion"]
+__all__ = ["UP_AXES", "SourceMotion", "upright_from_file"]
 
 Array = npt.NDArray[np.float64]
 
@@ -86,13 +86,9 @@ class SourceMotion:
         Raises:
             InputError: An unknown axis, a scale that is not positive, or values that are not finite.
         """
-        if up_axis not in UP_AXES:
-            raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
+        world_from_file = upright_from_file(up_axis)
         if not (np.isfinite(metres_per_unit) and metres_per_unit > 0):
             raise InputError(f"metres per unit is {metres_per_unit}; it must be positive")
-        quarter = np.pi / 2
-        turn = {"x": [0.0, 0.0, quarter], "y": [0.0, 0.0, 0.0], "z": [-quarter, 0.0, 0.0]}[up_axis]
-        world_from_file = unitquat_from_rotvec(np.array(turn))
 
         def turned(vectors: Array) -> Array:
             return rotate(np.broadcast_to(world_from_file, (*vectors.shape[:-1], 4)), vectors)
@@ -110,3 +106,16 @@ class SourceMotion:
             local_unitquat=local,
             rate_hz=rate_hz,
         )
+
+
+def upright_from_file(up_axis: str) -> Array:
+    """Return the rotation (4,) from the axes of a file, of which this one points up, to Y up.
+
+    Raises:
+        InputError: An unknown axis.
+    """
+    if up_axis not in UP_AXES:
+        raise InputError(f"the up axis is '{up_axis}'; allowed: {', '.join(UP_AXES)}")
+    quarter = np.pi / 2
+    turn = {"x": [0.0, 0.0, quarter], "y": [0.0, 0.0, 0.0], "z": [-quarter, 0.0, 0.0]}[up_axis]
+    return unitquat_from_rotvec(np.array(turn))

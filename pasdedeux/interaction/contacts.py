@@ -1,9 +1,10 @@
 """Contacts of people: points of two bones whose surfaces meet.
 
-A body is capsules round its bones; people touch where the surface of one meets that of the other, anywhere along a
-bone.  A contact is a point of a bone of one person and one of another's, or of one's own: a bone is named by its child
-joint, the point by the share of the bone from its parent joint.  It is found where two surfaces are nearest, or stated;
-its weight fades with the distance of the surfaces and nothing switches.  This is what "in contact" means everywhere.
+A body is capsules round its bones, an object is capsules; people touch where the surface of one meets that of the
+other, anywhere along a bone.  A contact is a point of a bone of one person and one of another's, of one's own or of an
+object: a bone is named by its child joint, the point by the share of the bone from its parent joint.  It is found where
+two surfaces are nearest, or stated; its weight fades with the distance of the surfaces and nothing switches.  This is
+what "in contact" means everywhere.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from numba import njit
 from pydantic import Field, field_validator, model_validator
 from scipy.ndimage import gaussian_filter1d
 
+from pasdedeux.errors import InputError
+from pasdedeux.interaction.objects import FLOOR, MovingObjects
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, length, row_of, subtract
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, Skeleton
@@ -30,6 +33,7 @@ __all__ = [
     "Gaps",
     "Letter",
     "UserContact",
+    "check_contacts",
     "closest_joint_distance",
     "fade",
     "find_contacts",
@@ -146,9 +150,12 @@ class UserContact(Settings):
     """A contact that is stated, in place of what is found between the two bones."""
 
     joint_a: str = Field(description="Joint of the first person in which the bone ends, by its name in body22")
-    joint_b: str = Field(description="Joint of the second person in which the bone ends")
+    joint_b: str | None = Field(None, description="Joint of the second person in which the bone ends")
+    object: str | None = Field(
+        None, description="What is touched in place of a second person: an object of the take by its name, or floor"
+    )
     share_a: float = Field(1.0, ge=0, le=1, description="Where on the first bone: 0 at its beginning, 1 at the joint")
-    share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone")
+    share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone, or from an object's start to end")
     person_a: Letter = Field("A", description="The first person")
     person_b: Letter = Field("B", description="The second person, who may be the first")
     start_frame: int = Field(0, ge=0, description="First frame")
@@ -157,32 +164,67 @@ class UserContact(Settings):
 
     @field_validator("joint_a", "joint_b")
     @classmethod
-    def _is_a_joint(cls, joint: str) -> str:
-        if joint not in BODY22.joint_names:
+    def _is_a_joint(cls, joint: str | None) -> str | None:
+        if joint is not None and joint not in BODY22.joint_names:
             raise ValueError(f"joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}")
         return joint
 
     @model_validator(mode="after")
     def _has_frames(self) -> UserContact:
+        if (self.joint_b is None) == (self.object is None):
+            raise ValueError("joint_b or object is needed, and not both")
         if self.stop_frame <= self.start_frame:
             raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
         return self
 
     @property
-    def persons(self) -> tuple[int, int]:
-        """The two people's numbers."""
-        return ascii_uppercase.index(self.person_a), ascii_uppercase.index(self.person_b)
+    def is_of_floor(self) -> bool:
+        """Whether the floor is touched."""
+        return self.object == FLOOR
 
-    def bones(self, skeleton: Skeleton) -> tuple[int, int]:
-        """Return the child joints of the two bones, the joints of all people numbered through."""
-        first, second = (person * skeleton.num_joints for person in self.persons)
-        return first + skeleton.index(self.joint_a), second + skeleton.index(self.joint_b)
+    @property
+    def persons(self) -> tuple[int, ...]:
+        """Numbers of the people, one where something is touched."""
+        letters = self.person_a if self.object else self.person_a + self.person_b
+        return tuple(map(ascii_uppercase.index, letters))
+
+    def bones(self, skeleton: Skeleton, objects: MovingObjects | None) -> tuple[int, int]:
+        """Return the child joints of the two bones, the joints of all people numbered through; -1, ... for objects."""
+        first = self.persons[0] * skeleton.num_joints + skeleton.index(self.joint_a)
+        if self.joint_b is not None:
+            return first, self.persons[1] * skeleton.num_joints + skeleton.index(self.joint_b)
+        assert objects is not None
+        assert self.object is not None
+        return first, -1 - objects.names.index(self.object)
 
     def within(self, start: int, stop: int) -> UserContact | None:
         """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
         first, last = max(self.start_frame, start), min(self.stop_frame, stop)
         changed = {"start_frame": first - start, "stop_frame": last - start}
         return self.model_copy(update=changed) if first < last else None
+
+
+def check_contacts(
+    stated: Sequence[UserContact], *, name: str, num_frames: int, num_people: int, objects: MovingObjects | None
+) -> None:
+    """Refuse contacts of frames, people or objects that a take does not have.
+
+    Raises:
+        InputError: With the contact in words, and what is there.
+    """
+    things = (*(objects.names if objects else ()), FLOOR)
+    for contact in stated:
+        other = contact.object or f"{contact.person_b}'s {contact.joint_b}"
+        said = f"{name}: contact of {contact.person_a}'s {contact.joint_a} and {other}"
+        if max(contact.persons) >= num_people:
+            raise InputError(f"{said}, but the people are {', '.join(ascii_uppercase[:num_people])}")
+        if contact.object and contact.object not in things:
+            raise InputError(f"{said}, but what there is to be touched is {', '.join(things)}")
+        if contact.stop_frame > num_frames:
+            raise InputError(
+                f"{said} over frames {contact.start_frame} to {contact.stop_frame}; allowed are frames within 0 to "
+                f"{num_frames}"
+            )
 
 
 @dataclass(frozen=True)
@@ -194,12 +236,16 @@ class Contacts:
         shares: What the ends contribute to the vector from the second point to the first (T, M, 4).
         weights: From 0 to 1, or as stated (T, M).
         hand: How much the two points are of a hand or foot (T, M, 2), from 0 to 1.
+        objects: The object that the second point is of (T, M), -1 where it is of a person.
+        places_m: Where that point of the object is (T, M, 3), metres; zeros elsewhere.
     """
 
     points: Indices
     shares: Array
     weights: Array
     hand: Array
+    objects: Indices
+    places_m: Array
 
     @property
     def is_held(self) -> npt.NDArray[np.bool_]:
@@ -212,12 +258,14 @@ class Contacts:
         return np.asarray((self.hand >= 0.5).sum(axis=-1))
 
     def bones(self) -> Indices:
-        """Return the child joints of the two bones (T, M, 2), numbered through."""
-        return np.asarray(self.points[..., 1::2])
+        """Return the child joints of the two bones (T, M, 2), numbered through; -1, -2, ... for objects."""
+        bones = np.array(self.points[..., 1::2])
+        bones[..., 1] = np.where(self.objects >= 0, -1 - self.objects, bones[..., 1])
+        return bones
 
     def vectors(self, points_m: Array) -> Array:
         """Return the vectors from second to first point (*batch, T, M, 3) of joints (*batch, T, P J, 3), metres."""
-        return stencil_vectors(self.points, self.shares, points_m)
+        return np.asarray(stencil_vectors(self.points, self.shares, points_m) - self.places_m)
 
     def spread(self, pulls: Array, num_points: int) -> Array:
         """Return what pulls at the contacts' vectors (T, M, 3) pull at the joints (T, P J, 3)."""
@@ -236,8 +284,9 @@ def find_contacts(
     touch_m: tuple[float, float] = TOUCH_M,
     stated: Sequence[UserContact] = (),
     own: Indices | None = None,
+    objects: MovingObjects | None = None,
 ) -> Contacts:
-    """Find where people touch each other; weights and points are averaged over a moment.
+    """Find where people touch each other, and objects; weights and points are averaged over a moment.
 
     Args:
         people_m: Motion of everybody (T, person, joint, 3), metres.
@@ -249,6 +298,7 @@ def find_contacts(
         stated: Contacts that replace what is found between two bones; names are those of the skeleton.
         own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
             not reach beyond its wrist, or arms that hang would touch the thighs.
+        objects: What else may be touched, by every bone.
     """
     (frames, num_people), joints = people_m.shape[:2], skeleton.num_joints
     children = np.array([child for _, child in skeleton.bones])
@@ -259,20 +309,29 @@ def find_contacts(
         + [np.zeros((0, 2), np.int64)]
     )
     points = np.ascontiguousarray(people_m, dtype=np.float64).reshape(frames, -1, 3)
-    radii = np.ravel(np.asarray(radii_m, dtype=np.float64))
-    share, gap = nearest_on_bones(points, bones, parents_of(skeleton, num_people), radii)
+    radii, parents = np.ravel(np.asarray(radii_m, dtype=np.float64)), parents_of(skeleton, num_people)
+    if objects is not None:
+        # Their ends come last, the first object's at the very end: -1 is its bone.
+        things = -1 - np.arange(len(objects.names))
+        everyone = (children + joints * np.arange(num_people)[:, None]).ravel()
+        bones = np.concatenate([bones, np.stack(np.meshgrid(everyone, things, indexing="ij"), -1).reshape(-1, 2)])
+        starts, ends = objects.ends_m[:, ::-1, 0], objects.ends_m[:, ::-1, 1]
+        points = np.concatenate([points, starts, ends], axis=1)
+        parents = np.concatenate([parents, *[len(parents) + np.arange(len(things))] * 2])
+        radii = np.concatenate([radii, np.zeros(len(things)), objects.radii_m[::-1]])
+    share, gap = nearest_on_bones(points, bones, parents, radii)
     reach = _HAND_M * (_hands(bones, share, skeleton) * _is_hand(skeleton)[bones % joints]).sum(axis=-1)
     weights = fade(gap - reach * (bones[:, 0] // joints != bones[:, 1] // joints), *touch_m)
     places = {frozenset(pair): place for place, pair in enumerate(bones.tolist())}
     told = []
-    for contact in stated:
-        ends = contact.bones(skeleton)
+    for contact in (one for one in stated if not one.is_of_floor):
+        both = contact.bones(skeleton, objects)
         when = slice(contact.start_frame, contact.stop_frame)
-        if frozenset(ends) in places:
-            weights[when, places[frozenset(ends)]] = 0.0
+        if frozenset(both) in places:
+            weights[when, places[frozenset(both)]] = 0.0
         weight = np.zeros(frames)
         weight[when] = contact.weight
-        told.append((ends, (contact.share_a, contact.share_b), weight))
+        told.append((both, (contact.share_a, contact.share_b), weight))
     is_near = weights.max(axis=0, initial=0.0) > _SMALLEST_WEIGHT
     bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
     if frames > 1 and weights.size:
@@ -289,30 +348,49 @@ def find_contacts(
         share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
         bones = np.concatenate([bones, np.array([ends for ends, *_ in told])])
     frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
-    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton)
+    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton, objects)
 
 
-def stated_contacts(stated: Sequence[UserContact], num_frames: int, skeleton: Skeleton) -> Contacts:
-    """Return contacts just as they are stated, without those found and without averaging."""
-    rows = [(frame, contact) for contact in stated for frame in range(contact.start_frame, contact.stop_frame)]
+def stated_contacts(
+    stated: Sequence[UserContact], num_frames: int, skeleton: Skeleton, objects: MovingObjects | None = None
+) -> Contacts:
+    """Return contacts just as they are stated, without those found, without averaging and without the floor's."""
+    held = [contact for contact in stated if not contact.is_of_floor]
+    rows = [(frame, contact) for contact in held for frame in range(contact.start_frame, contact.stop_frame)]
     rows.sort(key=lambda row: row[0])
-    bones = np.array([contact.bones(skeleton) for _, contact in rows], dtype=np.int64).reshape(-1, 2)
+    bones = np.array([contact.bones(skeleton, objects) for _, contact in rows], dtype=np.int64).reshape(-1, 2)
     share = np.array([[c.share_a, c.share_b] for _, c in rows]).reshape(-1, 2)
     frame = np.array([frame for frame, _ in rows], dtype=np.intp)
-    return _pack(frame, num_frames, bones, share, np.array([c.weight for _, c in rows]), skeleton)
+    return _pack(frame, num_frames, bones, share, np.array([c.weight for _, c in rows]), skeleton, objects)
 
 
 def _pack(
-    frame: npt.NDArray[np.intp], num_frames: int, bones: Indices, share: Array, weights: Array, skeleton: Skeleton
+    frame: npt.NDArray[np.intp],
+    num_frames: int,
+    bones: Indices,
+    share: Array,
+    weights: Array,
+    skeleton: Skeleton,
+    objects: MovingObjects | None,
 ) -> Contacts:
     """Lay contacts of these frames (n,) out by frame: bones and places on them (n, 2), weights (n,)."""
     packed, s, t = packer(frame, num_frames), *share.T
     parents = parents_of(skeleton, 1 + int(bones.max(initial=0)) // skeleton.num_joints)
+    thing = np.where(bones[:, 1] < 0, -1 - bones[:, 1], -1)
+    places_m = np.zeros((len(bones), 3))
+    if objects is not None:
+        starts, ends = (objects.ends_m[frame, thing, end] for end in (0, 1))
+        places_m = np.where((thing >= 0)[:, None], starts + t[:, None] * (ends - starts), 0.0)
+    # A point of an object is given, so nobody's joints contribute to it.
+    second = np.where((thing >= 0)[:, None], 0.0, np.stack([t - 1.0, -t], axis=-1))
+    people = np.where(bones < 0, bones[:, :1], bones)
     return Contacts(
-        points=packed(np.stack([parents[bones], bones], axis=-1).reshape(-1, 4)),
-        shares=packed(np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)),
+        points=packed(np.stack([parents[people], people], axis=-1).reshape(-1, 4)),
+        shares=packed(np.concatenate([np.stack([1.0 - s, s], axis=-1), second], axis=-1)),
         weights=packed(weights),
         hand=packed(_hands(bones, share, skeleton)),
+        objects=packed(thing + 1) - 1,
+        places_m=packed(places_m),
     )
 
 
@@ -325,7 +403,7 @@ def _hands(bones: Indices, share: Array, skeleton: Skeleton) -> Array:
     is_end = np.array([name.endswith(("wrist", "ankle")) for name in skeleton.joint_names])
     is_foot = np.array([name.endswith("toe") for name in skeleton.joint_names])
     joints = bones % skeleton.num_joints
-    return np.where(is_end[joints], fade(-share, -1.0, -_HAND_SHARE), is_foot[joints])
+    return np.where(is_end[joints], fade(-share, -1.0, -_HAND_SHARE), is_foot[joints]) * (bones >= 0)
 
 
 def packer(frame: npt.NDArray[np.intp], num_frames: int) -> Callable[[npt.NDArray[Any]], npt.NDArray[Any]]:

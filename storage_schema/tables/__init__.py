@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from storage_schema.columns import Table
-from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, POSES, TAKE_QUALITY, TAKES
+from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, OBJECTS, POSES, TAKE_QUALITY, TAKES
 from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
 from storage_schema.tables.products import (
     MODELS,
@@ -34,6 +34,7 @@ TABLES: dict[str, Table] = {
         TAKES,
         TAKE_QUALITY,
         POSES,
+        OBJECTS,
         ANNOTATIONS,
         CAMERAS,
         TORSO_BASIS,

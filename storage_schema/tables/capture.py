@@ -19,7 +19,7 @@ from storage_schema.tables.common import (
     unitquats,
 )
 
-__all__ = ["ANNOTATIONS", "CAMERAS", "POSES", "TAKES", "TAKE_QUALITY"]
+__all__ = ["ANNOTATIONS", "CAMERAS", "OBJECTS", "POSES", "TAKES", "TAKE_QUALITY"]
 
 TAKES = Table(
     name="takes",
@@ -87,6 +87,19 @@ TAKE_QUALITY = Table(
             "twin_m", "Difference of the partners' poses at one size, 95th percentile; NaN without a partner", unit="m"
         ),
         *VERDICT,
+    ),
+)
+
+OBJECTS = Table(
+    name="objects",
+    meaning="One row per take, object and frame: what people handle, capsules that move as they were captured.",
+    sorted_by=("take_id", "object", "frame"),
+    columns=(
+        TAKE_ID,
+        text("object", "Name of the capsule"),
+        FRAME.with_meaning("Frame of the take at the study's rate, from 0"),
+        array("ends_m", "World positions of both ends of its axis", axes={"end": 2, "xyz": 3}, unit="m"),
+        float64("radius_m", "Its radius", unit="m"),
     ),
 )
 

@@ -63,7 +63,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_take(store, take).source
     known = known_contacts(store.manifest(take))
-    contacts = stated_contacts(known, source.num_frames, BODY22) if known else source.contacts()
+    contacts = stated_contacts(known, source.num_frames, BODY22, source.objects) if known else source.contacts()
     if contacts.weights.size:
         whose = "known because the take was built that way" if known else "found in the source"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")

@@ -129,6 +129,15 @@ class TakeOptions(CommonOptions):
 
     id: str = Field(pattern=_ID, max_length=100, description="Name of the take, unique in the study")
     files: tuple[Path, ...] = Field(min_length=1, max_length=26, description="A motion file for each person")
+    objects: Path | None = Field(
+        default=None,
+        description="What the people handle: capsules in metres, in the axes and frames of A's file (CSV, npz)",
+    )
+    contacts: Path | None = Field(
+        default=None,
+        description="Contacts that are known, a row each with the columns of `augmentation.contacts`, frames those of "
+        "A's file (CSV)",
+    )
 
 
 class PairOptions(CommonOptions):
@@ -403,6 +412,8 @@ class TakeParameters(_OfTake):
     floor: Literal["auto", "keep"]
     persons: tuple[PersonParameters, ...]
     mappings: Mappings
+    objects_sha256: str = ""
+    contacts_sha256: str = ""
 
 
 class VideoParameters(VirtualCameras):

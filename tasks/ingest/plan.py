@@ -7,6 +7,9 @@ from pathlib import Path
 
 from pasdedeux.choreography import DUETS
 from pasdedeux.errors import InputError
+from pasdedeux.interaction.contact_table import read_contacts
+from pasdedeux.interaction.contacts import check_contacts
+from pasdedeux.interaction.objects import read_objects
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
@@ -23,7 +26,7 @@ from tasks.ingest.parameters import (
     VideoParameters,
     VirtualCameras,
 )
-from tasks.ingest.sources import PersonSource, credit_of, find_person
+from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file, read_named
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG
 from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
@@ -161,6 +164,8 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
     source = credit_of(people[0].told.layout, take.licence, take.credit)
     if take.swap_persons:
         people.reverse()
+    objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
+    _check_things(take.id, people, objects, contacts)
     layouts = {person.told.layout for person in people}
     told = TakeParameters(
         take_id=take.id,
@@ -173,8 +178,29 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
         floor=take.floor,
         persons=tuple(person.told for person in people),
         mappings={name: tables for name, tables in parameters.mappings.items() if name in layouts},
+        objects_sha256=objects.file.sha256 if objects else "",
+        contacts_sha256=contacts.file.sha256 if contacts else "",
     )
-    return _shard(seed, take.id, "take", told, [file for person in people for file in person.files])
+    files = [file for person in people for file in person.files]
+    files += [loaded.file for loaded in (objects, contacts) if loaded is not None]
+    return _shard(seed, take.id, "take", told, files)
+
+
+def _check_things(
+    take_id: str, people: Sequence[PersonSource], objects: LoadedFile | None, contacts: LoadedFile | None
+) -> None:
+    """Refuse objects of other frames than person A's file, and contacts of what is not there."""
+    name, num_frames = people[0].told.source_name, people[0].num_frames
+    things = read_named(objects, read_objects) if objects else None
+    if objects is not None and things is not None and things.num_frames != num_frames:
+        raise InputError(
+            f"take {take_id}: {Path(objects.file.path).name} has {things.num_frames} frames, but {name} has "
+            f"{num_frames}; objects need all frames of person A's file"
+        )
+    if contacts is not None:
+        stated = read_named(contacts, read_contacts)
+        said = f"take {take_id}: {Path(contacts.file.path).name}"
+        check_contacts(stated, name=said, num_frames=num_frames, num_people=len(people), objects=things)
 
 
 def _common_length(take: TakeOptions, people: Sequence[PersonSource]) -> int:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.file_format import MotionFormat, MotionHead
@@ -22,6 +22,7 @@ from tasks.stage import SourceFile
 
 __all__ = [
     "NOT_STATED",
+    "LoadedFile",
     "PersonSource",
     "credit_of",
     "find_companion",
@@ -29,10 +30,13 @@ __all__ = [
     "layout_named",
     "load_file",
     "read_again",
+    "read_named",
 ]
 
 Tables = Mapping[Any, Mapping[str, Any]]
 """For each working skeleton the changed entries of its table."""
+
+T = TypeVar("T")
 
 NOT_STATED = "not stated"
 OWN_FILES = "files given in the study"
@@ -88,6 +92,14 @@ def read_again(file: SourceFile) -> bytes:
     if loaded.file.sha256 != file.sha256:
         raise InputError(f"file {file.path} changed since the run was planned; run again")
     return loaded.data
+
+
+def read_named(loaded: LoadedFile, read: Callable[[bytes], T]) -> T:
+    """Return what a reader makes of a file; what it refuses is said with the file's name."""
+    try:
+        return read(loaded.data)
+    except InputError as error:
+        raise type(error)(f"{Path(loaded.file.path).name}: {error}") from None
 
 
 def layout_named(name: str, joint_names: tuple[str, ...], mappings: Mapping[str, Tables]) -> Layout:

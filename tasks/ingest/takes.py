@@ -15,12 +15,16 @@ from pasdedeux.choreography import make_duet
 from pasdedeux.errors import InputError
 from pasdedeux.formats.guess import AxisGuess, common_up_axis, guess_up_axis
 from pasdedeux.formats.own_skeleton import body_map
-from pasdedeux.formats.placement import floor_shift, place_motion
+from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
-from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
+from pasdedeux.interaction.contact_table import read_contacts
+from pasdedeux.interaction.objects import MovingObjects, read_objects
 from pasdedeux.kinematics import Motion
+from pasdedeux.kinematics.rotations import rotate
 from pasdedeux.plausibility.capture import JudgedCapture, PersonCapture, check_capture, judge_capture
+from pasdedeux.projections.sources import resample_positions
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
@@ -88,8 +92,8 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
     ]
     common = common_up_axis(guesses) if guesses else None
     people = []
-    for person, source in zip(parameters.persons, read, strict=True):
-        up_axis = common.axis if common is not None and person.up_axis == "auto" else person.up_axis
+    up_axes = [common.axis if common and person.up_axis == "auto" else person.up_axis for person in parameters.persons]
+    for person, source, up_axis in zip(parameters.persons, read, up_axes, strict=True):
         captured = place_motion(
             source.to_motion(metres_per_unit=person.metres_per_unit, rate_hz=person.rate_hz, up_axis=up_axis),
             translation_m=person.translation_m,
@@ -109,7 +113,36 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
                 has_rotations=MOTION_FORMATS[person.format].has_rotations,
             )
         )
-    return _commit(shard, store, parameters, people, parameters.floor, _verdict(parameters.persons, common))
+    verdict, facts, objects = _verdict(parameters.persons, common), {}, None
+    if parameters.contacts_sha256:
+        facts["contacts"] = _known_contacts(parameters, read_again(files[parameters.contacts_sha256]))
+    if parameters.objects_sha256:
+        objects = _objects(parameters, read_again(files[parameters.objects_sha256]), up_axes[0])
+    return _commit(shard, store, parameters, people, parameters.floor, verdict, facts, objects)
+
+
+def _known_contacts(take: TakeParameters, data: bytes) -> list[dict[str, Any]]:
+    """Return the contacts of the frames that are taken, counted at the study's rate."""
+    first = take.persons[0]
+    known = (contact.within(first.first_frame, first.first_frame + take.num_frames) for contact in read_contacts(data))
+    stated = []
+    for contact in (one for one in known if one is not None):
+        start, stop = (
+            int(np.ceil(frame * take.rate_hz / first.rate_hz - 1e-6))
+            for frame in (contact.start_frame, contact.stop_frame)
+        )
+        if start < stop:
+            stated.append(contact.model_copy(update={"start_frame": start, "stop_frame": stop}).model_dump())
+    return stated
+
+
+def _objects(take: TakeParameters, data: bytes, up_axis: str) -> MovingObjects:
+    """Return the objects in the world and at the rate of the study, before the take is put on the floor."""
+    first, objects = take.persons[0], read_objects(data)
+    ends = objects.ends_m[first.first_frame : first.first_frame + take.num_frames]
+    upright = rotate(np.broadcast_to(upright_from_file(up_axis), (*ends.shape[:-1], 4)), ends)
+    placed = place_points(upright, translation_m=first.translation_m, yaw_rad=float(np.deg2rad(first.yaw_deg)))
+    return replace(objects, ends_m=resample_positions(placed, from_hz=first.rate_hz, to_hz=take.rate_hz))
 
 
 def _read(take: TakeParameters, person: PersonParameters, files: dict[str, SourceFile]) -> SourceMotion:
@@ -147,6 +180,7 @@ def _commit(
     floor: Literal["auto", "keep"],
     verdict: Verdict,
     more_facts: Mapping[str, Any] = MappingProxyType({}),
+    objects: MovingObjects | None = None,
 ) -> ArtifactRef:
     """Check the capture, put the take on the floor where asked, derive the working skeletons and commit.
 
@@ -194,11 +228,23 @@ def _commit(
             **tables,
             "takes": _takes(parameters, people, poses),
             "poses": _poses(take_id, parameters.rate_hz, people, poses),
+            **({"objects": _object_rows(take_id, objects, shift)} if objects is not None else {}),
         },
         facts=facts,
         sources=[parameters.source],
         verdict=_joined(verdict, judged.take),
     )
+
+
+def _object_rows(take_id: str, objects: MovingObjects, shift: float) -> dict[str, Any]:
+    frames, count = objects.ends_m.shape[:2]
+    return {
+        "take_id": [take_id] * frames * count,
+        "object": np.repeat(objects.names, frames).tolist(),
+        "frame": np.tile(np.arange(frames), count),
+        "ends_m": np.swapaxes(objects.ends_m + np.array([0.0, shift, 0.0]), 0, 1).reshape(-1, 2, 3),
+        "radius_m": np.repeat(objects.radii_m, frames),
+    }
 
 
 def _joined(guessed: Verdict, captured: Verdict) -> Verdict:

@@ -74,5 +74,5 @@ def test_who_is_alone_keeps_a_hand_on_the_other_arm_and_feet_on_the_floor() -> N
 
 def test_contacts_of_somebody_who_is_not_there_are_refused() -> None:
     stated = UserContact(joint_a="head", joint_b="head", person_a="B", person_b="D", stop_frame=5)
-    with pytest.raises(InputError, match="contact of B's head and D's head, but the take has the people A, B, C"):
+    with pytest.raises(InputError, match="contact of B's head and D's head, but the people are A, B, C"):
         Augmenter(Source(swaying_people(3, 8), 30.0), user_contacts=[stated])

@@ -83,6 +83,16 @@ def test_the_built_in_duets_pass_at_any_rate(name: str) -> None:
         assert judged(duet(name, rate_hz), rate_hz) == Verdict(Level.PASS)
 
 
+def test_one_of_three_who_is_far_away_or_another_twice_is_noticed() -> None:
+    away, twice = (duet("trio", 30.0).copy() for _ in range(2))
+    away[:, 2] += [7.0, 0.0, 0.0]
+    twice[:, 2] = twice[:, 0] + [1.5, 0.0, 0.0]
+    for people, said in ((away, "come no nearer than"), (twice, "one motion twice")):
+        verdict = judged(people, 30.0)
+        assert verdict.level is Level.FAIL
+        assert said in verdict.reason
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_is_a_failure_and_named_at_any_rate(fault: str) -> None:
     plant, said = FAULTS[fault]

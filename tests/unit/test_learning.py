@@ -19,7 +19,12 @@ from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(6), 30.0, "sway")
 ROOTS = Contacts(
-    np.array([[[0, 0, 22, 22]]]), np.array([[[0.0, 1.0, 0.0, -1.0]]]), np.ones((1, 1)), np.zeros((1, 1, 2))
+    np.array([[[0, 0, 22, 22]]]),
+    np.array([[[0.0, 1.0, 0.0, -1.0]]]),
+    np.ones((1, 1)),
+    np.zeros((1, 1, 2)),
+    objects=np.full((1, 1), -1),
+    places_m=np.zeros((1, 1, 3)),
 )
 
 

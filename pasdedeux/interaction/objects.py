@@ -1,0 +1,130 @@
+"""Objects that people handle: capsules that move as they were captured, whoever handles them in a variant."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.errors import FormatError
+from pasdedeux.formats.npz import is_npz, read_npz
+from pasdedeux.formats.text import decode, parse_integer, parse_number
+
+__all__ = ["FLOOR", "MovingObjects", "read_objects"]
+
+Array = npt.NDArray[np.float64]
+
+FLOOR = "floor"
+"""What the floor is called where things are named."""
+_ENDS = [f"{axis}_{end}_m" for end in ("start", "end") for axis in "xyz"]
+_COLUMNS = ("frame", "name", *_ENDS, "radius_m")
+_LARGEST_M = 100.0
+"""Coordinates and radii beyond this are in another unit."""
+
+
+@dataclass(frozen=True)
+class MovingObjects:
+    """Capsules in the world over time.
+
+    Args:
+        names: Their names.
+        ends_m: Both ends of each axis (frame, capsule, 2, 3), metres; a point where they are one.
+        radii_m: Their radii (capsule,), metres.
+    """
+
+    names: tuple[str, ...]
+    ends_m: Array
+    radii_m: Array
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames."""
+        return len(self.ends_m)
+
+    def at(self, frames: slice) -> MovingObjects:
+        """Return them in some frames."""
+        return replace(self, ends_m=self.ends_m[frames])
+
+
+def read_objects(data: bytes) -> MovingObjects:
+    """Read the capsules of a take, in its files' axes, metres; a point is a capsule whose ends are one.
+
+    CSV has the columns frame, name, x_start_m, y_start_m, z_start_m, x_end_m, y_end_m, z_end_m, radius_m, a row for
+    each frame and capsule, all frames from 0 on.  An npz has `names` (capsule,), `ends_m` (frame, capsule, 2, 3) and
+    `radii_m` (capsule,).
+
+    Raises:
+        FormatError: Something is missing, there twice, not a number or absurd; the line or array is named.
+    """
+    return _of_arrays(data) if is_npz(data) else _of_table(decode(data, "table of objects"))
+
+
+def _of_arrays(data: bytes) -> MovingObjects:
+    arrays = read_npz(data, "archive of objects")
+    names, ends, radii = (arrays.get(name) for name in ("names", "ends_m", "radii_m"))
+    if names is None or ends is None or radii is None:
+        raise FormatError("'names' (capsule,), 'ends_m' (frame, capsule, 2, 3) and 'radii_m' (capsule,) are needed")
+    count = names.size
+    fits = names.dtype.kind == "U" and ends.dtype.kind in "fiu" and radii.dtype.kind in "fiu"
+    if not fits or names.shape != (count,) or radii.shape != (count,) or ends.shape[1:] != (count, 2, 3):
+        raise FormatError(
+            f"'names' {names.shape}, 'ends_m' {ends.shape} and 'radii_m' {radii.shape} do not fit (capsule,), "
+            "(frame, capsule, 2, 3) and (capsule,)"
+        )
+    return _checked(tuple(map(str, names)), ends.astype(np.float64), radii.astype(np.float64))
+
+
+def _of_table(text: str) -> MovingObjects:
+    reader = csv.DictReader(io.StringIO(text))
+    missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+    if missing:
+        raise FormatError(f"line 1: the column {missing[0]} is missing; needed: {', '.join(_COLUMNS)}")
+    found: dict[tuple[int, str], list[float]] = {}
+    for row in reader:
+        where = f"line {reader.line_num}"
+        if None in row.values():
+            raise FormatError(f"{where}: there are fewer values than columns")
+        key = parse_integer(row["frame"], where), row["name"]
+        if key in found:
+            raise FormatError(f"{where}: frame {key[0]} of '{key[1]}' is there twice")
+        found[key] = [parse_number(row[name], f"{where}, {name}") for name in (*_ENDS, "radius_m")]
+    names = tuple(dict.fromkeys(name for _, name in found))
+    frames = 1 + max((frame for frame, _ in found), default=-1)
+    values = np.full((frames, len(names), 7), np.nan)
+    for (frame, name), numbers in found.items():
+        if frame < 0:
+            raise FormatError(f"frame {frame} of '{name}' is none; frames are counted from 0")
+        values[frame, names.index(name)] = numbers
+    gaps = np.argwhere(np.isnan(values[..., 0]))
+    if len(gaps):
+        frame, one = gaps[0]
+        raise FormatError(f"frame {frame} of '{names[one]}' is missing; needed are all from 0 to {frames - 1}")
+    radii = np.median(values[..., 6], axis=0) if frames else np.zeros(0)
+    if (values[..., 6] != radii).any():
+        frame, one = np.argwhere(values[..., 6] != radii)[0]
+        raise FormatError(f"frame {frame}: the radius of '{names[one]}' changes; objects keep their size")
+    return _checked(names, values[..., :6].reshape(frames, len(names), 2, 3), radii)
+
+
+def _checked(names: tuple[str, ...], ends_m: Array, radii_m: Array) -> MovingObjects:
+    if not names or not len(ends_m):
+        raise FormatError("there is no object in it")
+    if len(set(names)) < len(names) or not all(names):
+        raise FormatError("every capsule needs a name of its own")
+    is_bad = ~(np.abs(ends_m) < _LARGEST_M).all(axis=(2, 3))
+    if is_bad.any():
+        frame, one = np.argwhere(is_bad)[0]
+        raise FormatError(
+            f"frame {frame}: '{names[one]}' is not finite or further than {_LARGEST_M:g} m from the origin; "
+            "are these metres?"
+        )
+    is_size = (radii_m >= 0) & (radii_m < _LARGEST_M)
+    if not is_size.all():
+        one = int(np.argmin(is_size))
+        raise FormatError(f"the radius of '{names[one]}' is {radii_m[one]:g}; allowed are 0 to {_LARGEST_M:g} m")
+    if FLOOR in names:
+        raise FormatError(f"no capsule may be called {FLOOR}: that is what contacts call the floor")
+    return MovingObjects(names, ends_m, radii_m)

@@ -1,0 +1,244 @@
+"""What people handle, and contacts that are stated: read, found, kept, refused in words."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import Augmenter, Source, UserContact, uniform_variations
+from pasdedeux.augmentation.source import points_of, reference_motion
+from pasdedeux.augmentation.support import floor_weights, stance_weights
+from pasdedeux.choreography import make_duet
+from pasdedeux.errors import FormatError, InputError
+from pasdedeux.formats.bvh_writer import write_bvh
+from pasdedeux.interaction.contact_table import read_contacts
+from pasdedeux.interaction.contacts import stated_contacts
+from pasdedeux.interaction.objects import MovingObjects, read_objects
+from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.skeletons import BODY22
+from storage_schema import Store
+from tasks.augmentation import known_contacts, read_take
+from tasks.ingest import STAGE, IngestParameters
+from tasks.stage import StageInputs
+from tests.builders.moving_pairs import swaying_people
+
+FRAMES = 16
+WRISTS = BODY22.indices(["left_wrist", "right_wrist"])
+
+
+def carried_bar(count: int = 1) -> Source:
+    """Return people who sway, A with both wrists on a bar as thick as a broom, 2 cm off it."""
+    people = swaying_people(count, FRAMES)
+    wrists = people[:, 0, WRISTS]
+    source = Source(people, 30.0)
+    out_m = 0.02 + 0.015 + source.radii_m[0, WRISTS[0]]
+    return Source(
+        people,
+        30.0,
+        objects=MovingObjects(("bar",), (wrists + np.array([0.0, 0.0, out_m]))[:, None], np.array([0.015])),
+    )
+
+
+def table_of(objects: MovingObjects) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text)
+    ends = [f"{axis}_{end}_m" for end in ("start", "end") for axis in "xyz"]
+    rows.writerow(["frame", "name", *ends, "radius_m"])
+    for frame, capsules in enumerate(objects.ends_m):
+        for name, capsule, radius in zip(objects.names, capsules, objects.radii_m, strict=True):
+            rows.writerow([frame, name, *capsule.ravel().tolist(), radius])
+    return text.getvalue()
+
+
+def archive_of(objects: MovingObjects) -> bytes:
+    data = io.BytesIO()
+    np.savez(data, names=np.array(objects.names), ends_m=objects.ends_m, radii_m=objects.radii_m)
+    return data.getvalue()
+
+
+def test_table_and_archive_say_the_same() -> None:
+    ends = np.random.default_rng(0).normal(size=(5, 3, 2, 3))
+    objects = MovingObjects(("box", "lid", "ball"), ends, np.array([0.1, 0.02, 0.11]))
+    for found in (read_objects(table_of(objects).encode()), read_objects(archive_of(objects))):
+        assert found.names == objects.names
+        np.testing.assert_array_equal(found.ends_m, objects.ends_m)
+        np.testing.assert_array_equal(found.radii_m, objects.radii_m)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("radius_m", "radius", "line 1: the column radius_m is missing"),
+        ("\n2,bar", "\n1,bar", "line 4: frame 1 of 'bar' is there twice"),
+        ("\n2,bar", "\n99,bar", "frame 2 of 'bar' is missing; needed are all from 0 to 99"),
+        ("\n2,bar", "\n-2,bar", "frame -2 of 'bar' is none"),
+        ("\n2,bar,", "\n2,bar,much", "line 4, x_start_m: 'much"),
+        ("\n2,bar,", "\n2,bar,2", "frame 2: 'bar' is not finite or further than 100 m"),
+        ("bar", "floor", "no capsule may be called floor"),
+        ("0.015", "-1.0", "the radius of 'bar' is -1"),
+    ],
+)
+def test_tables_of_objects_that_are_none_are_refused_in_words(old: str, new: str, sentence: str) -> None:
+    ends = np.full((FRAMES, 1, 2, 3), 11.5)
+    text = table_of(MovingObjects(("bar",), ends, np.array([0.015]))).replace("\r\n", "\n")
+    assert old in text
+    with pytest.raises(FormatError) as refused:
+        read_objects(text.replace(old, new, 1 if "2,bar" in old or old == "radius_m" else -1).encode())
+    assert sentence in str(refused.value)
+
+
+def test_hands_on_an_object_are_found_wherever_the_take_lies() -> None:
+    source = carried_bar(2)
+    found = source.contacts()
+    on_bar = found.is_held & (found.objects == 0)
+    assert on_bar.any(axis=1).all()
+    assert set(found.points[on_bar][:, 1]) >= set(WRISTS)
+    assert (found.shares[on_bar][:, 2:] == 0.0).all()
+    turn, shift = yaw_rotmat(0.7), np.array([1.0, 0.0, -2.0])
+    assert source.objects is not None
+    moved = MovingObjects(("bar",), source.objects.ends_m @ turn.T + shift, source.objects.radii_m)
+    again = Source(source.positions_m @ turn.T + shift, 30.0, objects=moved).contacts()
+    for one, other, motion in ((found, again, source.positions_m),):
+        np.testing.assert_allclose(one.weights, other.weights, atol=1e-9)
+        lengths = np.linalg.norm(one.vectors(points_of(motion)), axis=-1)
+        np.testing.assert_allclose(
+            lengths, np.linalg.norm(other.vectors(points_of(motion @ turn.T + shift)), axis=-1), atol=1e-9
+        )
+    alone = Source(source.positions_m, 30.0).contacts()
+    assert (alone.objects == -1).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_bar_stays_in_the_hands_at_every_size(count: int) -> None:
+    source = carried_bar(count)
+    contacts = source.contacts()
+    held = contacts.is_held & (contacts.objects == 0)
+    before = np.linalg.norm(contacts.vectors(points_of(source.positions_m)), axis=-1)[held]
+    for variant in Augmenter(source).solve(uniform_variations([0.8, 1.2], ["A"], count)):
+        after = np.linalg.norm(contacts.vectors(points_of(variant.positions_m)), axis=-1)[held]
+        plain = points_of(reference_motion(source, variant.bone_scale[None])[0])
+        assert np.percentile(np.abs(after - before), 95) < 0.005
+        assert np.percentile(np.abs(np.linalg.norm(contacts.vectors(plain), axis=-1)[held] - before), 95) > 0.03
+    (follow,) = Augmenter(source).solve(uniform_variations([1.0], ["A"], count))
+    np.testing.assert_allclose(follow.positions_m, source.positions_m, atol=1e-5)
+
+
+def test_a_hand_that_is_said_to_lie_on_the_floor_lies_there() -> None:
+    source = Source(swaying_people(1, FRAMES), 30.0)
+    stated = [UserContact(joint_a="left_wrist", object="floor", stop_frame=FRAMES)]
+    wrist = WRISTS[0]
+    assert stance_weights(source)[:, 0, wrist].max() < 0.01
+    for weights in (stance_weights(source, stated), floor_weights(source, stated)):
+        np.testing.assert_allclose(weights[:, 0, wrist], 1.0)
+    (free,), (lying,) = (
+        Augmenter(source, user_contacts=contacts).solve(uniform_variations([0.8], ["A"], 1))
+        for contacts in ((), stated)
+    )
+    away = [np.abs(v.positions_m - source.positions_m)[:, 0, wrist, 1].max() for v in (free, lying)]
+    assert away[1] < 0.01 < away[0]
+    assert not stated_contacts(stated, FRAMES, BODY22).weights.size
+
+
+@pytest.mark.parametrize(
+    ("stated", "sentence"),
+    [
+        ({"joint_b": "head", "person_b": "C"}, "contact of A's head and C's head, but the people are A, B"),
+        ({"object": "box"}, "contact of A's head and box, but what there is to be touched is bar, floor"),
+        ({"object": "bar", "stop_frame": 99}, "over frames 0 to 99; allowed are frames within 0 to 16"),
+    ],
+)
+def test_contacts_of_what_is_not_there_are_refused(stated: dict[str, Any], sentence: str) -> None:
+    contact = UserContact(**{"joint_a": "head", "stop_frame": 5, **stated})
+    with pytest.raises(InputError, match=sentence):
+        Augmenter(carried_bar(2), user_contacts=[contact])
+
+
+def test_objects_of_another_length_are_refused() -> None:
+    source = carried_bar()
+    assert source.objects is not None
+    with pytest.raises(InputError, match="its objects have 15 frames, the people 16"):
+        Source(source.positions_m, 30.0, objects=source.objects.at(slice(1, None)))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("joint_a,joint_c,stop_frame\nhead,head,3\n", "line 1: the column 'joint_c' is not known; known: joint_a"),
+        ("joint_a,joint_b,stop_frame\nhead,head,3\nnose,head,3\n", "line 3: joint_a: joint 'nose' is not in body22"),
+        ("joint_a,joint_b,stop_frame\nhead,,3\n", "line 2: joint_b or object is needed, and not both"),
+        ("joint_a,joint_b,start_frame,stop_frame\nhead,head,3,3\n", "line 2: frames 3 to 3 are none"),
+        ("joint_a,object,stop_frame,share_a\nhead,floor,3,2\n", "line 2: share_a: Input should be less than"),
+    ],
+)
+def test_tables_of_contacts_that_are_none_are_refused_in_words(text: str, sentence: str) -> None:
+    with pytest.raises(FormatError) as refused:
+        read_contacts(text.encode())
+    assert sentence in str(refused.value)
+
+
+def trio_files(folder: Path) -> dict[str, Any]:
+    """Write a trio at 60 Hz with a hoop in the middle and a table of contacts; give the take's options."""
+    trio = make_duet("trio", duration_s=1.0)
+    files = []
+    for letter, motion in zip("ABC", trio.motions, strict=True):
+        files.append(folder / f"{letter}_1.bvh")
+        files[-1].write_text(write_bvh(motion))
+    ends = np.repeat(np.array([[[0.0, 1.0, 0.0], [0.2, 1.0, 0.0]]])[None], 60, axis=0)
+    ends[:, :, :, 1] += np.linspace(0.0, 1.0, 60)[:, None, None]
+    (folder / "hoop.csv").write_text(table_of(MovingObjects(("hoop",), ends, np.array([0.05]))))
+    (folder / "contacts.csv").write_text(
+        "joint_a,share_a,person_a,joint_b,person_b,object,start_frame,stop_frame\n"
+        "left_wrist,,B,right_wrist,C,,20,50\n"
+        "head,0.5,C,,,hoop,0,20\n"
+    )
+    return {
+        "id": "ring",
+        "files": [str(file) for file in files],
+        "objects": str(folder / "hoop.csv"),
+        "contacts": str(folder / "contacts.csv"),
+        "metres_per_unit": 0.01,
+        "frames": [10, 60],
+    }
+
+
+def section(take: dict[str, Any]) -> IngestParameters:
+    return IngestParameters.model_validate({"rate_hz": 30.0, "takes": [take], "virtual_video": {"num_videos": 0}})
+
+
+def test_three_files_objects_and_contacts_make_a_take(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    (shard,) = STAGE.plan(StageInputs(manifests={}, seed=0), section(trio_files(tmp_path)))
+    ref = STAGE.run_shard(shard, store)
+    manifest, source = store.manifest(ref), read_take(store, ref).source
+    assert (manifest.facts["num_persons"], source.num_people, source.num_frames) == (3, 3, 25)
+    assert source.objects is not None
+    assert source.objects.names == ("hoop",)
+    np.testing.assert_allclose(source.objects.ends_m[:, 0, 0, 1], 1.0 + np.arange(10, 60, 2) / 59.0, atol=1e-6)
+    np.testing.assert_allclose(source.objects.radii_m, [0.05])
+    first, second = known_contacts(manifest)
+    assert (first.person_a, first.person_b, first.start_frame, first.stop_frame) == ("B", "C", 5, 20)
+    assert (first.share_a, first.weight) == (1.0, 1.0)
+    assert (second.object, second.start_frame, second.stop_frame) == ("hoop", 0, 5)
+
+
+def test_things_that_do_not_fit_the_take_are_refused_while_planning(tmp_path: Path) -> None:
+    take = trio_files(tmp_path)
+    (tmp_path / "long.csv").write_text(table_of(MovingObjects(("hoop",), np.zeros((61, 1, 2, 3)), np.array([0.05]))))
+    (tmp_path / "four.csv").write_text("joint_a,joint_b,person_b,stop_frame\nhead,head,D,3\n")
+    for change, sentence in (
+        ({"objects": str(tmp_path / "long.csv")}, "take ring: long.csv has 61 frames, but A_1.bvh has 60"),
+        (
+            {"contacts": str(tmp_path / "four.csv")},
+            "take ring: four.csv: contact of A's head and D's head, but the people",
+        ),
+        ({"contacts": str(tmp_path / "hoop.csv")}, "hoop.csv: line 1: the column 'frame' is not known"),
+        ({"objects": None}, "contact of C's head and hoop, but what there is to be touched is floor"),
+    ):
+        with pytest.raises(InputError) as refused:
+            STAGE.plan(StageInputs(manifests={}, seed=0), section({**take, **change}))
+        assert sentence in str(refused.value)

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 21
+VERSION = 22
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -39,7 +39,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 13
+VERSION = 14
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

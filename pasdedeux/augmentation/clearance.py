@@ -5,6 +5,8 @@ the two nearest points on their axes and the direction between them; a variant's
 that direction may not fall below the source's less the gap there was.  So the term is a one-sided square of something
 linear in the positions: convex, without switching, and a source that penetrates already is no worse off.  Nearest
 points and directions are averaged over a moment, as they jump where bones are parallel; pairs fade in with distance.
+Pairs that only follow what a next bone does (`standing_out`) weigh little: a shorter shank on a back brings the knee
+nearer to it, which may not lift the shank.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
-from pasdedeux.interaction.contacts import fade, nearest_on_bones, packer, parents_of, stencil_vectors
+from pasdedeux.interaction.contacts import fade, nearest_on_bones, packer, parents_of, standing_out, stencil_vectors
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 
@@ -33,6 +35,8 @@ _SMALLEST_WEIGHT = 1e-2
 _NEAR_M = (0.03, 0.1)
 """Distance of the surfaces of two bones in the source: full weight up to the first, none from the second on.  Wide, for
 other bodies come nearer where the source's do not: what stays apart costs nothing."""
+_FOLLOWING = 0.1
+"""Share of its weight that a pair of two people's bones keeps where a next bone is much closer."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of nearest points and directions over time."""
 
@@ -81,9 +85,12 @@ def find_clearance(
     # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
     added = np.where(pairs[:, 0] // joints != pairs[:, 1] // joints, grown[pairs].sum(axis=1), 0.0)
     nearest = gaps - np.maximum(added, 0.0)
+    is_within = pairs[:, 0] // joints == pairs[:, 1] // joints
+    follows = np.maximum(standing_out(pairs, along, gaps, BODY22), _FOLLOWING)
+    nearness = fade(nearest, *_NEAR_M) * np.where(is_within, 1.0, follows)
     is_near = nearest.min(axis=0, initial=np.inf) < _NEAR_M[1]
     pairs, weight, added, along = pairs[is_near], weight[is_near], added[is_near], along[:, is_near]
-    gaps, nearness = gaps[:, is_near], fade(nearest[:, is_near], *_NEAR_M)
+    gaps, nearness = gaps[:, is_near], nearness[:, is_near]
     sigma = _SMOOTHING_S * source.rate_hz
     if len(points) > 1:
         nearness, along = (

@@ -5,11 +5,15 @@ other, anywhere along a bone.  A contact is a point of a bone of one person and 
 object: a bone is named by its child joint, the point by the share of the bone from its parent joint.  It is found where
 two surfaces are nearest, or stated; its weight fades with the distance of the surfaces and nothing switches.  This is
 what "in contact" means everywhere.
+
+Not all that is near is a contact.  On bodies of other sizes distances to neighbouring bones cannot all stay what they
+were, and would pull a hand off the place where it lies.  So a hand or foot touches the bone nearest to it, and other
+bones touch where they are closest to each other, not at a joint beyond which the next bone is closer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from string import ascii_uppercase
@@ -40,6 +44,7 @@ __all__ = [
     "nearest_on_bones",
     "packer",
     "parents_of",
+    "standing_out",
     "stated_contacts",
     "stencil_vectors",
     "surface_gaps",
@@ -58,6 +63,12 @@ _HAND_M = 0.08
 """How far a hand reaches beyond the wrist, in which the working skeletons end: middle of the palm."""
 _HAND_SHARE = 0.5
 """From here on along a forearm or shank a point becomes one of the hand or foot."""
+_NEXT_M = 0.015
+"""A hand or foot touches the nearest bone; the weight of another falls by 1/e for every such length it is farther."""
+_BESIDE_M = 0.005
+"""Where a next bone is closer by this, a pair of bones weighs 1/e."""
+_AT_END = 0.2
+"""Within this share of a bone from its end, a pair that is closest there gives way to the next bone."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of weights and points over time."""
 _SMALLEST_WEIGHT = 1e-2
@@ -144,6 +155,43 @@ def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Arr
             share[at, row, 0], share[at, row, 1] = s, t
             gap[at, row] = length(apart) - radii[one] - radii[other]
     return share, gap
+
+
+def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> Array:
+    """Return how much two bones meet by themselves (T, pair), from 0 to 1.
+
+    Where they are closest at a joint and the next bone from there is closer, it is that bone which meets the other.
+
+    Args:
+        bones: Child joints of two bones (pair, 2), joints of all people numbered through.
+        share: Where on them the nearest points are (T, pair, 2).
+        gap_m: Gaps of the surfaces (T, pair), metres.
+        skeleton: Whose joints.
+    """
+    weight = np.ones(gap_m.shape)
+    for side in (0, 1):
+        for end in (0, 1):
+            closest = gap_m[:, _beside(bones, side, end, skeleton)].min(axis=-1)
+            at_end = fade(np.abs(share[..., side] - end), 0.0, _AT_END)
+            weight *= 1.0 + at_end * np.expm1((closest - gap_m) / _BESIDE_M)
+    return weight
+
+
+def _beside(bones: Indices, side: int, end: int, skeleton: Skeleton) -> Indices:
+    """Return which pairs have a next bone, at the beginning (0) or end of the pair's, and the pair itself (pair, k)."""
+    joints, places = skeleton.num_joints, {pair: place for place, pair in enumerate(map(tuple, bones.tolist()))}
+    meeting = [[edge[1] for edge in skeleton.bones if joint in edge] for joint in range(joints)]
+    found = []
+    for pair in places:
+        person, child = divmod(pair[side], joints)
+        joint = child if end else skeleton.parents[child]
+        others = (person * joints + bone for bone in (meeting[joint] if person >= 0 else [child]))
+        found.append(
+            [places[other] for other in ((pair[0], b) if side else (b, pair[1]) for b in others) if other in places]
+        )
+    most = max(map(len, found), default=1)
+    filled = [[*rows, *[place] * (most - len(rows))] for place, rows in enumerate(found)]
+    return np.array(filled, dtype=np.int64).reshape(-1, most)
 
 
 class UserContact(Settings):
@@ -295,7 +343,8 @@ def find_contacts(
         rate_hz: Frames per second.
         touch_m: Distance of the surfaces: full weight up to the first, none from the second on; hands reach beyond
             their wrists.
-        stated: Contacts that replace what is found between two bones; names are those of the skeleton.
+        stated: Contacts that replace what is found between two bones, and all that is found of a hand or foot; names
+            are those of the skeleton.
         own: Bones with which people may touch themselves (n, 2), by child joint, the hand's first; there a hand does
             not reach beyond its wrist, or arms that hang would touch the thighs.
         objects: What else may be touched, by every bone.
@@ -320,18 +369,26 @@ def find_contacts(
         parents = np.concatenate([parents, *[len(parents) + np.arange(len(things))] * 2])
         radii = np.concatenate([radii, np.zeros(len(things)), objects.radii_m[::-1]])
     share, gap = nearest_on_bones(points, bones, parents, radii)
-    reach = _HAND_M * (_hands(bones, share, skeleton) * _is_hand(skeleton)[bones % joints]).sum(axis=-1)
-    weights = fade(gap - reach * (bones[:, 0] // joints != bones[:, 1] // joints), *touch_m)
+    hand, is_own = _hands(bones, share, skeleton), bones[:, 0] // joints == bones[:, 1] // joints
+    away = gap - _HAND_M * (hand * _is_hand(skeleton)[bones % joints]).sum(axis=-1) * ~is_own
+    weights = fade(away, *touch_m) * standing_out(bones, share, gap, skeleton)
+    for rows, sides in _of_each_hand(bones, is_own, skeleton):
+        of_hand = hand[:, rows, sides]
+        nearest = (away[:, rows] + (1.0 - of_hand)).min(axis=1, keepdims=True)
+        weights[:, rows] *= 1.0 + of_hand * np.expm1(-np.maximum(away[:, rows] - nearest, 0.0) / _NEXT_M)
     places = {frozenset(pair): place for place, pair in enumerate(bones.tolist())}
     told = []
     for contact in (one for one in stated if not one.is_of_floor):
-        both = contact.bones(skeleton, objects)
+        both, shares = contact.bones(skeleton, objects), np.array([contact.share_a, contact.share_b])
         when = slice(contact.start_frame, contact.stop_frame)
         if frozenset(both) in places:
             weights[when, places[frozenset(both)]] = 0.0
+        if contact.weight > 0:
+            for bone, lies in zip(both, _hands(np.array(both), shares, skeleton), strict=True):
+                weights[when] *= 1.0 - lies * (hand[when] * (bones == bone)).sum(axis=-1)
         weight = np.zeros(frames)
         weight[when] = contact.weight
-        told.append((both, (contact.share_a, contact.share_b), weight))
+        told.append((both, shares, weight))
     is_near = weights.max(axis=0, initial=0.0) > _SMALLEST_WEIGHT
     bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
     if frames > 1 and weights.size:
@@ -392,6 +449,22 @@ def _pack(
         objects=packed(thing + 1) - 1,
         places_m=packed(places_m),
     )
+
+
+def _of_each_hand(
+    bones: Indices, is_own: npt.NDArray[np.bool_], skeleton: Skeleton
+) -> Iterator[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
+    """Yield for each bone that ends in a hand or foot the pairs (pair, 2) it is in, and as which of the two.
+
+    What is touched of other people, of oneself and of objects comes apart: a hand in a hand may lie on a box, too.
+    """
+    is_end = np.array([name.endswith(("wrist", "ankle", "toe")) for name in skeleton.joint_names])
+    touched = np.where(bones[:, 1] < 0, 2, is_own)
+    for bone in np.unique(bones[is_end[bones % skeleton.num_joints] & (bones >= 0)]):
+        for kind in range(3):
+            rows, sides = np.nonzero((bones == bone) & (touched == kind)[:, None])
+            if len(rows):
+                yield rows, sides
 
 
 def _is_hand(skeleton: Skeleton) -> npt.NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from pasdedeux.evaluation.variants import (
     worst_variants,
 )
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.interaction.contacts import stated_contacts
+from pasdedeux.interaction.contacts import UserContact, stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
 from tasks.augmentation import known_contacts, read_take
@@ -62,10 +62,16 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_take(store, take).source
-    known = known_contacts(store.manifest(take))
-    contacts = stated_contacts(known, source.num_frames, BODY22, source.objects) if known else source.contacts()
+    stated, touch_m = _contacts_of(store, parts)
+    held = tuple(contact for contact in stated if contact.weight > 0)
+    contacts = source.contacts(touch_m, stated)
+    if held:
+        contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
     if contacts.weights.size:
-        whose = "known because the take was built that way" if known else "found in the source"
+        whose = "found in the source"
+        if held:
+            is_built = held == known_contacts(store.manifest(take))
+            whose = "known because the take was built that way" if is_built else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
     kept = contact_scores(contacts, source, _girth(store, parts), _motions(store, parts, tables), item=take_id)
     drawn = _extremes(qualities)
@@ -92,6 +98,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         captions={name: caption for name, caption in captions.items() if name in pictures},
         notes=notes,
     )
+
+
+def _contacts_of(store: Store, parts: Sequence[ArtifactRef]) -> tuple[tuple[UserContact, ...], tuple[float, float]]:
+    """Return the contacts that were stated for the variants, and from which distance on contacts were found."""
+    made = store.manifest(parts[0]).parameters
+    return tuple(UserContact(**contact) for contact in made["contacts"]), (made["touch_m"][0], made["touch_m"][1])
 
 
 def _girth(store: Store, parts: Sequence[ArtifactRef]) -> Girths:

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 22
+VERSION = 23
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -19,8 +19,9 @@ from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation, training
 from tasks.augmentation import AugmentationParameters, read_take
+from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
-from tasks.stage import StageInputs, verdict_of
+from tasks.stage import Parameters, StageInputs, verdict_of
 from tasks.training import TrainingParameters
 from tests.builders.moving_pairs import standing_person, swaying_people
 
@@ -187,6 +188,22 @@ def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:
     assert np.abs(motions[0] - motions[1]).max() > 0.01
     with pytest.raises(InputError, match="take 'pear' is not there; takes: pair"):
         augment(store, [take], contacts={"pear": nothing[:1]})
+
+
+def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store: Store) -> None:
+    take, touch = put_take(store, "pair"), {"joint_a": "left_wrist", "joint_b": "right_wrist", "stop_frame": FRAMES}
+    counts = []
+    for stated in (
+        {},
+        {"pair": [{**touch, "weight": 0.0}]},
+        {"pair": [touch, {**touch, "joint_a": "head", "weight": 0.0}]},
+    ):
+        inputs = {"poses": [take], "variants": augment(store, [take], scales=(0.8,), contacts=stated)}
+        (shard,) = TOPIC.plan(StageInputs(inputs, seed=3), Parameters())
+        scores = {(score.metric, score.method): score for score in TOPIC.run(shard, store).scores}
+        counts.append(scores["hand_contact_drift_p95", "interaction_mesh"].count)
+    assert counts[0] > counts[1] > 0
+    assert counts[2] == FRAMES
 
 
 def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> None:

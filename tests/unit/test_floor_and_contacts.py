@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.choreography import make_duet
-from pasdedeux.interaction.contacts import UserContact, find_contacts, surface_gaps
+from pasdedeux.interaction.contacts import Contacts, UserContact, find_contacts, standing_out, surface_gaps
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import capsule_model, segment_distance
@@ -116,6 +116,53 @@ def test_hands_reach_beyond_wrists_and_other_bones_do_not() -> None:
         assert ((found.bones() == [joint, joint + 22]).all(axis=-1) & (found.weights > 0.5)).any() == is_found
 
 
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_closest_bones_meet_by_themselves_whoever_is_first_and_those_that_follow_them_do_not(seed: int) -> None:
+    pair = np.random.default_rng(seed).normal(0.0, 0.5, (4, 2, 22, 3))
+    weight, share, gap = _stand_out(pair, RADII)
+    assert (weight >= 0.0).all()
+    assert (weight.reshape(4, -1)[range(4), gap.reshape(4, -1).argmin(axis=1)] == 1.0).all()
+    is_inside = ((share > 0.2) & (share < 0.8)).all(axis=-1)
+    assert (weight[is_inside] == 1.0).all()
+    np.testing.assert_allclose(_stand_out(pair[:, ::-1], RADII[::-1])[0].swapaxes(-1, -2), weight, atol=1e-9)
+
+
+def _stand_out(pair: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how bones of A and B stand out, shares and gaps, by bone of A and bone of B."""
+    gaps = surface_gaps(pair, radii, BODY22)
+    bones = np.stack(np.broadcast_arrays(gaps.bones[:, None], gaps.bones + 22), axis=-1).reshape(-1, 2)
+    flat = standing_out(bones, gaps.share.reshape(len(pair), -1, 2), gaps.gap_m.reshape(len(pair), -1), BODY22)
+    return flat.reshape(gaps.gap_m.shape), gaps.share, gaps.gap_m
+
+
+def test_a_shank_that_lies_on_a_back_touches_it_where_it_crosses_it_and_the_thigh_does_not() -> None:
+    pair = make_duet("waltz", rate_hz=1.0).positions_m()[:1]
+    hip, knee, ankle, toe, spine = BODY22.indices(["right_hip", "right_knee", "right_ankle", "right_toe", "spine2"])
+    middle = 0.5 * (pair[0, 1, spine] + pair[0, 1, BODY22.parents[spine]])
+    pair[:, 0] += [0.0, 3.0, 0.0]
+    leg = np.array([[0.15, 0.0, 0.5], [0.15, 0.0, 0.05], [-0.25, 0.0, 0.05], [-0.4, 0.0, 0.05]])
+    pair[0, 0, [hip, knee, ankle, toe]] = middle + leg
+    gaps = surface_gaps(pair, RADII, BODY22)
+    found = find_contacts(pair, RADII, BODY22, rate_hz=0.1)
+    weights = dict(zip(map(tuple, found.bones()[0]), found.weights[0], strict=True))
+    place = {bone: row for row, bone in enumerate(gaps.bones)}
+    assert gaps.gap_m[0, place[knee], place[spine]] < 0.02
+    assert weights[ankle, spine + 22] == 1.0
+    assert weights.get((knee, spine + 22), 0.0) < 0.02
+
+
+@pytest.mark.parametrize("name", ["lift", "judo"])
+def test_a_hand_touches_one_place(name: str) -> None:
+    pair = make_duet(name, rate_hz=10.0).positions_m()
+    found = find_contacts(pair, RADII, BODY22, rate_hz=10.0)
+    lays = (found.hand[..., 0] > 0.9) & (found.weights > 0)
+    for wrist in BODY22.indices(["left_wrist", "right_wrist"]):
+        mine = np.where(lays & (found.bones()[..., 0] == wrist), found.weights, 0.0)
+        assert mine.max() > 0.9
+        assert mine.sum(axis=1).max() < 2.0
+
+
 def test_a_stated_contact_replaces_what_is_found_between_its_bones() -> None:
     # One frame in ten seconds: weights are not averaged with those of other frames.
     pair = make_duet("waltz", rate_hz=1.0).positions_m()
@@ -132,3 +179,18 @@ def test_a_stated_contact_replaces_what_is_found_between_its_bones() -> None:
         np.testing.assert_allclose(
             found.shares[2:5][mine[2:5]], [[0.0, 1.0, -0.6, -0.4]] * 3 if weight else np.zeros((0, 4))
         )
+
+
+def test_what_is_stated_of_a_hand_stands_in_place_of_all_that_is_found_of_it() -> None:
+    pair = make_duet("lift", rate_hz=1.0).positions_m()[3:7]
+    stated = UserContact(joint_a="left_wrist", joint_b="head", stop_frame=4)
+    before, after = (find_contacts(pair, RADII, BODY22, rate_hz=0.1, stated=given) for given in ((), [stated]))
+    left, right, head = BODY22.indices(["left_wrist", "right_wrist", "head"])
+
+    def touched(found: Contacts, wrist: int) -> set[int]:
+        lies = (found.bones()[..., 0] == wrist) & (found.hand[..., 0] == 1.0) & (found.weights > 0)
+        return set(found.bones()[..., 1][lies])
+
+    assert touched(before, left)
+    assert touched(after, left) == {head + 22}
+    assert touched(after, right) == touched(before, right)

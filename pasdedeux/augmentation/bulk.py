@@ -11,25 +11,27 @@ not wait for another.  A few iterations at all frames end it, and a forward-kine
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk_kernels import (
+    Batch,
+    Form,
+    Memory,
+    Pairs,
     add_stencils,
     advance,
-    assemble,
-    assemble_pairs,
-    compare,
     fade_over_time,
     mean_change,
     mix,
-    project,
+    pull,
+    remember,
 )
 from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
-from pasdedeux.augmentation.contacts import aim_contacts
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.source import points_of
@@ -66,6 +68,14 @@ _RIDGE = 1e-7
 """Ridge of the least squares, as a share of the trace."""
 _FIRST_MIX = 5
 """Iterations before the first acceleration."""
+_SMALL_SCALE = 0.7
+"""Bones scaled by less than this are reached in two steps, the second from twice the way of the first."""
+_COMPARED_EVERY = 2
+"""Frames of which one enters the least squares, whose solution serves all of them."""
+_WORTH_LEAVING = 0.75
+"""Variants that have ended leave the batch when not more than this share of it is left: to leave costs copies."""
+_TINY_M = 1e-9
+"""Added to lengths that something is divided by, metres."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +100,9 @@ _COARSE_END = _End(10, 1e-5, 1e-4, 1e-4)
 _FINE_END = _End(8, 5e-5, 1e-4, 1e-4)
 _MOST_FINE = 48
 """Most iterations at all frames, which see what is faster than the coarse rate shows."""
-_GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 100.0, 10.0
-"""Mean joint distance from the optimum over the last change of the edges at either rate."""
+_GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 250.0, 2.0
+"""Mean joint distance from the optimum over the last change of the edges at either rate, so that the sum is an upper
+bound nearly everywhere: of 42 variants over seven takes it was too small for one (`lift` at half size, 7 of 9.8 mm)."""
 
 
 @dataclass(frozen=True)
@@ -109,27 +120,6 @@ class BulkResult:
     num_iterations: npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class _Iteration:
-    """Arrays of the iteration, variants last; `state` and `aim` as in `bulk_kernels`."""
-
-    offsets: AnyFloat
-    linear: AnyFloat
-    reference: AnyFloat
-    lengths: AnyFloat
-    limits: AnyFloat
-    between: AnyFloat
-    kept: AnyFloat
-    contact_aim: AnyFloat
-    state: AnyFloat
-    aim: AnyFloat
-    change: AnyFloat
-
-    def select(self, variants: npt.NDArray[np.intp]) -> _Iteration:
-        """Return what belongs to some of the variants."""
-        return _Iteration(**{f.name: np.ascontiguousarray(getattr(self, f.name)[..., variants]) for f in fields(self)})
-
-
 class _Level:
     """A problem with its factor, at which variants are iterated."""
 
@@ -139,173 +129,184 @@ class _Level:
         self.num_points, self.num_edges = problem.source.num_points, len(self.edges)
         penalties = _edge_penalties(problem, self.edges)
         near = problem.clearance
-        near_penalties = _CLEARANCE_PENALTY * near.weights
         stencils = np.zeros(problem.matrix.shape[1:])
         edges = np.tile(self.edges, (len(penalties), 1, 1))
         add_stencils(edges, np.tile([1.0, -1.0], (*penalties.shape, 1)), penalties, stencils)
-        add_stencils(near.points, near.shares, near_penalties, stencils)
+        add_stencils(near.points, near.shares, _CLEARANCE_PENALTY * near.weights, stencils)
         matrix = problem.matrix + stencils
         self._factors: list[Factor] = [
             factorise(matrix[group], problem.lag1[group], problem.lag2[group]).astype(dtype) for group in (0, 1)
         ]
-        self._penalties, self._near_penalties = self._narrow(penalties), self._narrow(near_penalties)
-        self._shares, self._normals = self._narrow(near.shares), self._narrow(near.normals)
-        self._relaxation, self._share = self._narrow([_RELAXATION]), self._narrow([_CLEARANCE_PENALTY])
-        self._girdle = self._narrow([problem.weights.girdle])
-        self._contact_shares = self._narrow(problem.contacts.shares)
-        self._contact_weights = self._narrow(problem.contact_weights)
-        self._direction = self._narrow(problem.contact_direction)
+        self._near, self._contacts = near.weights > 0, problem.contact_weights > 0
+        pairs = [
+            self._pairs(self._near, near.points, near.shares, _CLEARANCE_PENALTY * near.weights, near.normals),
+            self._pairs(self._contacts, problem.contacts.points, problem.contacts.shares, problem.contact_weights),
+        ]
+        self.form = Form(
+            first=np.arange(problem.num_frames + 1) * self.num_edges + pairs[0].first + pairs[1].first,
+            edges=self.edges,
+            num_bones=self.num_bones,
+            penalties=self._narrow(penalties),
+            near=pairs[0],
+            contacts=pairs[1],
+            directions=self._narrow(problem.contact_direction[self._contacts]),
+            constants=self._narrow([_RELAXATION, _CLEARANCE_PENALTY, problem.weights.girdle, _TINY_M]),
+        )
 
     def _narrow(self, values: npt.ArrayLike) -> AnyFloat:
         """Return values in the precision of the iteration."""
         return np.ascontiguousarray(values, dtype=self.dtype)
 
-    def begin(self, targets: Targets, start: AnyFloat | None = None) -> _Iteration:
+    def _pairs(
+        self,
+        is_used: npt.NDArray[np.bool_],
+        points: npt.NDArray[np.int64],
+        shares: Array,
+        weights: Array,
+        normals: Array | None = None,
+    ) -> Pairs:
+        """Return the pairs of each frame (T, M) without empty places."""
+        return Pairs(
+            first=np.concatenate([[0], np.cumsum(is_used.sum(axis=1))]),
+            points=points[is_used],
+            shares=self._narrow(shares[is_used]),
+            weights=self._narrow(weights[is_used]),
+            normals=self._narrow(np.zeros((0, 3)) if normals is None else normals[is_used]),
+        )
+
+    def begin(self, targets: Targets, start: tuple[AnyFloat, AnyFloat] | None = None) -> Batch:
         """Return where the iteration starts.
 
         Args:
             targets: What the variants are to reach.
-            start: x and v of the edges (3, T, n + edge, variant); plain forward kinematics where not given.
+            start: x (T, point, 3, variant) and v of the edges (T, edge, 3, variant) less r's; plain forward kinematics
+                where not given.
         """
-        problem, dtype = self.problem, self.dtype
+        problem, dtype, form = self.problem, self.dtype, self.form
         frames, count = problem.num_frames, targets.num_variants
-        near = problem.clearance
-        shape = (3, 2 * self._factors[0].num_blocks, self.num_points, count)
-        linear: AnyFloat = np.zeros(shape, dtype)
-        for variant in range(count):
-            # One by one: BLAS sums in another order for another number of columns.
-            linear[:, :frames, :, variant] = right_hand_side(problem, targets.select([variant]))[..., 0]
-        edges = targets.reference[:, :, self.edges[:, 1]] - targets.reference[:, :, self.edges[:, 0]]
+        linear = np.zeros((2 * self._factors[0].num_blocks, self.num_points, 3, count), dtype)
+        linear[:frames] = np.moveaxis(right_hand_side(problem, targets), 0, -1)
         lengths = np.empty((frames, self.num_edges, count), dtype)
         lengths[:, : self.num_bones] = targets.lengths_m[:, self.edges[: self.num_bones, 1]].T
         lengths[:, self.num_bones :] = np.transpose(targets.girdle_m, (1, 2, 0))
-        rows = self.num_edges + near.weights.shape[1]
-        between = self._narrow(np.transpose(problem.contacts.vectors(targets.reference), (3, 1, 2, 0)))
-        kept = self._narrow(np.transpose(targets.contact_m, (3, 1, 2, 0)))
-        begun = _Iteration(
-            offsets=np.zeros(shape, dtype),
+        edges = targets.reference[:, :, self.edges[:, 1]] - targets.reference[:, :, self.edges[:, 0]]
+        rows = (int(form.first[-1]), 3, count)
+        begun = Batch(
             linear=linear,
-            reference=self._narrow(np.transpose(edges, (3, 1, 2, 0))),
+            reference=self._last(edges),
             lengths=lengths,
-            limits=self._narrow(np.transpose(targets.clearance_m, (1, 2, 0))),
-            between=between,
-            kept=kept,
-            contact_aim=kept - between,
-            state=np.zeros((3, frames, self.num_points + rows, count), dtype),
-            aim=np.zeros((3, frames, rows, count), dtype),
-            change=np.zeros((3, frames, rows, count), dtype),
+            limits=self._last(targets.clearance_m[:, self._near]),
+            between=self._last(problem.contacts.vectors(targets.reference)[:, self._contacts]),
+            kept=self._last(targets.contact_m[:, self._contacts]),
+            offsets=np.zeros_like(linear),
+            state=np.zeros(rows, dtype),
+            aim=np.zeros(rows, dtype),
+            change=np.zeros(rows, dtype),
         )
-        if start is None:
-            begun.state[:, :, self.num_points : self.num_points + self.num_edges] = begun.reference
-        else:
-            begun.state[:, :, : self.num_points + self.num_edges] = start
-            self._lean_on_near(begun)
-            self._aim_contacts(begun)
-        self._project(begun)
+        self._start_pairs(begun, None if start is None else start[0])
+        if start is not None:
+            begun.state[self._edge_rows] = start[1]
+        pull(form, begun)
         return begun
 
-    def iterate(self, now: _Iteration) -> None:
-        """Do one iteration; `project` or `accelerate` must follow."""
-        contacts, near = self.problem.contacts, self.problem.clearance
-        count = now.lengths.shape[-1]
-        assemble(now.linear, now.reference, now.aim, self.edges, self._penalties, now.offsets)
-        assemble_pairs(now.aim, self.num_edges, near.points, self._shares, self._near_penalties, now.offsets)
-        assemble_pairs(now.contact_aim, 0, contacts.points, self._contact_shares, self._contact_weights, now.offsets)
+    def _start_pairs(self, begun: Batch, x: AnyFloat | None) -> None:
+        """Leave the state of pairs of bones at x; where that is not given, contacts begin with the source's vectors."""
+        near, contacts = self.form.near, self.form.contacts
+        frame = np.repeat(np.arange(len(contacts.first) - 1), np.diff(contacts.first))
+        rows = np.arange(len(frame)) + self.num_edges * (frame + 1) + near.first[frame + 1]
+        if x is None:
+            begun.state[rows] = begun.kept - begun.between
+            return
+        begun.state[rows] = _pair_vectors(contacts, frame, x)
+        # Near bones get the v they have when x stays: its dual is the pull they feel.
+        frame = np.repeat(np.arange(len(near.first) - 1), np.diff(near.first))
+        rows = np.arange(len(frame)) + self.num_edges * (frame + 1) + contacts.first[frame]
+        vectors = _pair_vectors(near, frame, x)
+        reach = (near.normals[..., None] * vectors).sum(axis=1)
+        away = np.maximum(begun.limits - reach, 0.0) / self.form.constants[1]
+        begun.state[rows] = vectors - near.normals[..., None] * away[:, None]
+
+    def _last(self, values: Array) -> AnyFloat:
+        """Return values with variants last, in the precision of the iteration."""
+        return self._narrow(np.moveaxis(values, 0, -1))
+
+    @property
+    def _edge_rows(self) -> npt.NDArray[np.int64]:
+        """Rows of the edges (T, edge)."""
+        return np.asarray(self.form.first[:-1, None] + np.arange(self.num_edges))
+
+    def iterate(self, now: Batch) -> None:
+        """Solve for x and move v; `pull` must follow."""
+        blocks = now.offsets.reshape(-1, 2 * self.num_points, *now.offsets.shape[2:])
         for group, axes in enumerate(_AXES):
-            solve(self._factors[group], now.offsets.reshape(3, -1, 2 * self.num_points, count), axes)
-        advance(
-            now.offsets,
-            now.reference,
-            self.edges,
-            near.points,
-            self._shares,
-            self._relaxation,
-            now.aim,
-            now.state,
-            now.change,
-        )
+            solve(self._factors[group], blocks, axes)
+        advance(self.form, now)
 
-    def settle(self, now: _Iteration) -> None:
-        """Make the aims of the next iteration from the state."""
-        self._project(now)
-        self._aim_contacts(now)
+    def moved(self, now: Batch, before: AnyFloat) -> Array:
+        """Return how far joints moved since (variant,), metres, as `edges_moved`."""
+        difference = (now.offsets[: len(before)] - before).reshape(-1, 3, before.shape[-1])
+        return mean_change(difference, np.arange(self.problem.num_frames + 1) * self.num_points, self.num_points)
 
-    def _project(self, now: _Iteration) -> None:
-        project(
-            now.state,
-            now.lengths,
-            now.limits,
-            self._normals,
-            self.num_bones,
-            self._girdle,
-            self._penalties,
-            self._share,
-            now.aim,
-        )
+    def edges_moved(self, now: Batch) -> Array:
+        """Return how far the edges' v moved in the last iteration (variant,), metres.
 
-    def _aim_contacts(self, now: _Iteration) -> None:
-        aim_contacts(
-            now.state,
-            now.between,
-            self.problem.contacts.points,
-            self._contact_shares,
-            now.kept,
-            self._contact_weights,
-            self._direction,
-            now.contact_aim,
-        )
+        It is the mean of each frame's root mean square, as a few frames may swing for ever.
+        """
+        return mean_change(now.change, self.form.first, self.num_edges)
 
-    def _lean_on_near(self, now: _Iteration) -> None:
-        """Give near bones the v they have when their vectors stay where x puts them: its dual is the pull they feel."""
-        near = self.problem.clearance
-        frames = np.arange(len(near.weights))[:, None, None]
-        x = now.state[:, frames, near.points]
-        vectors = (self._shares[None, ..., None] * x).sum(axis=3)
-        reach = (np.moveaxis(self._normals, -1, 0)[..., None] * vectors).sum(axis=0)
-        pull = np.maximum(now.limits - reach, 0.0) / self._share[0]
-        now.state[:, :, self.num_points + self.num_edges :] = (
-            vectors - np.moveaxis(self._normals, -1, 0)[..., None] * pull
-        )
+    def ended(self, now: Batch, variants: npt.NDArray[np.intp]) -> tuple[AnyFloat, AnyFloat]:
+        """Return x (T, point, 3, variant) and v of the edges (T, edge, 3, variant) of some of the variants."""
+        return now.offsets[: self.problem.num_frames][..., variants], now.state[self._edge_rows][..., variants]
+
+
+def _pair_vectors(pairs: Pairs, frame: npt.NDArray[np.int64], x: AnyFloat) -> AnyFloat:
+    """Return the vector of each pair (pair, 3, variant) of x (T, point, 3, variant)."""
+    parts = [pairs.shares[:, corner, None, None] * x[frame, pairs.points[:, corner]] for corner in range(4)]
+    return (parts[0] + parts[1]) + (parts[2] + parts[3])
 
 
 class _Acceleration:
     """Anderson acceleration of one iteration: the moves it looks back on and their inner products."""
 
-    def __init__(self, now: _Iteration, rate_hz: float) -> None:
-        frames, count = now.lengths.shape[0], now.lengths.shape[-1]
-        self._keep = float(np.exp(-1.0 / (_REACH_S * rate_hz)))
-        self._moves = np.zeros((_MEMORY, *now.state.shape), now.state.dtype)
-        self._changes = np.zeros((_MEMORY, *now.change.shape), now.state.dtype)
-        self._gram = np.zeros((_MEMORY, _MEMORY, frames, count))
-        self._shares = np.zeros((_MEMORY, count), now.state.dtype)
-        self._last_state: AnyFloat | None = None
-        self._last_change: AnyFloat | None = None
-        self._made = 0
+    def __init__(self, form: Form, now: Batch, rate_hz: float) -> None:
+        self._form = form
+        self._keep = float(np.exp(-_COMPARED_EVERY / (_REACH_S * rate_hz)))
+        size, count, dtype = (_MEMORY, *now.state.shape), now.state.shape[-1], now.state.dtype
+        compared = -(-(len(form.first) - 1) // _COMPARED_EVERY)
+        self._memory = Memory(
+            last_state=np.zeros_like(now.state),
+            last_change=np.zeros_like(now.change),
+            moves=np.zeros(size, dtype),
+            changes=np.zeros(size, dtype),
+            products=np.zeros((2, _MEMORY, compared, count), dtype),
+        )
+        self._gram = np.zeros((_MEMORY, _MEMORY, compared, count))
+        self._made = -1
 
     def select(self, variants: npt.NDArray[np.intp]) -> None:
         """Go on with some of the variants."""
-        for name in ("_moves", "_changes", "_gram", "_shares", "_last_state", "_last_change"):
-            setattr(self, name, np.ascontiguousarray(getattr(self, name)[..., variants]))
+        self._memory, self._gram = Memory(*_select(self._memory, variants)), self._gram[..., variants]
 
-    def mix(self, now: _Iteration) -> None:
+    def mix(self, now: Batch) -> None:
         """Take what the last moves explain of this change out of the state."""
-        if self._last_state is None or self._last_change is None:
-            self._last_state, self._last_change = np.array(now.state), np.array(now.change)
-            return
-        slot = self._made % _MEMORY
+        memory, slot = self._memory, self._made % _MEMORY
         self._made += 1
+        if self._made == 0:
+            memory.last_state[...], memory.last_change[...] = now.state, now.change
+            return
         used = min(self._made, _MEMORY)
-        np.subtract(now.state, self._last_state, out=self._moves[slot])
-        np.subtract(now.change, self._last_change, out=self._changes[slot])
-        self._last_state[...], self._last_change[...] = now.state, now.change
-        products = np.empty((2, _MEMORY, *self._gram.shape[2:]), now.state.dtype)
-        compare(self._changes, slot, used, now.change, products[0], products[1])
-        summed = products.astype(np.float64)
+        remember(self._form, now, memory, slot, used, _COMPARED_EVERY)
+        summed = memory.products.astype(np.float64)
         for part in summed:
             fade_over_time(part, self._keep)
         self._gram[slot] = summed[0]
         self._gram[:, slot] = summed[0]
-        mix(self._gram, summed[1], used, _RIDGE, self._moves, self._shares, now.state)
+        mix(self._form, self._gram, summed[1], used, _COMPARED_EVERY, _RIDGE, memory.moves, now.state)
+
+
+def _select(parts: Iterable[AnyFloat], variants: npt.NDArray[np.intp]) -> Iterator[AnyFloat]:
+    """Return what belongs to some of the variants, which come last."""
+    return (np.ascontiguousarray(part[..., variants]) for part in parts)
 
 
 class BulkSolver:
@@ -324,74 +325,92 @@ class BulkSolver:
             stride = 1
         self._thinning: Thinning | None = thin_out(problem, stride) if stride > 1 else None
         self._coarse = _Level(self._thinning.problem if self._thinning else problem, dtype)
-        self._fine = _Level(problem, dtype)
+        self._fine = _Level(problem, dtype) if self._thinning else self._coarse
 
     def solve(self, targets: Targets) -> BulkResult:
         """Solve a batch of variants; what a variant gets does not depend on the others, to the last bit."""
-        level = self._coarse
-        now = level.begin(targets if self._thinning is None else build_targets(level.problem, targets.bone_scale))
         most = self.problem.settings.num_iterations
-        ended, change_m, iterations = _settle(level, now, _COARSE_END, most, is_accelerated=True)
-        estimate = _GAP_PER_COARSE_CHANGE * change_m
+        ended = self._solve_coarse(targets.bone_scale, most)
+        estimate, iterations = _GAP_PER_COARSE_CHANGE * ended.change_m, ended.num_iterations
         if self._thinning is not None:
-            now = self._fine.begin(targets, interpolate(self._thinning, ended))
-            ended, change_m, _ = _settle(self._fine, now, _FINE_END, min(most, _MOST_FINE), is_accelerated=False)
-            estimate += _GAP_PER_FINE_CHANGE * change_m
-        points = targets.reference + np.transpose(ended[:, :, : self._fine.num_points], (3, 1, 2, 0))
+            start = interpolate(self._thinning, ended.offsets), interpolate(self._thinning, ended.edges)
+            now = self._fine.begin(targets, start)
+            ended = _settle(self._fine, now, _FINE_END, min(most, _MOST_FINE), start[0], is_accelerated=False)
+            estimate += _GAP_PER_FINE_CHANGE * ended.change_m
+        points = targets.reference + np.moveaxis(ended.offsets, -1, 0)
         positions = project_to_bones(points, targets.lengths_m)
         return BulkResult(positions=positions, estimated_gap_m=estimate, num_iterations=iterations)
 
+    def _solve_coarse(self, bone_scale: Array, most: int) -> _Ended:
+        """Return where variants end at the coarse rate; those with very small bones begin half of the way there."""
+        level = self._coarse
+        is_far = bone_scale.min(axis=(1, 2)) < _SMALL_SCALE
+        near = np.where(is_far.reshape(-1, 1, 1), 0.5 * (1.0 + bone_scale), bone_scale)
+        ended = _settle(level, level.begin(build_targets(level.problem, near)), _COARSE_END, most, is_accelerated=True)
+        far = np.flatnonzero(is_far)
+        if len(far):
+            start = 2.0 * ended.offsets[..., far], 2.0 * ended.edges[..., far]
+            now = level.begin(build_targets(level.problem, bone_scale[far]), start)
+            further = _settle(level, now, _COARSE_END, most, start[0], is_accelerated=True)
+            ended.offsets[..., far], ended.edges[..., far] = further.offsets, further.edges
+            ended.change_m[far] = further.change_m
+            ended.num_iterations[far] += further.num_iterations
+        return ended
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """Where the iteration ended.
+
+    Args:
+        offsets: x (T, point, 3, variant), metres.
+        edges: v of the edges less r's (T, edge, 3, variant), metres.
+        change_m: How far edges still change at the last iteration (variant,), metres.
+        num_iterations: Its number (variant,).
+    """
+
+    offsets: AnyFloat
+    edges: AnyFloat
+    change_m: Array
+    num_iterations: npt.NDArray[np.int64]
+
 
 def _settle(
-    level: _Level, now: _Iteration, end: _End, most: int, *, is_accelerated: bool
-) -> tuple[AnyFloat, Array, npt.NDArray[np.int64]]:
-    """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch.
-
-    Returns:
-        x and v of the edges (3, T, n + edge, variant), how far edges still change at the last iteration (variant,),
-        metres, and its number (variant,).
-    """
-    count, num_points = now.lengths.shape[-1], level.num_points
-    num_rows = num_points + level.num_edges
-    ended = np.zeros((3, level.problem.num_frames, num_rows, count), level.dtype)
-    change_m, iterations = np.zeros(count), np.zeros(count, np.int64)
-    left, before = np.arange(count), np.array(now.state[:, :, :num_points])
-    acceleration = _Acceleration(now, level.problem.source.rate_hz) if is_accelerated else None
+    level: _Level, now: Batch, end: _End, most: int, start: AnyFloat | None = None, *, is_accelerated: bool
+) -> _Ended:
+    """Iterate until every variant hardly changes, `most` times at most; those that have ended leave the batch."""
+    frames, count = level.problem.num_frames, now.state.shape[-1]
+    ended = _Ended(
+        offsets=np.zeros((frames, level.num_points, 3, count), level.dtype),
+        edges=np.zeros((frames, level.num_edges, 3, count), level.dtype),
+        change_m=np.zeros(count),
+        num_iterations=np.zeros(count, np.int64),
+    )
+    lanes, is_open = np.arange(count), np.ones(count, dtype=bool)
+    before = np.zeros((frames, level.num_points, 3, count), level.dtype) if start is None else start
+    acceleration = _Acceleration(level.form, now, level.problem.source.rate_hz) if is_accelerated else None
     for iteration in range(1, most + 1):
         level.iterate(now)
         if acceleration is not None and iteration > _FIRST_MIX:
             acceleration.mix(now)
-        level.settle(now)
-        is_last = iteration == most
-        if iteration % end.checked_every and not is_last:
-            continue
-        change, moved = _edge_change(now), _moved(now.state, before)
-        before = np.array(now.state[:, :, :num_points])
-        is_done = (change <= end.change_m) | ((change <= end.stalled_m) & (moved <= end.moved_m)) | is_last
-        if not is_done.any():
-            continue
-        done, kept = np.flatnonzero(is_done), np.flatnonzero(~is_done)
-        ended[..., left[done]] = now.state[:, :, :num_rows, done]
-        change_m[left[done]], iterations[left[done]] = change[done], iteration
-        if not len(kept):
-            break
-        left, now, before = left[kept], now.select(kept), np.ascontiguousarray(before[..., kept])
-        if acceleration is not None:
-            acceleration.select(kept)
-    return ended, change_m, iterations
-
-
-def _edge_change(now: _Iteration) -> Array:
-    """Return how far the edges' v moved in the last iteration (variant,), metres.
-
-    It is the mean of each frame's root mean square, as a few frames may swing for ever.
-    """
-    return mean_change(now.change, now.lengths.shape[1])
-
-
-def _moved(state: AnyFloat, before: AnyFloat) -> Array:
-    """Return how far joints moved since (variant,), metres, likewise."""
-    return mean_change(state[:, :, : before.shape[2]] - before, before.shape[2])
+        if iteration % end.checked_every == 0 or iteration == most:
+            change, moved = level.edges_moved(now), level.moved(now, before)
+            before = np.array(now.offsets[:frames])
+            is_done = (change <= end.change_m) | ((change <= end.stalled_m) & (moved <= end.moved_m))
+            done = np.flatnonzero(is_open & (is_done | (iteration == most)))
+            ended.offsets[..., lanes[done]], ended.edges[..., lanes[done]] = level.ended(now, done)
+            ended.change_m[lanes[done]], ended.num_iterations[lanes[done]] = change[done], iteration
+            is_open[done] = False
+            kept = np.flatnonzero(is_open)
+            if not len(kept):
+                break
+            if len(kept) <= _WORTH_LEAVING * len(lanes):
+                now, before = Batch(*_select(now, kept)), before[..., kept]
+                lanes, is_open = lanes[kept], is_open[kept]
+                if acceleration is not None:
+                    acceleration.select(kept)
+        pull(level.form, now)
+    return ended
 
 
 def project_to_bones(points: Array, lengths_m: Array) -> Array:

@@ -73,11 +73,11 @@ def thin_out(problem: Problem, stride: int) -> Thinning:
 
 
 def interpolate(thinning: Thinning, values: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Return values (axis, n, rows, variant) at all frames (axis, T, rows, variant), of the same precision."""
-    shares = thinning.shares.astype(values.dtype)[None, :, :, None, None]
-    moved = values[:, thinning.neighbours[:, 0]] * shares[:, :, 0]
+    """Return values (n, rows, axis, variant) at all frames (T, rows, axis, variant), of the same precision."""
+    shares = thinning.shares.astype(values.dtype)[:, :, None, None, None]
+    moved = values[thinning.neighbours[:, 0]] * shares[:, 0]
     for place in (1, 2, 3):
-        moved += values[:, thinning.neighbours[:, place]] * shares[:, :, place]
+        moved += values[thinning.neighbours[:, place]] * shares[:, place]
     return moved
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -21,11 +20,9 @@ from pasdedeux.fitting import Term
 from pasdedeux.fitting.terms import Normal
 from pasdedeux.interaction.contacts import Contacts
 
-__all__ = ["ContactTerm", "aim_contacts"]
+__all__ = ["ContactTerm"]
 
 Array = npt.NDArray[np.float64]
-AnyFloat = npt.NDArray[np.floating]
-Indices = npt.NDArray[np.int64]
 
 _SHORTEST_M = 1e-6
 
@@ -67,57 +64,3 @@ class ContactTerm(Term):
         """Add half the Gauss-Newton curvature, which leaves out the distance's own bending."""
         units, _ = self._units(positions_m)
         normal.stencils.append((self.contacts.points, self.contacts.shares, self.weights, units))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def aim_contacts(
-    offsets: AnyFloat,
-    reference: AnyFloat,
-    points: Indices,
-    shares: AnyFloat,
-    vectors: AnyFloat,
-    weights: AnyFloat,
-    direction: AnyFloat,
-    aim: AnyFloat,
-) -> None:
-    """Leave k v + (1 - k) D u less r's vector in `aim` (3, T, M, variant), u where each contact points now.
-
-    Args:
-        offsets: x (3, T, n, variant).
-        reference: r's vectors (3, T, M, variant).
-        points: Ends of the bones (T, M, 4).
-        shares: What they contribute (T, M, 4).
-        vectors: v (3, T, M, variant).
-        weights: 0 for places that are not used (T, M).
-        direction: k (T, M).
-        aim: Written here.
-    """
-    frames, num_contacts, count = aim.shape[1:]
-    squared, wanted = np.empty(count, aim.dtype), np.empty(count, aim.dtype)
-    smallest, one_whole = aim.dtype.type(_SHORTEST_M), aim.dtype.type(1.0)
-    for t in range(frames):
-        for e in range(num_contacts):
-            if weights[t, e] <= 0:
-                continue
-            keep = direction[t, e]
-            free = one_whole - keep
-            a, b, c, d = points[t, e, 0], points[t, e, 1], points[t, e, 2], points[t, e, 3]
-            sa, sb, sc, sd = shares[t, e, 0], shares[t, e, 1], shares[t, e, 2], shares[t, e, 3]
-            squared[:] = 0
-            wanted[:] = 0
-            for axis in range(3):
-                given, kept, aims = reference[axis, t, e], vectors[axis, t, e], aim[axis, t, e]
-                one, two = offsets[axis, t, a], offsets[axis, t, b]
-                three, four = offsets[axis, t, c], offsets[axis, t, d]
-                for v in range(count):
-                    aims[v] = ((sa * one[v] + sb * two[v]) + (sc * three[v] + sd * four[v])) + given[v]
-                for v in range(count):
-                    squared[v] += aims[v] * aims[v]
-                for v in range(count):
-                    wanted[v] += kept[v] * kept[v]
-            for v in range(count):
-                wanted[v] = free * np.sqrt(wanted[v]) / max(np.sqrt(squared[v]), smallest)
-            for axis in range(3):
-                given, kept, aims = reference[axis, t, e], vectors[axis, t, e], aim[axis, t, e]
-                for v in range(count):
-                    aims[v] = (keep * kept[v] + wanted[v] * aims[v]) - given[v]

@@ -48,8 +48,7 @@ def fit_terms(problem: Problem, targets: Targets, variant: int) -> list[Term]:
         matrix=problem.free_matrix,
         lag1=problem.lag1[groups],
         lag2=problem.lag2[groups],
-        linear=np.moveaxis(right_hand_side(problem, one)[..., 0], 0, -1)
-        + contacts.spread(kept, problem.source.num_points),
+        linear=right_hand_side(problem, one)[0] + contacts.spread(kept, problem.source.num_points),
         constant=_constant(problem, one) + float((kept * missed).sum()),
     )
     girdle = DistanceTerm(

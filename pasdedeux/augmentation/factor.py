@@ -21,7 +21,7 @@ Array = npt.NDArray[np.floating]
 Indices = npt.NDArray[np.int64]
 
 _COLUMNS = 16
-"""Right-hand sides of one matrix product; a multiple of every BLAS kernel's width."""
+"""Right-hand sides of one matrix product for each axis; a multiple of every BLAS kernel's width."""
 
 
 @dataclass(frozen=True)
@@ -89,73 +89,77 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _forward(values: Array, before: Array, lag1: Array, lag2: Array, low: int, high: int, work: Array) -> None:
-    """Take away what the block before contributes: columns `low` to `high` of `values`, left in `work`."""
-    half = len(lag1)
-    for i in range(len(lag2)):
-        c = lag2[i]
-        if i < half:
-            d = lag1[i]
+def _forward(
+    rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
+) -> None:
+    """Leave columns of a block, less what the block before contributes, in `work` from column `at` on."""
+    size = rhs.shape[1]
+    half, shift = size // 2, at - low
+    for i in range(size):
+        if k == 0:
             for v in range(low, high):
-                work[i, v - low] = (values[i, v] - c * before[i, v]) - d * before[i + half, v]
+                work[i, shift + v] = rhs[k, i, axis, v]
+        elif i < half:
+            c, d = lag2[k - 1, i], lag1[k - 1, i]
+            for v in range(low, high):
+                work[i, shift + v] = (rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]) - d * rhs[
+                    k - 1, i + half, axis, v
+                ]
         else:
+            c = lag2[k - 1, i]
             for v in range(low, high):
-                work[i, v - low] = values[i, v] - c * before[i, v]
+                work[i, shift + v] = rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _backward(after: Array, lag1: Array, lag2: Array, low: int, high: int, work: Array) -> None:
-    """Leave in `work` what the next block's solution contributes to this one."""
-    half = len(lag1)
-    for i in range(len(lag2)):
-        c = lag2[i]
+def _backward(
+    rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
+) -> None:
+    """Leave what the next block's solution contributes to this one in `work` from column `at` on."""
+    size = rhs.shape[1]
+    half, shift = size // 2, at - low
+    for i in range(size):
+        c = lag2[k, i]
         if i < half:
             for v in range(low, high):
-                work[i, v - low] = c * after[i, v]
+                work[i, shift + v] = c * rhs[k + 1, i, axis, v]
         else:
-            d = lag1[i - half]
+            d = lag1[k, i - half]
             for v in range(low, high):
-                work[i, v - low] = c * after[i, v] + d * after[i - half, v]
+                work[i, shift + v] = c * rhs[k + 1, i, axis, v] + d * rhs[k + 1, i - half, axis, v]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) -> None:
-    _, blocks, size, count = rhs.shape
-    # A few variants leave room for all axes in one product.
-    shared = max(1, _COLUMNS // count)
-    work, product = np.zeros((size, _COLUMNS), rhs.dtype), np.zeros((size, _COLUMNS), rhs.dtype)
-    nothing = np.zeros(size, rhs.dtype)
+    blocks, size, _, count = rhs.shape
+    work = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
+    product = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)
     for turn in range(2 * blocks - 1):
         is_forward = turn < blocks
         k = turn if is_forward else 2 * blocks - 2 - turn
-        for first in range(0, len(axes), shared):
-            group = axes[first : first + shared]
-            for low in range(0, count, _COLUMNS):
-                high = min(low + _COLUMNS, count)
-                for place in range(len(group)):
-                    values, part = rhs[group[place]], work[:, place * count :]
-                    if not is_forward:
-                        _backward(values[k + 1], lag1[k], lag2[k], low, high, part)
-                    elif k > 0:
-                        _forward(values[k], values[k - 1], lag1[k - 1], lag2[k - 1], low, high, part)
+        for low in range(0, count, _COLUMNS):
+            high = min(low + _COLUMNS, count)
+            for place in range(len(axes)):
+                if is_forward:
+                    _forward(rhs, k, axes[place], lag1, lag2, low, high, work, place * _COLUMNS)
+                else:
+                    _backward(rhs, k, axes[place], lag1, lag2, low, high, work, place * _COLUMNS)
+            np.dot(inverse[k], work, product)
+            for place in range(len(axes)):
+                axis, shift = axes[place], place * _COLUMNS - low
+                for i in range(size):
+                    if is_forward:
+                        for v in range(low, high):
+                            rhs[k, i, axis, v] = product[i, shift + v]
                     else:
-                        _forward(values[0], values[0], nothing[: size // 2], nothing, low, high, part)
-                np.dot(inverse[k], work, product)
-                for place in range(len(group)):
-                    values, start = rhs[group[place], k], place * count - low
-                    for i in range(size):
-                        if is_forward:
-                            for v in range(low, high):
-                                values[i, v] = product[i, start + v]
-                        else:
-                            for v in range(low, high):
-                                values[i, v] -= product[i, start + v]
+                        for v in range(low, high):
+                            rhs[k, i, axis, v] -= product[i, shift + v]
 
 
 def solve(factor: Factor, rhs: Array, axes: Indices) -> None:
-    """Solve in place for some of the axes of right-hand sides (axis, block, 2 n, count), of the factor's precision.
+    """Solve in place for some of the axes of right-hand sides (block, 88, axis, count), of the factor's precision.
 
-    The matrix products always see 16 columns, filled up where fewer are left: BLAS picks its kernels, and with them the
-    order of its sums, by the number of columns, so a column's bits would depend on how many others came along.
+    The matrix products always see 16 columns an axis, filled up where fewer are left: BLAS picks its kernels, and with
+    them the order of its sums, by the number of columns, so a column's bits would depend on how many others came along.
     """
     _solve(factor.inverse, factor.lag1, factor.lag2, rhs, axes)

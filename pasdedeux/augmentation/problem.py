@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -95,7 +95,7 @@ class Problem:
         """Share of each contact's weight that keeps its direction (T, M): all of it where an object is held."""
         return np.where(self.contacts.objects >= 0, 1.0, self.weights.contact_direction)
 
-    @property
+    @cached_property
     def free_matrix(self) -> Array:
         """The quadratic form within a frame for each axis (3, T, n, n), without contacts that keep their distance."""
         free = np.zeros(self.matrix.shape[1:])

@@ -182,16 +182,15 @@ def build_targets(problem: Problem, bone_scale: Array) -> Targets:
 
 
 def right_hand_side(problem: Problem, targets: Targets) -> Array:
-    """Return b (axis=3, T, n, variant) of the normal equations K x = b of the quadratic terms."""
-    difference = np.ascontiguousarray(np.transpose(targets.difference, (3, 1, 2, 0)))
-    rhs = np.matmul(problem.coupling[None], np.ascontiguousarray(np.transpose(targets.across, (3, 1, 2, 0))))
-    rhs += (problem.anchor - problem.weights.reference)[:, None] * difference
+    """Return b (variant, T, n, axis=3) of the normal equations K x = b of the quadratic terms."""
+    rhs = np.matmul(problem.coupling, targets.across)
+    rhs += (problem.anchor - problem.weights.reference)[:, None] * targets.difference
     if problem.num_frames > 1:
-        change = problem.stance[None, :, :, None] * np.diff(difference, axis=1)
-        change[1] = 0.0
+        change = problem.stance[..., None] * np.diff(targets.difference, axis=1)
+        change[..., 1] = 0.0
         rhs[:, 1:] += change
         rhs[:, :-1] -= change
-    rhs[1] += problem.floor[:, :, None] * np.transpose(targets.height, (1, 2, 0))
+    rhs[..., 1] += problem.floor * targets.height
     return np.asarray(rhs)
 
 

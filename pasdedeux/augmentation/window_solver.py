@@ -71,21 +71,21 @@ class WindowSolver:
         targets = build_targets(problem, bone_scale)
         count = targets.num_variants
         terms = [fit_terms(problem, targets, variant) for variant in range(count)]
-        energy_fk, squared_residual_fk = self._measure(terms, targets, targets.reference)
+        energy_fk = np.array([total_energy(terms[index], targets.reference[index]) for index in range(count)])
         result = self._bulk.solve(targets)
         with np.errstate(invalid="ignore", over="ignore"):
             energy, squared_residual = self._measure(terms, targets, result.positions)
         positions, iterations = result.positions, result.num_iterations.tolist()
         is_bad = ~(energy <= energy_fk + _ROUNDING * problem.num_frames)
         solvers = ["plain_fk" if failed else "bulk" for failed in is_bad]
-        for index in map(int, np.flatnonzero(~(energy <= energy_fk))):
-            positions[index], energy[index] = targets.reference[index], energy_fk[index]
-            squared_residual[index] = squared_residual_fk[index]
+        is_worse = ~(energy <= energy_fk)
+        positions[is_worse] = targets.reference[is_worse]
         if self.settings.solver == "polished":
             for index in range(count):
                 descent = descend(targets, index, terms[index], positions[index], POLISH)
                 solvers[index], positions[index] = "polished", descent.positions_m
                 iterations[index] += descent.num_iterations
+        if is_worse.any() or self.settings.solver == "polished":
             energy, squared_residual = self._measure(terms, targets, positions)
         return SolvedWindow(
             positions=positions,

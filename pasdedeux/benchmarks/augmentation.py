@@ -127,7 +127,7 @@ def shared_factor() -> BenchmarkResult:
     problem = build_problem(benchmark_source())
     factor = factorise(problem.matrix[0], problem.lag1[0], problem.lag2[0]).astype(np.float64)
     n = problem.source.num_points
-    rhs = np.random.default_rng(1).normal(size=(1, factor.num_blocks, 2 * n, _VARIANTS))
+    rhs = np.random.default_rng(1).normal(size=(factor.num_blocks, 2 * n, 1, _VARIANTS))
     banded = cholesky_banded(banded_matrix(problem), lower=True)
     flat = rhs.reshape(-1, _VARIANTS)[: _FRAMES * n]
     return BenchmarkResult(

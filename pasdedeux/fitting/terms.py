@@ -182,7 +182,7 @@ class QuadraticTerm(Term):
     constant: float = 0.0
 
     def _apply(self, x: Array) -> Array:
-        product = np.einsum("atij,tja->tia", self.matrix, x, optimize=True)
+        product = np.moveaxis(np.matmul(self.matrix, np.moveaxis(x, -1, 0)[..., None])[..., 0], 0, -1)
         for shift, lag in ((1, self.lag1), (2, self.lag2)):
             if len(x) > shift:
                 coupling = np.moveaxis(lag, 0, -1)
@@ -193,6 +193,8 @@ class QuadraticTerm(Term):
     def energy(self, positions_m: Array) -> float:
         """Return E."""
         x = positions_m - self.origin_m
+        if not x.any():
+            return self.constant
         return float((x * (self._apply(x) - 2.0 * self.linear)).sum() + self.constant)
 
     def add_gradient(self, positions_m: Array, normal: Normal) -> None:
@@ -273,9 +275,9 @@ class HalfSpaceTerm(Term):
     is_quadratic = False
 
     def _shortfall(self, positions_m: Array) -> Array:
-        frames = np.arange(len(positions_m))[:, None, None]
-        x = (positions_m - self.origin_m)[frames, self.points]
-        reach = np.einsum("tmka,tma->tmk", x, self.normals)
+        x = positions_m - self.origin_m
+        rows = self.points + x.shape[1] * np.arange(len(x))[:, None, None]
+        reach = np.einsum("tmka,tma->tmk", x.reshape(-1, AXES).take(rows, axis=0), self.normals)
         return np.asarray(np.maximum(self.limits_m - (self.shares * reach).sum(axis=-1), 0.0))
 
     def energy(self, positions_m: Array) -> float:

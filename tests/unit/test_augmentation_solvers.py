@@ -84,12 +84,12 @@ def test_the_shared_factor_solves_its_matrix(frames: int) -> None:
         expected = np.random.default_rng(frames).normal(size=(frames, 44, 3))
         rhs = np.zeros((2 * factor.num_blocks, 44, 3))
         rhs[:frames] = np.stack([_apply(problem, expected[..., v], group) for v in range(3)], axis=-1)
-        solution = np.zeros((3, factor.num_blocks, 88, 3))
-        solution[[0, 2]] = rhs.reshape(factor.num_blocks, 88, 3)
+        solution = np.zeros((factor.num_blocks, 88, 3, 3))
+        solution[:, :, [0, 2]] = rhs.reshape(factor.num_blocks, 88, 1, 3)
         solve(factor, solution, np.array([0, 2]))
-        assert not solution[1].any()
+        assert not solution[:, :, 1].any()
         for axis in (0, 2):
-            np.testing.assert_allclose(solution[axis].reshape(-1, 44, 3)[:frames], expected, atol=1e-7)
+            np.testing.assert_allclose(solution[:, :, axis].reshape(-1, 44, 3)[:frames], expected, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -180,7 +180,7 @@ def test_single_and_double_precision_agree() -> None:
     single = BulkSolver(problem).solve(targets)
     double = BulkSolver(problem, dtype=np.float64).solve(targets)
     apart_m = np.linalg.norm(single.positions - double.positions, axis=-1).mean()
-    assert apart_m < single.estimated_gap_m[0] + double.estimated_gap_m[0] < 0.003
+    assert apart_m < single.estimated_gap_m[0] + double.estimated_gap_m[0] < 0.006
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 30.0])

@@ -32,6 +32,7 @@ __all__ = [
     "STAGE",
     "VERSION",
     "AugmentationParameters",
+    "BatchParameters",
     "TakeMotion",
     "known_contacts",
     "plan",
@@ -39,7 +40,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 14
+VERSION = 15
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.augmentation.augment import Augmenter
+from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Girths, Source, points_of, reference_motion, widened_m
+from pasdedeux.augmentation.variations import Variation
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.interaction.contacts import Contacts, UserContact
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 
@@ -21,6 +24,7 @@ __all__ = [
     "VariantQualities",
     "contact_scores",
     "drift_figure",
+    "gap_scores",
     "quality_scores",
     "variant_sheet",
     "verdict_scores",
@@ -47,6 +51,12 @@ QUALITY_COLUMNS = {
     "invalid_angles": "",
 }
 """Columns of a variant's quality that are scored, with their units."""
+
+
+_SAMPLE_S = 2.0
+"""Seconds in the middle of a take that the guaranteed solver does too."""
+_SAMPLE_VARIANTS = 3
+"""Variants of a take that it does, evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +130,48 @@ def contact_scores(
                 figures = {f"{name}_contact_drift_{which}": value for which, value in values}
                 scores += scores_of(figures, method, "m", is_baseline=method == "naive_fk", item=item, count=len(mine))
     return scores
+
+
+def gap_scores(
+    source: Source,
+    bone_scale: Array,
+    settings: AugmentationSettings,
+    contacts: Sequence[UserContact] = (),
+    *,
+    item: str,
+) -> list[Score]:
+    """Return how far the bulk solver ends from guaranteed descent on a sample, beside its own estimate of that.
+
+    The sample is the 2 s in the middle of the take, for three variants evenly spread over those there are.
+
+    Args:
+        source: The take.
+        bone_scale: Scales of its variants (variant, P, 22).
+        settings: How variants were solved; whatever the solver was, the sample is of the bulk solver.
+        contacts: Contacts stated by the user.
+        item: Name of the take.
+    """
+    middle, half = source.num_frames // 2, max(int(_SAMPLE_S * source.rate_hz / 2.0), 1)
+    window = slice(max(middle - half, 0), min(middle + half, source.num_frames))
+    within = [contact.within(window.start, window.stop) for contact in contacts]
+    user = [contact for contact in within if contact is not None]
+    bulk, best = (
+        Augmenter(source.take_frames(window), settings.model_copy(update={"solver": solver}), user_contacts=user).solve(
+            [Variation(str(index), bone_scale[index]) for index in evenly_spread(len(bone_scale), _SAMPLE_VARIANTS)]
+        )
+        for solver in ("bulk", "polished")
+    )
+    moved = [np.linalg.norm(a.positions_m - b.positions_m, axis=-1).mean() for a, b in zip(bulk, best, strict=True)]
+    estimated = [variant.estimated_gap_m or 0.0 for variant in bulk]
+    excess = [a.energy / max(b.energy, 1e-12) - 1.0 for a, b in zip(bulk, best, strict=True)]
+    figures = {"sample_gap_mean": np.mean(moved), "sample_gap_worst": max(moved)}
+    figures |= {"sample_estimated_gap_mean": np.mean(estimated), "sample_estimated_gap_worst": max(estimated)}
+    energies = {"sample_energy_excess_worst": max(excess)}
+    return [
+        score
+        for found, unit in ((figures, "m"), (energies, ""))
+        for score in scores_of(found, "interaction_mesh", unit, item=item, count=len(bulk))
+    ]
 
 
 def verdict_scores(qualities: VariantQualities) -> list[Score]:

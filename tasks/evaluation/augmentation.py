@@ -6,22 +6,22 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from pasdedeux.augmentation.source import Girths
 from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
     VariantQualities,
     contact_scores,
     drift_figure,
+    gap_scores,
     quality_scores,
     variant_sheet,
     verdict_scores,
     worst_variants,
 )
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.interaction.contacts import UserContact, stated_contacts
+from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import known_contacts, read_take
+from tasks.augmentation import BatchParameters, known_contacts, read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
@@ -62,9 +62,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_take(store, take).source
-    stated, touch_m = _contacts_of(store, parts)
-    held = tuple(contact for contact in stated if contact.weight > 0)
-    contacts = source.contacts(touch_m, stated)
+    solved = BatchParameters.model_validate(store.manifest(parts[0]).parameters)
+    held = tuple(contact for contact in solved.contacts if contact.weight > 0)
+    contacts = source.contacts(solved.touch_m, solved.contacts)
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
     if contacts.weights.size:
@@ -73,7 +73,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             is_built = held == known_contacts(store.manifest(take))
             whose = "known because the take was built that way" if is_built else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
-    kept = contact_scores(contacts, source, _girth(store, parts), _motions(store, parts, tables), item=take_id)
+    kept = contact_scores(contacts, source, solved.girth, _motions(store, parts, tables), item=take_id)
+    scales = np.concatenate([table["bone_scale"] for table in tables]).astype(np.float64)
+    scales = scales.reshape(-1, source.num_people, BODY22.num_joints)
+    gaps = gap_scores(source, scales, solved, solved.contacts, item=take_id)
     drawn = _extremes(qualities)
 
     def read(chosen: Iterable[int]) -> dict[str, np.ndarray]:
@@ -93,23 +96,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         f"drift-{take_id}.png": f"{take_id}: how far contacts moved apart or together against the source.",
     }
     return TopicResult(
-        scores=[*kept, *quality_scores(qualities), *verdict_scores(qualities)],
+        scores=[*kept, *quality_scores(qualities), *gaps, *verdict_scores(qualities)],
         pictures=pictures,
         captions={name: caption for name, caption in captions.items() if name in pictures},
         notes=notes,
     )
-
-
-def _contacts_of(store: Store, parts: Sequence[ArtifactRef]) -> tuple[tuple[UserContact, ...], tuple[float, float]]:
-    """Return the contacts that were stated for the variants, and from which distance on contacts were found."""
-    made = store.manifest(parts[0]).parameters
-    return tuple(UserContact(**contact) for contact in made["contacts"]), (made["touch_m"][0], made["touch_m"][1])
-
-
-def _girth(store: Store, parts: Sequence[ArtifactRef]) -> Girths:
-    """Return how thick the bodies of the variants are."""
-    girth = store.manifest(parts[0]).facts["girth"]
-    return girth if girth == "follow" else tuple(map(float, girth))
 
 
 def _motions(

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 23
+VERSION = 24
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

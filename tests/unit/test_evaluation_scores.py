@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import Source
+from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.evaluation.coverage import (
@@ -24,6 +24,7 @@ from pasdedeux.evaluation.variants import (
     QUALITY_COLUMNS,
     VariantQualities,
     contact_scores,
+    gap_scores,
     quality_scores,
     verdict_scores,
     worst_variants,
@@ -221,6 +222,20 @@ def test_contacts_are_scored_by_class_beside_plain_fk_and_the_source_itself_keep
     drift = _by_method(scores, "hand_contact_drift_p95")
     assert drift["naive_fk"] > 0.05
     assert drift["interaction_mesh"] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_gap_of_the_bulk_solver_is_measured_beside_its_estimate() -> None:
+    source = Source(swaying_pair(30), 30.0)
+    scale = np.ones((1, 2, 22))
+    scale[:, 0] = 0.8
+    end, early = (
+        {score.metric: score.value for score in gap_scores(source, scale, settings, item="x")}
+        for settings in (AugmentationSettings(), AugmentationSettings(num_iterations=3))
+    )
+    assert 0 < end["sample_gap_mean"] < end["sample_estimated_gap_mean"] < 0.005
+    assert 0 <= end["sample_energy_excess_worst"] < 0.05
+    for metric, value in early.items():
+        assert value > 2.0 * end[metric]
 
 
 def test_the_worst_variant_of_every_column_is_found_once() -> None:

@@ -19,7 +19,7 @@ from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.study import load_study
-from storage_schema import Store
+from storage_schema import Store, in_use
 from tasks.graph import load_graph
 from tasks.shards import (
     ClusterSettings,
@@ -107,13 +107,14 @@ def dataset(
     cluster = cluster_settings(workers, worker_memory_gb, scheduler, oversubscribe=oversubscribe)
     chosen, graph = load_study(study, load_graph(), settings=settings, folder=None if folder is None else Path(folder))
     run = Run(chosen, graph, Store(store))
-    plan = make_plan(chosen, graph, run.store)
-    if plan.is_fresh:
-        outcome = outcome_of_fresh(run, plan)
-    else:
-        with _workers(run, cluster) as found:
-            record = begin(run, plan)
-            outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
+    with in_use(run.store):
+        plan = make_plan(chosen, graph, run.store)
+        if plan.is_fresh:
+            outcome = outcome_of_fresh(run, plan)
+        else:
+            with _workers(run, cluster) as found:
+                record = begin(run, plan)
+                outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
     _publish(chosen.name, outcome)
     refuse_nothing(outcome.missing)
     return {stage.name: stage.num_computed for stage in outcome.stages}

@@ -53,7 +53,11 @@ def num_workers(asked: int | None, worker_bytes: int, *, oversubscribe: bool = F
 
 
 def cluster_settings(
-    workers: int | None, worker_memory_gb: float, scheduler: str | None, *, oversubscribe: bool = False
+    workers: int | None,
+    worker_memory_gb: float = WORKER_MEMORY_GB,
+    scheduler: str | None = None,
+    *,
+    oversubscribe: bool = False,
 ) -> ClusterSettings:
     """Return where shards run; of somebody's scheduler the workers are its own.  Raises what `num_workers` raises."""
     worker_bytes = int(worker_memory_gb * GIB)

@@ -26,18 +26,26 @@ from storage_schema import (
 from storage_schema.provenance import code_version, package_versions
 
 __all__ = [
+    "ENVIRONMENT_FILE",
+    "PLAN_FILE",
+    "STUDY_FILE",
     "begin_record",
     "copy_report",
     "describe_runs",
     "end_record",
+    "environment",
     "last_sections",
     "mixture",
     "read_last_run",
     "record_stage",
     "report_folder",
+    "run_record",
 ]
 
-_RUN, _STUDY, _PLAN, _ENVIRONMENT = "run.json", "study.json", "plan.json", "environment.json"
+STUDY_FILE, PLAN_FILE, ENVIRONMENT_FILE = "study.json", "plan.json", "environment.json"
+"""Files of a run's folder: the resolved study, what was planned, what it ran on."""
+
+_RUN = "run.json"
 
 
 def read_last_run(store: Store, study: str) -> LatestRun | None:
@@ -56,7 +64,7 @@ def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
     if last is None:
         return {}
     try:
-        sections: dict[str, Any] = json.loads(open_run(store, last.run_id).read(_STUDY))
+        sections: dict[str, Any] = json.loads(open_run(store, last.run_id).read(STUDY_FILE))
     except (MissingArtifact, ValueError):
         return {}
     return sections
@@ -72,9 +80,9 @@ def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: S
 
 def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], plan: Mapping[str, Any]) -> None:
     """Write what is about to be done: the resolved study, the plan, the machine."""
-    folder.write(_STUDY, sections)
-    folder.write(_PLAN, plan)
-    folder.write(_ENVIRONMENT, _environment())
+    folder.write(STUDY_FILE, sections)
+    folder.write(PLAN_FILE, plan)
+    folder.write(ENVIRONMENT_FILE, environment())
     folder.write(_RUN, {**_identity(folder, study), "status": "running"})
 
 
@@ -87,13 +95,13 @@ def describe_runs(store: Store) -> list[dict[str, str]]:
     """Return the runs of a store, oldest first: id, study and how each ended (`killed` when its process is gone)."""
     found = []
     for folder in list_runs(store):
-        record = _record_of(store, folder.run_id)
+        record = run_record(store, folder.run_id)
         if not record:
             continue
         status = record["status"]
         if status == "running" and record["host"] == platform.node() and not _is_alive(record["pid"]):
             status = "killed"
-        found.append({"run_id": folder.run_id, "study": record["study"], "status": status})
+        found.append({"run_id": folder.run_id, "study": record["study"], "status": status, "host": record["host"]})
     return found
 
 
@@ -104,7 +112,7 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     changed was followed to its end.
     """
     known = {(ref.stage, ref.content_digest) for stage in last.stages for ref in last.refs(stage)}
-    record = _record_of(store, last.run_id)
+    record = run_record(store, last.run_id)
     if record.get("status", "finished") != "finished":
         return f"its last run, {last.run_id}, did not finish"
     done = {entry["stage"]: entry["num_computed"] for entry in record.get("stages", [])}
@@ -138,7 +146,7 @@ def _identity(folder: RunFolder, study: str) -> dict[str, Any]:
     return {"study": study, "run_id": folder.run_id, "pid": os.getpid(), "host": platform.node()}
 
 
-def _record_of(store: Store, run_id: str) -> dict[str, Any]:
+def run_record(store: Store, run_id: str) -> dict[str, Any]:
     """Return how a run ended and what it did; empty where that is gone."""
     try:
         record: dict[str, Any] = json.loads(open_run(store, run_id).read(_RUN))
@@ -147,8 +155,8 @@ def _record_of(store: Store, run_id: str) -> dict[str, Any]:
     return record
 
 
-def _environment() -> dict[str, Any]:
-    """Return what the run ran on, for the record; nothing of it enters a key."""
+def environment() -> dict[str, Any]:
+    """Return what a run from here runs on, for the record; nothing of it enters a key."""
     return {
         "platform": platform.platform(),
         "num_cores": os.cpu_count(),

@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +25,7 @@ from storage_schema.keys import plain_json
 from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
+from storage_schema.store_reader import STORE_FILE
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "LatestRun",
     "RunFolder",
     "ShardRecord",
+    "in_use",
     "latest_studies",
     "list_runs",
     "new_run",
@@ -40,6 +42,7 @@ __all__ = [
     "record_latest",
 ]
 
+_AT_ONCE = fcntl.LOCK_EX | fcntl.LOCK_NB
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -205,11 +208,35 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
 
 
 @contextmanager
-def _in_line(path: Path) -> Iterator[None]:
+def in_use(store: Store, *, alone: bool = False) -> Iterator[None]:
+    """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
+
+    Who uses a store waits for the one who has it alone, which lasts seconds; who wants it alone does not wait.  A store
+    that is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.
+
+    Raises:
+        StorageError: Somebody uses the store that is wanted alone.
+    """
+    with ExitStack() as held:
+        try:
+            if (store.root / STORE_FILE).is_file():
+                held.enter_context(_in_line(store.root / "runs" / "in_use", fcntl.LOCK_SH if not alone else _AT_ONCE))
+        except BlockingIOError:
+            raise StorageError(
+                f"a run plans or builds in the store {store.root}; try again when it has ended"
+            ) from None
+        except OSError:
+            if alone:
+                raise
+        yield
+
+
+@contextmanager
+def _in_line(path: Path, how: int = fcntl.LOCK_EX) -> Iterator[None]:
     make_folder(path.parent)
     handle = os.open(path.with_name(f".{path.name}.lock"), os.O_CREAT | os.O_RDWR, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        fcntl.flock(handle, how)
         yield
     finally:
         os.close(handle)

@@ -151,7 +151,7 @@ class Store(StoreReader):
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
         with write_errors(self.root):
-            self._move_away(self.folder(ref.stage, ref.key))
+            self.remove_folder(self.folder(ref.stage, ref.key))
 
     def prepare(self) -> None:
         """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
@@ -182,7 +182,7 @@ class Store(StoreReader):
                         *(ref.stage, ref.key[:12], ref.content_digest[:12], found.ref.content_digest[:12]),
                     )
                 return found.ref
-            self._move_away(target)
+            self.remove_folder(target)
             try:
                 staged.rename(target)
             except OSError:
@@ -193,8 +193,8 @@ class Store(StoreReader):
             sync_folder(target.parent)
             return ref
 
-    def _move_away(self, target: Path) -> None:
-        """Remove a folder under a key; it vanishes in one rename, so nobody sees it half removed."""
+    def remove_folder(self, target: Path) -> None:
+        """Remove a folder of the store, if it is there; it vanishes in one rename, so nobody sees it half removed."""
         if not target.exists():
             return
         with closing(StagingFolder(self.staging_root)) as staging, suppress(FileNotFoundError):  # moved away by another

@@ -11,7 +11,20 @@ from typing import Any
 import typer
 import typer.core
 
-from flows.console import bench, datasets, deploy, doctor, reconstruct, restart, retarget, run, show, status, studies
+from flows.console import (
+    bench,
+    datasets,
+    deploy,
+    doctor,
+    gc,
+    reconstruct,
+    restart,
+    retarget,
+    run,
+    show,
+    status,
+    studies,
+)
 from flows.console.context import Context
 from flows.planning import PlanError
 from flows.renamed import RENAMED_COMMANDS
@@ -115,6 +128,7 @@ def command_line() -> typer.Typer:
     reconstruct.register(reconstruction)
     retargeting = typer.Typer(rich_markup_mode=None)
     retarget.register(retargeting)
-    for part in (run, status, show, datasets, studies, restart, deploy, reconstruction, retargeting, bench, doctor):
+    parts = (run, status, show, datasets, gc, studies, restart, deploy, reconstruction, retargeting, bench)
+    for part in (*parts, doctor):
         app.add_typer(part if isinstance(part, typer.Typer) else part.app)
     return app

@@ -17,6 +17,7 @@ __all__ = [
     "Context",
     "JsonOption",
     "OversubscribeOption",
+    "SchedulerOption",
     "SettingOption",
     "StoreOption",
     "StudyArgument",
@@ -34,6 +35,10 @@ StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folde
 WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786."),
 ]
 OversubscribeOption = Annotated[
     bool, typer.Option("--oversubscribe", help="Allow more workers than there are cores to use.")

@@ -10,6 +10,7 @@ import typer
 
 from flows.console.context import (
     OversubscribeOption,
+    SchedulerOption,
     SettingOption,
     StoreOption,
     StudyArgument,
@@ -17,7 +18,7 @@ from flows.console.context import (
     graph_of,
     open_store,
 )
-from flows.machine import WORKER_MEMORY_GB, cluster_settings
+from flows.machine import cluster_settings
 from flows.planning import PlanError, make_plan
 from flows.prefect_server import check_server, telemetry_off
 from flows.study import load_study
@@ -51,11 +52,11 @@ def deploy(
     every: Annotated[float | None, typer.Option(min=1, metavar="SECONDS", help="Time between builds.")] = None,
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
-    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster.")] = None,
+    scheduler: SchedulerOption = None,
     pool: Annotated[str, typer.Option(help="Work pool; made where it is missing.")] = "pasdedeux",
 ) -> None:
     """Put a study on Prefect's server."""
-    cluster_settings(workers, WORKER_MEMORY_GB, scheduler, oversubscribe=oversubscribe)
+    cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
     graph = graph_of(context)
     chosen, known = load_study(study, graph, settings=settings or ())
     make_plan(chosen, known, open_store(store))

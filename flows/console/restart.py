@@ -17,6 +17,7 @@ from flows.console.context import (
     open_store,
 )
 from flows.console.run import build_and_report
+from flows.machine import cluster_settings
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
@@ -68,6 +69,7 @@ def restart(
     from pasdedeux.formats.pair_file import write_pair_json
     from tasks.seeds.files import pair_of_draw
 
+    cluster = cluster_settings(workers, oversubscribe=oversubscribe)
     opened = open_store(store)
     chosen = pair_of_draw(opened, draw)
     origin, sections = _study_of(opened, chosen)
@@ -88,15 +90,7 @@ def restart(
     path.write_text(write_pair_json(chosen.pair), encoding="utf-8")
     if not as_json:
         typer.echo(f"the draw is the seed in {path}; its study is {name}")
-    build_and_report(
-        study,
-        graph,
-        opened,
-        Selection(until="chains"),
-        workers=workers,
-        oversubscribe=oversubscribe,
-        as_json=as_json,
-    )
+    build_and_report(study, graph, opened, Selection(until="chains"), cluster, as_json=as_json)
     if not as_json:
         typer.echo(f"new draws: pasdedeux show draws:{name}")
         typer.echo(f"how the chains went: pasdedeux show chain_info:{name}")

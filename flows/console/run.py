@@ -11,6 +11,7 @@ import typer
 from flows.console.context import (
     JsonOption,
     OversubscribeOption,
+    SchedulerOption,
     SettingOption,
     StoreOption,
     StudyArgument,
@@ -24,11 +25,11 @@ from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.study import Study, load_study
-from storage_schema import Store
+from storage_schema import Store, in_use
 from tasks.graph import Graph
 from tasks.shards import ClusterSettings
 
-__all__ = ["app", "build_and_report"]
+__all__ = ["app", "build", "build_and_report"]
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -71,9 +72,7 @@ def run(
     worker_memory: Annotated[
         float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")
     ] = WORKER_MEMORY_GB,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786.")
-    ] = None,
+    scheduler: SchedulerOption = None,
     only: OnlyOption = None,
     start: FromOption = None,
     until: UntilOption = None,
@@ -83,40 +82,16 @@ def run(
     """Build a study."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
-    build_and_report(
-        chosen,
-        graph,
-        open_store(store),
-        selection,
-        workers=workers,
-        oversubscribe=oversubscribe,
-        worker_memory=worker_memory,
-        scheduler=scheduler,
-        as_json=as_json,
-    )
+    cluster = cluster_settings(workers, worker_memory, scheduler, oversubscribe=oversubscribe)
+    build_and_report(chosen, graph, open_store(store), selection, cluster, as_json=as_json)
 
 
 def build_and_report(
-    chosen: Study,
-    graph: Graph,
-    opened: Store,
-    selection: Selection,
-    *,
-    workers: int | None,
-    oversubscribe: bool,
-    as_json: bool,
-    worker_memory: float = WORKER_MEMORY_GB,
-    scheduler: str | None = None,
+    chosen: Study, graph: Graph, opened: Store, selection: Selection, cluster: ClusterSettings, *, as_json: bool
 ) -> None:
-    """Bring a study up to date and say what was done; how it is run is as the options of `run` say."""
+    """Bring a study up to date and say what was done."""
     started = time.perf_counter()
-    cluster = cluster_settings(workers, worker_memory, scheduler, oversubscribe=oversubscribe)
-    made = make_plan(chosen, graph, opened, selection)
-    if made.is_fresh:
-        outcome = outcome_of_fresh(Run(chosen, graph, opened, selection), made)
-    else:
-        _refuse_full_disk(opened)
-        outcome = _build(Run(chosen, graph, opened, selection), made, cluster, is_quiet=as_json)
+    outcome, made = build(chosen, graph, opened, selection, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
     if as_json:
         print_json({**outcome.to_json(), "seconds": round(seconds, 3)})
@@ -132,6 +107,19 @@ def build_and_report(
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
     refuse_nothing(outcome.missing)
+
+
+def build(
+    chosen: Study, graph: Graph, opened: Store, selection: Selection, cluster: ClusterSettings, *, is_quiet: bool
+) -> tuple[Outcome, Plan]:
+    """Bring a study up to date; gives what was done and the plan.  Nothing is removed from the store meanwhile."""
+    with in_use(opened):
+        made = make_plan(chosen, graph, opened, selection)
+        run = Run(chosen, graph, opened, selection)
+        if made.is_fresh:
+            return outcome_of_fresh(run, made), made
+        _refuse_full_disk(opened)
+        return _build(run, made, cluster, is_quiet=is_quiet), made
 
 
 @app.command(help=_PLAN)

@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from storage_schema import (
     record_latest,
     verify,
 )
+from storage_schema.garbage import find_unneeded, remove_unneeded
 from tests.builders.storage_rows import commit_rows
 
 EVENTS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "shutil.rmtree"}
@@ -66,6 +68,22 @@ def make_dataset(store: Store) -> str:
     return list_datasets(store)[0].digest
 
 
+def prepare_unneeded(store: Store) -> None:
+    """Leave two artifacts that stay, one read by the other, and three that go, in a chain."""
+    take = commit_rows(store, "poses", stage="ingest")
+    commit_rows(store, inputs=(take,))
+    end = commit_rows(store, "poses", stage="ingest", name="old")
+    for stage in ("seeds", "chains"):
+        end = commit_rows(store, "seeds", stage=stage, name="old", inputs=(end,))
+
+
+def sweep(store: Store) -> str:
+    """Remove what the score of `prepare_unneeded` was not computed from."""
+    needed = [("evaluation", folder.name) for folder in store.folders("evaluation")]
+    remove_unneeded(store, find_unneeded(store, needed, datetime.max.replace(tzinfo=UTC)))
+    return str([manifest.ref for manifest in store.artifacts()])
+
+
 def _shard(key: str) -> ShardRecord:
     return ShardRecord("p", "n", key * 64, key * 64, 1, 0, {})
 
@@ -74,6 +92,7 @@ ACTIONS: dict[str, tuple[Callable[[Store], None], Callable[[Store], str]]] = {
     "commit": (lambda store: None, commit),
     "heal": (prepare_damaged, commit),
     "record": (prepare_record, record),
+    "sweep": (prepare_unneeded, sweep),
     "dataset": (prepare_refs, make_dataset),
 }
 
@@ -104,8 +123,11 @@ def die_at(step: int, root: Path) -> None:
 def look(store: Store) -> dict[str, Any]:
     """Say what a reader sees."""
     latest = read_latest(store, "duets")
+    manifests = list(store.artifacts())
+    refs = [manifest.ref for manifest in manifests]
     return {
-        "artifacts": [manifest.ref.content_digest for manifest in store.artifacts()],
+        "artifacts": [ref.content_digest for ref in refs],
+        "lost_inputs": [ref.key for manifest in manifests for ref in manifest.inputs if ref not in refs],
         "problems": [str(problem) for problem in verify(store).problems],
         "datasets": [dataset.label for dataset in list_datasets(store)],
         "latest": latest and latest.run_id,

@@ -20,7 +20,9 @@ def kill_at_every_step(action: str, folder: Path) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8)])
+@pytest.mark.parametrize(
+    ("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8), ("sweep", 15)]
+)
 def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
     tmp_path: Path, action: str, min_steps: int
 ) -> None:
@@ -33,6 +35,7 @@ def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
         assert rerun.pop("is_same"), step
         leftovers = rerun.pop("tmp")
         assert rerun == expected, step
+        assert death["lost_inputs"] == [], step
         assert expected["problems"] == []
         if not death["datasets"]:
             # A rerun that finds its dataset writes nothing, so it clears nothing away.
@@ -41,6 +44,9 @@ def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
             # The damaged artifact is never found; it is the one problem until the new one stands.
             assert death["artifacts"] in ([], expected["artifacts"]), step
             assert len(death["problems"]) <= 1, step
+        elif action == "sweep":
+            assert death["problems"] == [], step
+            assert set(death["artifacts"]) >= set(expected["artifacts"]), step
         else:
             assert death["problems"] == [], step
             assert set(death["artifacts"]) <= set(expected["artifacts"]), step

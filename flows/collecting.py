@@ -1,0 +1,119 @@
+"""What of a store datasets, studies and recent runs need; the rest can be removed."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from flows.records import PLAN_FILE, describe_runs, run_record
+from storage_schema import (
+    MissingArtifact,
+    Store,
+    in_use,
+    latest_studies,
+    list_datasets,
+    list_runs,
+    open_run,
+    read_latest,
+)
+from storage_schema.garbage import StageKey, Sweep, find_unneeded, folder_bytes, remove_unneeded
+
+__all__ = ["Collection", "StoreInUseError", "collect", "find_garbage"]
+
+_BEGUN = re.compile(r"\d{8}T\d{6}(?=-)")
+
+
+class StoreInUseError(Exception):
+    """A run is in progress in the store, so nothing is removed from it; says which."""
+
+
+@dataclass(frozen=True)
+class Collection:
+    """What stays in a store and what goes: artifacts, and the folders of runs by id with their bytes."""
+
+    artifacts: Sweep
+    kept_runs: dict[str, int]
+    going_runs: dict[str, int]
+    num_datasets: int
+
+    @property
+    def num_bytes(self) -> int:
+        """Return the bytes that go."""
+        return sum(stored.num_bytes for stored in self.artifacts.going) + sum(self.going_runs.values())
+
+
+def find_garbage(store: Store, since: datetime) -> Collection:
+    """Tell what is needed in a store, and what is not.
+
+    Needed is what datasets name, what the last finished run of each study made and what is on record of the study, what
+    runs begun at or after a time made or found there, whatever was made since, and all that these were computed from.
+
+    Raises:
+        CorruptArtifact: A dataset or the record of a study cannot be read: what it needs is not known.
+    """
+    datasets = list_datasets(store)
+    needed: set[StageKey] = {(ref.stage, ref.key) for dataset in datasets for ref in dataset.refs}
+    runs = set()
+    latest = [last for study in latest_studies(store) if (last := read_latest(store, study)) is not None]
+    for last in latest:
+        runs.add(last.run_id)
+        needed.update((stage, shard.key) for stage, shards in last.stages.items() for shard in shards)
+    finished: dict[str, str] = {}
+    for folder in list_runs(store):
+        record = run_record(store, folder.run_id)
+        if record.get("status") == "finished":
+            finished[record["study"]] = folder.run_id
+        begun = _BEGUN.match(folder.run_id)
+        if begun is None or datetime.strptime(begun[0], "%Y%m%dT%H%M%S").replace(tzinfo=UTC) >= since:
+            runs.add(folder.run_id)
+    # Ids tell seconds: of runs that began in the same one the record knows the last.
+    finished |= {
+        last.study: last.run_id for last in latest if run_record(store, last.run_id).get("status") == "finished"
+    }
+    runs.update(finished.values())
+    needed.update(place for run_id in runs for place in _made_or_found(store, run_id))
+    sizes = {folder.run_id: folder_bytes(folder.path) for folder in list_runs(store)}
+    return Collection(
+        artifacts=find_unneeded(store, needed, since),
+        kept_runs={run_id: size for run_id, size in sizes.items() if run_id in runs},
+        going_runs={run_id: size for run_id, size in sizes.items() if run_id not in runs},
+        num_datasets=len(datasets),
+    )
+
+
+def collect(store: Store, since: datetime) -> Collection:
+    """Remove what `find_garbage` does not find needed; killed at any moment, the same call again finishes it.
+
+    Raises:
+        StoreInUseError: A run is in progress.
+        StorageError: Another process plans or builds here just now.
+        CorruptArtifact: As `find_garbage`.
+    """
+    with in_use(store, alone=True):
+        for run in describe_runs(store):
+            if run["status"] == "running":
+                raise StoreInUseError(
+                    f"run {run['run_id']} is in progress on {run['host']}, and nothing is removed beside it; let it "
+                    "end, or stop it: it goes on later (if it died there, remove its folder in runs/)"
+                )
+        found = find_garbage(store, since)
+        remove_unneeded(store, found.artifacts)
+        for run_id in found.going_runs:
+            store.remove_folder(store.root / "runs" / run_id)
+    return found
+
+
+def _made_or_found(store: Store, run_id: str) -> Iterator[StageKey]:
+    """Return what a run made, and what it planned: where it did not finish, what it found fresh and what it began."""
+    for stage in run_record(store, run_id).get("stages", []):
+        yield from ((stage["stage"], artifact["key"]) for artifact in stage["artifacts"])
+    try:
+        plan: dict[str, Any] = json.loads(open_run(store, run_id).read(PLAN_FILE))
+    except (MissingArtifact, ValueError):
+        return
+    for stage in plan.get("stages", []):
+        yield from ((stage["stage"], shard["key"]) for shard in stage.get("shards", []))

@@ -1,0 +1,88 @@
+"""What of a store is needed no more, and how it goes: nothing that is kept was ever computed from what is removed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+from storage_schema.errors import CorruptArtifact, MissingArtifact
+from storage_schema.store import Store
+
+__all__ = ["StageKey", "Stored", "Sweep", "find_unneeded", "folder_bytes", "remove_unneeded"]
+
+StageKey = tuple[str, str]
+"""An artifact, whatever it holds."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What stands under a key: when it was made, what it was computed from, its bytes on the disk, the manifest's too.
+
+    A folder whose manifest cannot be read counts by the time of its last change, and as computed from nothing.
+    """
+
+    place: StageKey
+    num_bytes: int
+    made_at: datetime
+    inputs: tuple[StageKey, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The artifacts of a store that stay, and those that go, each of these before what it was computed from."""
+
+    kept: tuple[Stored, ...]
+    going: tuple[Stored, ...]
+
+
+def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> Sweep:
+    """Tell what is needed: these artifacts, those made at or after a time, and everything either was computed from.
+
+    Raises:
+        NewerSchema: The store was written by a newer program.
+    """
+    store.check_version()
+    found = {stored.place: stored for stored in _all(store)}
+    waiting = [place for place in needed if place in found]
+    waiting += [place for place, stored in found.items() if stored.made_at >= since]
+    kept: set[StageKey] = set()
+    while waiting:
+        place = waiting.pop()
+        if place not in kept:
+            kept.add(place)
+            waiting += [read for read in found[place].inputs if read in found]
+    reads = {place: [read for read in stored.inputs if read in found] for place, stored in found.items()}
+    order = reversed(list(TopologicalSorter(reads).static_order()))
+    return Sweep(
+        kept=tuple(stored for place, stored in found.items() if place in kept),
+        going=tuple(found[place] for place in order if place not in kept),
+    )
+
+
+def remove_unneeded(store: Store, sweep: Sweep) -> None:
+    """Remove what goes; killed at any moment this leaves a whole store, and the same call again finishes it."""
+    for stored in sweep.going:
+        store.remove_folder(store.folder(*stored.place))
+    store.clear_leftovers()
+
+
+def folder_bytes(folder: Path) -> int:
+    """Return the bytes of all files in a folder and below."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def _all(store: Store) -> Iterator[Stored]:
+    for folder in store.folders():
+        place = (folder.parent.parent.name, folder.name)
+        inputs: tuple[StageKey, ...] = ()
+        with suppress(FileNotFoundError):  # another process has just removed it
+            made_at = datetime.fromtimestamp(folder.stat().st_mtime, UTC)
+            with suppress(MissingArtifact, CorruptArtifact, ValueError):
+                manifest = store.load(*place)
+                made_at = datetime.fromisoformat(manifest.created_at)
+                inputs = tuple((ref.stage, ref.key) for ref in manifest.inputs)
+            yield Stored(place, folder_bytes(folder), made_at, inputs)

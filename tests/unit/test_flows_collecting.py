@@ -1,0 +1,174 @@
+"""`gc`: what datasets, studies and recent runs need stays, whatever else was ever built; the rest goes."""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from flows.collecting import StoreInUseError, collect, find_garbage
+from flows.console.app import run_command_line
+from flows.planning import Selection
+from storage_schema import Store, create_dataset, in_use, lineage, read_latest, verify
+from tests.builders.storage_rows import commit_rows
+from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
+from tests.builders.toys import TOYS
+
+NOW = datetime(9999, 1, 1, tzinfo=UTC)
+"""A time after which nothing was made: nothing is kept for being young."""
+
+
+def call(*arguments: str) -> int:
+    return run_command_line(arguments, graph=TOYS)
+
+
+def files(folder: Path) -> dict[str, int]:
+    return {str(path.relative_to(folder)): path.stat().st_size for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    return write_study(tmp_path, STUDY + "[bend]\nstep = 1\n")
+
+
+@pytest.fixture
+def store(tmp_path: Path, study: Path) -> Store:
+    """Three runs of the toy study at three scales; the first is a dataset."""
+    store = Store(tmp_path / "store")
+    run_toys(study, store.root)
+    latest = read_latest(store, "toy")
+    assert latest is not None
+    create_dataset(store, "first", latest.refs("judge"))
+    for scale in (2.0, 3.0):
+        run_toys(study, store.root, f"grow.scale={scale}")
+    return store
+
+
+def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_goes(store: Store, study: Path) -> None:
+    before = {manifest.ref for manifest in store.artifacts()}
+    collect(store, NOW)
+    left = {manifest.ref for manifest in store.artifacts()}
+    latest = read_latest(store, "toy")
+    assert latest is not None
+    roots = [ref for stage in latest.stages for ref in latest.refs(stage)]
+    with_dataset = {step.ref for ref in roots for step in lineage(store, ref)} | {
+        manifest.ref for manifest in Store(store.root).artifacts() if manifest.parameters.get("scale") == 1.0
+    }
+    assert with_dataset <= left
+    assert len(before - left) == 13, "grow, bend and judge of the second run; aside is the same in all three"
+    assert all(manifest.parameters.get("scale") != 2.0 for manifest in store.artifacts())
+    assert verify(store).is_ok
+    assert plan_toys(study, store.root, "grow.scale=3.0").is_fresh
+    assert plan_toys(study, store.root).is_fresh, "the dataset keeps what its run needs"
+    assert not plan_toys(study, store.root, "grow.scale=2.0").is_fresh
+    assert collect(store, NOW).num_bytes == 0
+
+
+def test_an_unfinished_run_does_not_push_out_the_last_finished_one(store: Store, study: Path) -> None:
+    def fail(run: object, plan: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_toys(study, store.root, "grow.scale=4.0", runner=fail)
+    run_toys(study, store.root, "grow.scale=3.0", selection=Selection(until="grow"))
+    collect(store, NOW)
+    assert plan_toys(study, store.root, "grow.scale=3.0").is_fresh
+
+
+def test_what_runs_and_writers_of_the_last_days_left_stays(store: Store) -> None:
+    week = datetime.now(UTC) - timedelta(days=7)
+    assert find_garbage(store, week).num_bytes == 0
+    folder = next(path for path in (store.root / "runs").iterdir() if path.name not in ("latest", ".in_use.lock"))
+    folder.rename(folder.with_name("20010101T000000-toy-abcdef"))
+    found = find_garbage(store, week)
+    assert list(found.going_runs) == ["20010101T000000-toy-abcdef"]
+    assert found.artifacts.going == (), "artifacts are young though their run is old"
+
+
+def test_a_dry_run_is_the_default_removes_nothing_and_counts_the_bytes_that_yes_frees(
+    store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(store.root)
+    assert call("gc", "--store", str(store.root), "--days", "0") == 0
+    out = capsys.readouterr().out
+    assert "nothing was removed; --yes removes" in out
+    assert [line.split()[0] for line in out.splitlines()[2:-1]] == ["aside", "bend", "grow", "judge", "runs", "all"]
+    assert call("gc", "--store", str(store.root), "--days", "0", "--json") == 0
+    described = json.loads(capsys.readouterr().out)
+    assert files(store.root) == before
+    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 0
+    after = {name: size for name, size in files(store.root).items() if not name.endswith(".lock")}
+    assert set(after) < set(before)
+    assert sum(before.values()) - sum(after.values()) == described["stages"]["all"]["bytes_going"]
+    assert described["stages"]["grow"]["num_going"] == 6
+    assert len(described["runs"]) == 2
+
+
+def test_a_damaged_manifest_that_nothing_needs_goes_and_a_record_that_cannot_be_read_stops_everything(
+    store: Store,
+) -> None:
+    stray = commit_rows(store)
+    (store.folder(stray.stage, stray.key) / "manifest.json").write_text("{")
+    collect(store, NOW)
+    assert not store.folder(stray.stage, stray.key).exists()
+    before = files(store.root)
+    (store.root / "runs" / "latest" / "toy.json").write_text("{")
+    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
+    assert set(files(store.root)) == set(before)
+
+
+@pytest.fixture
+def running(store: Store) -> Iterator[Path]:
+    """Return the record of a run of the second study whose process lives."""
+    run = store.root / "runs" / "20010101T000000-toy-abcdef"
+    run.mkdir()
+    process = subprocess.Popen(["sleep", "60"])
+    values = {"study": "toy", "run_id": run.name, "pid": process.pid, "host": platform.node(), "status": "running"}
+    (run / "run.json").write_text(json.dumps(values))
+    yield run
+    process.kill()
+    process.wait()
+
+
+def test_nothing_is_removed_while_a_run_is_in_progress(
+    store: Store, running: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(store.root)
+    assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
+    assert f"run {running.name} is in progress" in capsys.readouterr().err
+    assert before.keys() == files(store.root).keys() - {"runs/.in_use.lock"}
+    values = json.loads((running / "run.json").read_text())
+    (running / "run.json").write_text(json.dumps({**values, "host": "elsewhere", "pid": 1}))
+    with pytest.raises(StoreInUseError, match="on elsewhere"):
+        collect(store, NOW)
+    (running / "run.json").write_text(json.dumps({**values, "pid": 2**22 + 1}))
+    assert collect(store, NOW).going_runs.keys() >= {running.name}, "its process is gone"
+
+
+def test_nothing_is_removed_while_a_run_is_planned_and_a_run_waits_for_the_end_of_removing(
+    store: Store, study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with in_use(store), in_use(store):
+        assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
+    assert "a run plans or builds in the store" in capsys.readouterr().err
+    line = ("run", str(study), "--store", str(store.root), "--set", "grow.scale=3.0", "--workers", "0")
+    codes: list[int] = []
+    run = threading.Thread(target=lambda: codes.append(call(*line)))
+    with in_use(store, alone=True):
+        run.start()
+        run.join(0.5)
+        assert run.is_alive()
+    run.join(30.0)
+    assert codes == [0]
+
+
+def test_a_store_that_is_not_there_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("gc", "--store", str(tmp_path / "typo"), "--yes") == 2
+    assert "there is no store in" in capsys.readouterr().err
+    assert not (tmp_path / "typo").exists()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 from pasdedeux.errors import InputError
-from tasks.shards import ClusterSettings
+from tasks.shards import ClusterSettings, worker_environment
 
 __all__ = [
     "GIB",
@@ -17,10 +18,19 @@ __all__ = [
     "memory_bytes",
     "nearest_folder",
     "num_workers",
+    "processor",
+    "thread_settings",
     "usable_cores",
 ]
 
 GIB = 1024**3
+_INSTRUCTIONS = (
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "OPENBLAS_CORETYPE",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
+)
 WORKER_MEMORY_GB = 2.0
 """Of one local worker, where nothing else is said."""
 
@@ -63,6 +73,21 @@ def cluster_settings(
     worker_bytes = int(worker_memory_gb * GIB)
     count = 0 if scheduler is not None else num_workers(workers, worker_bytes, oversubscribe=oversubscribe)
     return ClusterSettings(count, worker_bytes, scheduler)
+
+
+def processor() -> dict[str, Any]:
+    """Return the name and the features of this processor, as the compiler of kernels sees them."""
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features()
+    return {"name": binding.get_host_cpu_name(), "features": sorted(name for name in features if features[name])}
+
+
+def thread_settings() -> dict[str, str]:
+    """Return what the environment says that can change the last bits of a result: threads and instructions to use."""
+    settings = {name: os.environ[name] for name in _INSTRUCTIONS if name in os.environ} | worker_environment()
+    settings.pop("NUMBA_CACHE_DIR", None)
+    return settings
 
 
 def free_bytes(folder: Path) -> int:

@@ -11,7 +11,7 @@ from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
 from tasks.stage import Shard, Stage
 
-__all__ = ["StageRecord", "describe_inputs", "why_not_fresh"]
+__all__ = ["StageRecord", "changed_leaves", "describe_inputs", "shorten", "why_not_fresh"]
 
 _MAX_NAMED = 3  # differences named one by one; more are counted
 _MAX_CHARACTERS = 40  # of a value that is shown
@@ -75,18 +75,26 @@ def why_not_fresh(
     return True, _listed(words) if words else "store schema or program changed"
 
 
+def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> dict[str, tuple[str, str]]:
+    """Return the leaves of two JSON objects that differ, as JSON texts by path; a leaf that is not there is empty."""
+    before, after = (_leaves(prefix, plain_json(dict(values))) if values else {} for values in (old, new))
+    pairs = {name: (_text(before, name), _text(after, name)) for name in dict.fromkeys([*after, *before])}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def shorten(text: str) -> str:
+    """Return a text as it is shown: the beginning of a long one."""
+    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
+
+
 def _changes(prefix: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """Name the leaves that differ: `chains.num_chains 2 -> 4`."""
-    before, after = _leaves(prefix, plain_json(dict(old))), _leaves(prefix, plain_json(dict(new)))
-    words = []
-    for name in dict.fromkeys([*after, *before]):
-        if name not in before:
-            words.append(f"{name} is new")
-        elif name not in after:
-            words.append(f"{name} is gone")
-        elif before[name] != after[name]:
-            words.append(f"{name} {_short(before[name])} -> {_short(after[name])}")
-    return words
+    return [
+        f"{name} {shorten(before)} -> {shorten(after)}"
+        if before and after
+        else f"{name} is {'gone' if before else 'new'}"
+        for name, (before, after) in changed_leaves(old, new, prefix).items()
+    ]
 
 
 def _file_changes(old: ShardRecord, shard: Shard) -> list[str]:
@@ -130,14 +138,13 @@ def _leaves(prefix: str, value: Any) -> dict[str, Any]:
     if isinstance(value, dict) and value:
         found: dict[str, Any] = {}
         for name, item in value.items():
-            found.update(_leaves(f"{prefix}.{name}", item))
+            found.update(_leaves(f"{prefix}.{name}" if prefix else name, item))
         return found
     return {prefix: value}
 
 
-def _short(value: Any) -> str:
-    text = canonical_json(value).decode()
-    return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
+def _text(leaves: Mapping[str, Any], name: str) -> str:
+    return canonical_json(leaves[name]).decode() if name in leaves else ""
 
 
 def _listed(words: Sequence[str]) -> str:

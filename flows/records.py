@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flows.machine import processor, thread_settings
 from storage_schema import (
     ArtifactRef,
     CorruptArtifact,
@@ -23,7 +24,7 @@ from storage_schema import (
     read_latest,
     record_latest,
 )
-from storage_schema.provenance import code_version, package_versions
+from storage_schema.provenance import code_version, package_versions, source_digest
 
 __all__ = [
     "ENVIRONMENT_FILE",
@@ -161,6 +162,9 @@ def environment() -> dict[str, Any]:
         "platform": platform.platform(),
         "num_cores": os.cpu_count(),
         "packages": {"pasdedeux": code_version(), **package_versions()},
+        "sources": source_digest(),
+        "processor": processor(),
+        "settings": thread_settings(),
     }
 
 

@@ -16,7 +16,7 @@ from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
 
-__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shared_keys", "study_from_tree"]
+__all__ = ["Study", "StudyError", "StudyHead", "load_study", "shared_keys", "study_from_record", "study_from_tree"]
 
 M = TypeVar("M", bound=BaseModel)
 V = TypeVar("V")
@@ -166,6 +166,23 @@ def study_from_tree(
         ),
         wanted,
     )
+
+
+def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph: Graph) -> tuple[Study, Graph]:
+    """Make the study of a record again, of these stages: nothing of the environment enters it, no stage is asked for.
+
+    Args:
+        sections: What `Study.resolved` gave.
+        stages: The stages to build.
+        graph: All stages.
+
+    Raises:
+        StudyError: This version of the program does not know what it says; lists every problem.
+    """
+    head = {**sections[HEAD], "stages": list(stages)}
+    tree = StudyTree(f"{head['name']} (as it is on record)", {**sections, HEAD: head}, {(): Path.cwd()})
+    study, wanted = study_from_tree(tree, graph, here=Path.cwd(), environment={})
+    return study.model_copy(update={"asked": frozenset()}), wanted
 
 
 def shared_keys(parameters: type[BaseModel], shared: Iterable[type[BaseModel]]) -> set[str]:

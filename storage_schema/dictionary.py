@@ -6,6 +6,7 @@ from pathlib import Path
 
 from storage_schema.arrow import Kind, column_kind, value_type
 from storage_schema.columns import Column, Table
+from storage_schema.comparison import tolerances_text
 from storage_schema.joints import JOINT_NAMES
 from storage_schema.tables import TABLES
 from storage_schema.version import SCHEMA_VERSION
@@ -27,6 +28,9 @@ seconds, except where a column says otherwise. 2D columns in pixels have x to th
 quaternions (x, y, z, w). An array of a fixed shape is a fixed-size list, row-major over the axes named here; the same
 shape, axes, joint names and unit stand in the field's metadata. Only columns marked *null* may be null; a number that
 is missing inside an array is NaN.
+
+Computed again on another platform (`pasdedeux rerun`), other numbers than whole ones count as the same within their
+tolerance: {tolerances_text()}.
 """
 
 

@@ -15,9 +15,11 @@ from flows.console import (
     bench,
     datasets,
     deploy,
+    diff,
     doctor,
     gc,
     reconstruct,
+    rerun,
     restart,
     retarget,
     run,
@@ -128,7 +130,7 @@ def command_line() -> typer.Typer:
     reconstruct.register(reconstruction)
     retargeting = typer.Typer(rich_markup_mode=None)
     retarget.register(retargeting)
-    parts = (run, status, show, datasets, gc, studies, restart, deploy, reconstruction, retargeting, bench)
+    parts = (run, status, show, datasets, diff, rerun, gc, studies, restart, deploy, reconstruction, retargeting, bench)
     for part in (*parts, doctor):
         app.add_typer(part if isinstance(part, typer.Typer) else part.app)
     return app

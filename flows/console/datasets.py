@@ -10,7 +10,7 @@ import typer
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import counted
 from flows.planning import PlanError
-from flows.records import mixture, read_last_run, report_folder
+from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
 from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
 
 __all__ = ["app"]
@@ -43,12 +43,12 @@ def create(
 ) -> None:
     """Make a dataset of what the last run of a study built."""
     opened = open_store(store)
-    refs, card = _built(opened, study, stages or [])
+    refs, files = _built(opened, study, stages or [])
     same = [known for known in list_datasets(opened) if known.name == name and list(known.refs) == refs]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"
     else:
-        dataset, words = create_dataset(opened, name, refs, version=version, note=note, attachments=card), "made"
+        dataset, words = create_dataset(opened, name, refs, version=version, note=note, attachments=files), "made"
     if as_json:
         print_json(_describe(dataset))
     else:
@@ -71,7 +71,7 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:
-    """Return the artifacts of a study's last run and its dataset card, if it has one."""
+    """Return the artifacts of a study's last run, and what goes with them: the study, the machine, the dataset card."""
     last = read_last_run(store, study)
     if last is None:
         raise PlanError(f"study '{study}' was not built in the store {store.root} yet; run it first")
@@ -84,9 +84,9 @@ def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRe
             f"study '{study}' is a mixture of runs in the store {store.root}: {reason}; run it to its end first"
         )
     refs = [ref for stage in last.stages if not stages or stage in stages for ref in last.refs(stage)]
-    report = report_folder(store, last.run_id)
-    card = None if report is None else report / "card.md"
-    return refs, {} if card is None or not card.is_file() else {"card.md": card.read_bytes()}
+    run = store.root / "runs" / last.run_id
+    files = [run / STUDY_FILE, run / ENVIRONMENT_FILE, run / "report" / "card.md"]
+    return refs, {path.name: path.read_bytes() for path in files if path.is_file()}
 
 
 def _describe(dataset: Dataset) -> dict[str, object]:

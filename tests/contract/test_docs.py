@@ -41,7 +41,7 @@ def test_every_command_and_option_that_is_shown_exists(page: Path) -> None:
         while hasattr(command, "commands"):
             assert words[0] in command.commands, line
             command = command.commands[words.pop(0)]
-        options = {option for parameter in command.params for option in parameter.opts}
+        options = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
         assert [word for word in words if word.startswith("--") and word not in options] == [], line
         if command.name in ("run", "plan", "show") and words and words[0].isidentifier():
             assert words[0] in shipped_studies(), line

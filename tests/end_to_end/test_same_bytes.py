@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from storage_schema import Store
+from storage_schema import Store, read_latest
 from tasks.shards import run
 from tasks.stage import Parameters, Shard
 from tests.builders.real_study import BuiltStudy, RealRun, build_here, digests
@@ -33,8 +33,14 @@ def test_this_process_alone_gives_the_same_bytes_as_two_workers(small: BuiltStud
 
 
 @pytest.mark.slow
-def test_one_worker_gives_the_same_bytes_as_two(small: BuiltStudy, tmp_path: Path, prefect_home: Path) -> None:
-    run = RealRun("run", small.study, "--store", tmp_path / "store", "--workers", "1", prefect_home=prefect_home)
+def test_a_rerun_from_the_record_by_one_worker_gives_the_same_bytes_as_two(
+    small: BuiltStudy, tmp_path: Path, prefect_home: Path
+) -> None:
+    latest = read_latest(Store(small.store), "small")
+    assert latest is not None
+    stores = ("--from", small.store, "--store", tmp_path / "store")
+    run = RealRun("rerun", latest.run_id, *stores, "--workers", "1", "--json", prefect_home=prefect_home)
     answer = run.finish()
     assert answer.code == 0, answer.err
+    assert answer.json["num_same_bytes"] == len(digests(small.store))
     assert digests(tmp_path / "store") == digests(small.store)

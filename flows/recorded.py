@@ -1,0 +1,143 @@
+"""What is on record of a finished run, or of a version of a dataset: its study, what it ran on, all its artifacts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from graphlib import TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+from flows.planning import PlanError
+from flows.reasons import changed_leaves
+from flows.records import ENVIRONMENT_FILE, STUDY_FILE, run_record
+from storage_schema import ArtifactRef, Manifest, Store, list_runs, open_run
+from storage_schema.datasets import open_dataset
+
+__all__ = ["Place", "Recorded", "artifacts_by_place", "environment_changes", "read_environment", "read_recorded"]
+
+Place = tuple[str, str, str]
+"""Where an artifact stands in a study: stage, partition, shard."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A run or a version of a dataset: the resolved study, what it ran on, and its artifacts by place.
+
+    The artifacts are all that it was computed from, each after what it reads.
+    """
+
+    label: str
+    sections: Mapping[str, Any]
+    environment: Mapping[str, Any]
+    artifacts: Mapping[Place, Manifest]
+
+    @property
+    def stages(self) -> list[str]:
+        """Return the stages that made the artifacts."""
+        return list(dict.fromkeys(stage for stage, _, _ in self.artifacts))
+
+    @property
+    def sources(self) -> dict[str, str]:
+        """Return the sha256 of every file from outside, by the stage and partition that read it and its name."""
+        files = ((*place[:2], *file) for place, manifest in self.artifacts.items() for file in manifest.files)
+        return {f"{stage} {partition} {name}": sha256 for stage, partition, name, sha256 in sorted(files)}
+
+
+def read_recorded(store: Store, name: str) -> Recorded:
+    """Return what is on record of a run by its id, or of a dataset by `name@version`.
+
+    Raises:
+        PlanError: There is no such run, it did not finish, or the study of the dataset is not on record.
+        UnknownReference: There is no such dataset.
+        MissingArtifact, CorruptArtifact: An artifact is no longer whole in the store.
+    """
+    if "@" in name:
+        dataset = open_dataset(store, name)
+        folder, refs = dataset.path, list(dataset.refs)
+        if not (folder / STUDY_FILE).is_file():
+            folder = _run_of(store, refs, name)
+        return Recorded(
+            dataset.label, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts_by_place(store, refs)
+        )
+    runs = [folder.run_id for folder in list_runs(store)]
+    if name not in runs:
+        last = f"; the last are {', '.join(runs[-3:])}" if runs else ""
+        raise PlanError(f"there is no run '{name}' in the store {store.root}{last} (`pasdedeux status`)")
+    status = run_record(store, name).get("status", "not on record")
+    if status != "finished":
+        raise PlanError(
+            f"run {name} is no finished run ({status}), so there is nothing to compare with; run it to its end"
+        )
+    folder = open_run(store, name).path
+    return Recorded(
+        name, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts_by_place(store, _made(store, name))
+    )
+
+
+def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place, Manifest]:
+    """Return these artifacts and all that they were computed from by their places, each after what it reads.
+
+    Raises:
+        PlanError: Two artifacts stand at one place: they are of several runs.
+        MissingArtifact, CorruptArtifact: One of them is no longer whole in the store.
+    """
+    manifests: dict[ArtifactRef, Manifest] = {}
+    waiting = list(refs)
+    while waiting:
+        ref = waiting.pop()
+        if ref not in manifests:
+            manifests[ref] = store.manifest(ref)
+            waiting += manifests[ref].inputs
+    places: dict[ArtifactRef, Place] = {ref: (ref.stage, one.partition, one.name) for ref, one in manifests.items()}
+    reads = {ref: manifests[ref].inputs for ref in sorted(manifests, key=places.__getitem__)}
+    found: dict[Place, Manifest] = {}
+    for ref in TopologicalSorter(reads).static_order():
+        place = places[ref]
+        if found.setdefault(place, manifests[ref]) is not manifests[ref]:
+            raise PlanError(
+                f"{' '.join(place)} is there twice, with other content: these are artifacts of several runs"
+            )
+    return found
+
+
+def read_environment(store: Store, run_id: str) -> dict[str, Any]:
+    """Return what a run ran on; PlanError where that cannot be read."""
+    return _read(open_run(store, run_id).path, ENVIRONMENT_FILE)
+
+
+def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Return what two runs ran on that differs, as texts by name; of the processor's features those only one has."""
+    features = [set(values.get("processor", {}).get("features", ())) for values in (old, new)]
+    changes = changed_leaves(old, new)
+    if all(features) and changes.pop("processor.features", None) is not None:
+        only = [" ".join(sorted(mine - other)) for mine, other in (features, features[::-1])]
+        changes["processor.features"] = (only[0], only[1])
+    return changes
+
+
+def _made(store: Store, run_id: str) -> list[ArtifactRef]:
+    return [
+        ArtifactRef(stage["stage"], artifact["key"], artifact["content_digest"])
+        for stage in run_record(store, run_id)["stages"]
+        for artifact in stage["artifacts"]
+    ]
+
+
+def _run_of(store: Store, refs: Iterable[ArtifactRef], name: str) -> Path:
+    """Return the folder of the last finished run that made or found all of these."""
+    for folder in reversed(list_runs(store)):
+        if run_record(store, folder.run_id).get("status") == "finished" and set(refs) <= set(
+            _made(store, folder.run_id)
+        ):
+            return folder.path
+    raise PlanError(f"dataset {name} was made by an earlier version, and no run of it is left: its study is not known")
+
+
+def _read(folder: Path, file_name: str) -> dict[str, Any]:
+    try:
+        values: dict[str, Any] = json.loads((folder / file_name).read_bytes())
+    except (OSError, ValueError) as error:
+        raise PlanError(f"{folder / file_name} cannot be read: {error}") from None
+    return values

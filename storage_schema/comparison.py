@@ -1,0 +1,163 @@
+"""What two artifacts of the same work differ by, column by column, and how much of it is rounding.
+
+On one platform the same work gives the same bytes.  Another processor or version of a library rounds otherwise; what it
+gives is called the same where no value differs by more than its column's tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.columns import Column
+from storage_schema.manifest import Manifest
+from storage_schema.store_reader import StoreReader
+from storage_schema.table_data import TableData
+from storage_schema.tables import TABLES
+
+__all__ = ["RELATIVE_TOLERANCE", "TOLERANCES", "Difference", "compare_artifacts", "tolerances_text"]
+
+TOLERANCES = {
+    "": 1e-4,
+    "Hz": 1e-6,
+    "m": 1e-4,
+    "m/px": 1e-6,
+    "m/s": 1e-3,
+    "m/s^3": 1.0,
+    "px": 0.05,
+    "rad": 1e-3,
+    "s": 1e-6,
+}
+"""By the unit of a column, what a number may differ by: above rounding that solvers carry on, below what shows.
+
+Whole numbers, texts and truth values may not differ.
+"""
+RELATIVE_TOLERANCE = 1e-4
+"""What a number may differ by for its size, beside its unit's tolerance."""
+_TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What a column of a table (or an attached file: no column) differs by, at its worst place.
+
+    `largest` and `allowed` are of numbers; where values cannot be told apart by a distance `largest` is infinite.
+    """
+
+    table: str
+    column: str = ""
+    row: int = 0
+    detail: str = "other bytes"
+    largest: float = np.inf
+    allowed: float = 0.0
+
+    @property
+    def is_beyond(self) -> bool:
+        """Tell whether this is more than rounding."""
+        return not self.largest <= self.allowed
+
+    @property
+    def is_attachment(self) -> bool:
+        """Tell whether this is of a file that is no table: it has no columns, so no tolerance."""
+        return self.table not in TABLES
+
+    @property
+    def excess(self) -> float:
+        """Return the difference over what is allowed; infinite where nothing is."""
+        return self.largest / max(self.allowed, _TINY)
+
+    def __str__(self) -> str:
+        if not self.column:
+            return f"{self.table}: {self.detail}"
+        size = f" (allowed {self.allowed:.2g})" if np.isfinite(self.largest) else ""
+        return f"{self.table}.{self.column}, row {self.row}: {self.detail}{size}"
+
+
+def compare_artifacts(
+    one_store: StoreReader, one: Manifest, other_store: StoreReader, other: Manifest
+) -> list[Difference]:
+    """Return the columns and files that two artifacts differ by, tables first; none where they hold the same bytes.
+
+    Raises:
+        CorruptArtifact, SchemaError: A table cannot be read.
+    """
+    if one.ref.content_digest == other.ref.content_digest:
+        return []
+    found = [
+        difference
+        for name in one.tables
+        if name in other.tables and one.tables[name].sha256 != other.tables[name].sha256
+        for difference in _of_table(one_store, one, other_store, other, name)
+    ]
+    files, other_files = one.data_files, other.data_files
+    found += [
+        Difference(name.removesuffix(".parquet"), detail="is only in one")
+        for name in sorted(files.keys() ^ other_files.keys())
+    ]
+    return found + [
+        Difference(name)
+        for name in one.attachments
+        if name in other.attachments and one.attachments[name].sha256 != other.attachments[name].sha256
+    ]
+
+
+def tolerances_text() -> str:
+    """Return the tolerances as a sentence, for the data dictionary."""
+    units = ", ".join(f"{value:g} {unit}".rstrip() for unit, value in TOLERANCES.items())
+    return f"{units} by the unit of the column,\nand {RELATIVE_TOLERANCE:g} of the number itself"
+
+
+def _of_table(
+    one_store: StoreReader, one: Manifest, other_store: StoreReader, other: Manifest, name: str
+) -> Iterator[Difference]:
+    rows, other_rows = one.tables[name].rows, other.tables[name].rows
+    if rows != other_rows:
+        yield Difference(name, detail=f"{rows} rows, {other_rows} there")
+        return
+    worst: dict[str, Difference] = {}
+    start = 0
+    batches = zip(one_store.iter_batches(one.ref, name), other_store.iter_batches(other.ref, name), strict=True)
+    for mine, theirs in batches:
+        for column in TABLES[name].columns:
+            found = _of_column(name, column, mine, theirs, start)
+            before = worst.get(column.name)
+            if found is not None and (before is None or found.excess > before.excess):
+                worst[column.name] = found
+        start += len(mine)
+    yield from worst.values() if worst else [Difference(name, detail="the same values in other bytes", largest=0.0)]
+
+
+def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, start: int) -> Difference | None:
+    one, other = mine[column.name], theirs[column.name]
+    if column_kind(column) is Kind.VARYING:
+        lengths = [len(values) for values in one]
+        if lengths != [len(values) for values in other]:
+            row = next(i for i, values in enumerate(other) if len(values) != lengths[i])
+            detail = f"{lengths[row]} values, {len(other[row])} there"
+            return Difference(name, column.name, start + row, detail)
+        rows = np.repeat(np.arange(len(one)), lengths)
+        one, other = (np.concatenate([*values, []]) for values in (one, other))
+    else:
+        rows = np.arange(len(mine))
+    if column_kind(column) in (Kind.TEXT, Kind.TEXT_LIST):
+        differing = [index for index, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
+        if not differing:
+            return None
+        row = differing[0]
+        return Difference(name, column.name, start + row, f"{one[row]!r}, {other[row]!r} there")
+    one, other = (np.asarray(values, np.float64) for values in (one, other))
+    with np.errstate(invalid="ignore"):
+        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    if not apart.any():
+        return None
+    allowed = np.zeros_like(apart)
+    if pa.types.is_floating(value_type(column)):
+        allowed += TOLERANCES[column.unit] + RELATIVE_TOLERANCE * np.nan_to_num(np.abs(one))
+    at = np.unravel_index(np.argmax(apart / np.maximum(allowed, _TINY)), apart.shape)
+    detail = f"{one[at]:.9g}, {other[at]:.9g} there, {apart[at]:.2g} {column.unit}".rstrip() + " apart"
+    return Difference(name, column.name, start + int(rows[at[0]]), detail, float(apart[at]), float(allowed[at]))

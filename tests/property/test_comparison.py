@@ -1,0 +1,130 @@
+"""Comparing two artifacts: the one value that differs is named, and counts as rounding within its tolerance alone."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from storage_schema import TABLES, ArtifactRef, Store
+from storage_schema.arrow import Kind, column_kind, value_type
+from storage_schema.comparison import RELATIVE_TOLERANCE, TOLERANCES, Difference, compare_artifacts
+from tests.builders.storage_rows import random_columns
+
+NUM_ROWS = 7
+
+
+def commit(store: Store, table: str, columns: dict[str, Any], **more: Any) -> ArtifactRef:
+    return store.commit(
+        stage="made",
+        key="0" * 64,
+        partition="p",
+        name="n",
+        version=1,
+        parameters={},
+        seed=0,
+        inputs=(),
+        files=(),
+        tables={table: columns},
+        **more,
+    )
+
+
+def compared(table: str, one: dict[str, Any], other: dict[str, Any], **more: Any) -> list[Difference]:
+    with tempfile.TemporaryDirectory() as folder:
+        stores = [Store(Path(folder) / name) for name in "ab"]
+        manifests = [s.manifest(commit(s, table, c, **more)) for s, c in zip(stores, (one, other), strict=True)]
+        return compare_artifacts(stores[0], manifests[0], stores[1], manifests[1])
+
+
+def test_every_unit_of_a_number_has_a_tolerance() -> None:
+    numbers = [c for t in TABLES.values() for c in t.columns if pa.types.is_floating(value_type(c))]
+    assert {column.unit for column in numbers} == set(TOLERANCES)
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_the_same_rows_do_not_differ(table: str) -> None:
+    assert compared(table, random_columns(table, NUM_ROWS), random_columns(table, NUM_ROWS)) == []
+
+
+@given(data=st.data(), table=st.sampled_from(sorted(TABLES)), factor=st.sampled_from([0.2, 5.0]))
+def test_one_changed_value_is_named_and_judged_by_the_tolerance_of_its_column(
+    data: st.DataObject, table: str, factor: float
+) -> None:
+    one, other = random_columns(table, NUM_ROWS), random_columns(table, NUM_ROWS)
+    column = data.draw(st.sampled_from(TABLES[table].columns))
+    row = data.draw(st.integers(0, NUM_ROWS - 1))
+    kind = column_kind(column)
+    is_rounding = False
+    if kind is Kind.TEXT:
+        other[column.name][row] = "something else"
+    elif kind is Kind.TEXT_LIST:
+        other[column.name][row] = ["something else"]
+    elif kind is Kind.VARYING:
+        other[column.name][row] = np.append(other[column.name][row], 1).astype(other[column.name][row].dtype)
+    elif pa.types.is_floating(value_type(column)):
+        # Steps of the stored type are far below the tolerances, so what is stored is what was meant.
+        value = 4.0
+        allowed = TOLERANCES[column.unit] + RELATIVE_TOLERANCE * value
+        for columns, put in ((one, value), (other, value + factor * allowed)):
+            if isinstance(columns[column.name], list):
+                columns[column.name][row] = put
+            else:
+                columns[column.name][row].flat[-1] = put if column.shape else 0
+                if not column.shape:
+                    columns[column.name][row] = put
+        is_rounding = factor < 1
+    else:
+        before = one[column.name][row]
+        other[column.name][row] = (not before) if kind is Kind.BOOLEAN else (before or 0) + 1
+        if before is None:
+            one[column.name][row] = 0
+    (found,) = compared(table, one, other)
+    assert (found.table, found.column, found.row) == (table, column.name, row)
+    assert found.is_beyond is not is_rounding
+    assert f"{table}.{column.name}, row {row}: " in str(found)
+
+
+def test_the_worst_row_of_all_row_groups_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.parquet_files.ROW_GROUP_ROWS", 3)
+    one, other = random_columns("scores", 8), random_columns("scores", 8)
+    one["value"][:] = other["value"][:] = 0.0
+    other["value"][[1, 5, 7]] = [1.0, 3.0, 2.0]
+    (found,) = compared("scores", one, other)
+    assert (found.row, found.largest, found.allowed) == (5, 3.0, TOLERANCES[""])
+
+
+def test_a_number_beside_a_missing_or_an_infinite_one_is_beyond_every_tolerance() -> None:
+    one = random_columns("scores", 2)
+    one["value"][:] = [np.nan, np.inf]
+    assert compared("scores", one, {**one, "value": one["value"].copy()}) == []
+    for values in ([1.0, np.inf], [np.nan, 1.0], [np.nan, -np.inf]):
+        (found,) = compared("scores", one, {**one, "value": np.array(values)})
+        assert found.is_beyond
+
+
+def test_arrays_without_a_value_do_not_differ() -> None:
+    one = random_columns("models", 2)
+    one["values"] = [np.zeros(0), np.zeros(0)]
+    (found,) = compared("models", one, {**one, "array_name": [*one["array_name"][:1], "else"]})
+    assert (found.column, found.row) == ("array_name", 1)
+
+
+def test_other_numbers_of_rows_and_other_attachments_are_said() -> None:
+    (found,) = compared("scores", random_columns("scores", 2), random_columns("scores", 3))
+    assert (str(found), found.is_beyond, found.is_attachment) == ("scores: 2 rows, 3 there", True, False)
+    with tempfile.TemporaryDirectory() as folder:
+        stores = [Store(Path(folder) / name) for name in "abc"]
+        files = [{"page.html": b"a"}, {"page.html": b"b"}, {}]
+        rows = random_columns("scores", 2)
+        made = [s.manifest(commit(s, "scores", rows, attachments=files[i])) for i, s in enumerate(stores)]
+        (found,) = compare_artifacts(stores[0], made[0], stores[1], made[1])
+        assert (str(found), found.is_beyond, found.is_attachment) == ("page.html: other bytes", True, True)
+        (found,) = compare_artifacts(stores[0], made[0], stores[2], made[2])
+        assert str(found) == "page.html: is only in one"

@@ -1,0 +1,213 @@
+"""`rerun`: the same bytes from what is on record, or the first column that differs, how much, and why it may be."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows.console.app import run_command_line
+from flows.recorded import Recorded, artifacts_by_place, read_recorded
+from flows.rerunning import compare
+from storage_schema import ArtifactRef, Store, list_runs, read_latest
+from tasks.graph import Graph
+from tasks.stage import Shard, StageInputs, commit
+from tests.builders import toys
+from tests.builders.toy_runs import run_toys, write_study
+from tests.builders.toys import TOYS
+
+STUDY = """
+[study]
+name = "toy"
+seed = 7
+[grow]
+scale = 2.0
+[bend]
+step = 1
+"""
+
+
+def changed(*, by: float, version: int = 1) -> Graph:
+    """Return the toy stages where what `bend` makes is greater, perhaps under another version."""
+    old = TOYS.stage("bend")
+
+    def plan(inputs: StageInputs, parameters: Any) -> list[Shard]:
+        return [replace(shard, version=version) for shard in old.plan(inputs, parameters)]
+
+    def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+        def more(shard: Shard, store: Store, *, tables: Any, facts: Any) -> ArtifactRef:
+            models = {**tables["models"], "values": [values + by for values in tables["models"]["values"]]}
+            return commit(shard, store, tables={"models": models}, facts=facts)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(toys, "commit", more)
+            return old.run_shard(shard, store)
+
+    new = replace(old, version=version, plan=plan, run_shard=run_shard)
+    return Graph(tuple(new if stage.name == "bend" else stage for stage in TOYS.stages))
+
+
+@pytest.fixture
+def built(tmp_path: Path) -> Store:
+    """A store with one run of the toy study."""
+    store = Store(tmp_path / "store")
+    source = tmp_path / "source.txt"
+    source.write_text("what it was")
+    run_toys(write_study(tmp_path, STUDY), store.root, f"grow.source={source}")
+    return store
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Build without Prefect and Dask."""
+    from flows.console import run as console
+    from flows.execution import begin, execute
+    from tests.builders.toy_runs import serial
+
+    monkeypatch.setattr(console, "_build", lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, serial))
+
+
+def rerun(name: str, built: Store, *more: str, graph: Graph = TOYS) -> int:
+    other = str(built.root.parent / "other")
+    return run_command_line(["rerun", name, "--from", str(built.root), "--store", other, *more], graph=graph)
+
+
+def run_id(store: Store) -> str:
+    return list_runs(store)[-1].run_id
+
+
+def test_a_rerun_on_the_same_machine_gives_the_same_bytes(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rerun(run_id(built), built) == 0
+    out = capsys.readouterr().out
+    assert "environment: as it was" in out
+    assert "2 files from outside, as they were" in out
+    assert "same bytes: 14 of 14 artifacts" in out
+    assert "why" not in out
+    assert rerun(run_id(built), built, "--json") == 0, "the same command again finds it fresh"
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["is_same"], answer["num_same_bytes"], answer["differing"]) == (True, 14, {})
+
+
+def test_a_rerun_takes_settings_from_the_record_alone(
+    built: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PASDEDEUX_SET__GROW__SCALE", "5")
+    assert rerun(run_id(built), built) == 0
+
+
+def test_a_rerun_of_a_part_builds_what_that_was_computed_from(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    study = str(built.root.parent / "toy.toml")
+    line = ["--store", str(built.root), "--set", f"grow.source={built.root.parent / 'source.txt'}", "--workers", "0"]
+    assert run_command_line(["run", study, "--only", "bend", "--force", "bend", "--json", *line], graph=TOYS) == 0
+    assert rerun(json.loads(capsys.readouterr().out)["run_id"], built) == 0
+    assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_a_version_of_a_dataset_is_built_again_from_its_own_study(
+    built: Store, is_old: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["dataset", "create", "first", "--study", "toy", "--stage", "bend", "--store", str(built.root)]
+    assert run_command_line(line, graph=TOYS) == 0
+    if is_old:  # datasets of earlier versions do not have the study with them
+        (built.root / "datasets" / "first@1" / "study.json").unlink()
+    run_toys(built.root.parent / "toy.toml", built.root, "grow.scale=3.0")
+    assert rerun("first@1", built) == 0
+    assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
+
+
+def test_an_input_that_has_changed_is_refused_before_any_work(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    (built.root.parent / "source.txt").write_text("what it is now")
+    assert rerun(run_id(built), built) == 2
+    err = capsys.readouterr().err
+    assert "source.txt is not what" in err
+    assert "and 5 more" in err
+    (built.root.parent / "source.txt").unlink()
+    assert rerun(run_id(built), built) == 2
+    assert "source.txt does not exist" in capsys.readouterr().err
+    assert not (built.root.parent / "other").exists()
+
+
+def test_results_beyond_their_tolerance_are_named_by_table_and_column_with_the_reason(
+    built: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    environment = list_runs(built)[-1].path / "environment.json"
+    values = json.loads(environment.read_text())
+    values["packages"]["numpy"] = "1.0"
+    values["processor"]["features"] += ["amx"]
+    environment.write_text(json.dumps(values))
+    assert rerun(run_id(built), built, graph=changed(by=0.5, version=2)) == 1
+    out = capsys.readouterr().out
+    assert 'environment: packages.numpy: "1.0" -> ' in out
+    assert "environment: processor.features: amx -> none" in out
+    assert "first beyond rounding: bend t0 s0" in out
+    assert "models.values, row 0: " in out
+    assert "0.5 apart (allowed " in out
+    assert "why it may be: stage bend has version 2, it had 1" in out
+    assert "why it may be: packages.numpy" in out
+
+
+def test_rounding_is_said_and_is_no_failure(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rerun(run_id(built), built, "--json", graph=changed(by=1e-7)) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["is_same"], answer["first_beyond_rounding"]) == (True, None)
+    assert set(answer["differing"]) >= {"bend t0 s0", "bend t1 s2"}
+    assert "chance" in answer["reasons"][0], "nothing on record is different"
+
+
+def test_other_bytes_of_a_page_are_rounding_only_after_rounded_tables(built: Store, tmp_path: Path) -> None:
+    old = read_recorded(built, run_id(built))
+    run_toys(tmp_path / "toy.toml", tmp_path / "titled", f"grow.source={tmp_path / 'source.txt'}", "judge.title=else")
+    titled = Store(tmp_path / "titled")
+    latest = read_latest(titled, "toy")
+    assert latest is not None
+    new = artifacts_by_place(titled, latest.refs("judge"))
+    aside = {place: manifest for place, manifest in old.artifacts.items() if place[0] != "aside"}
+    found = compare(built, aside, titled, new)
+    assert (found.num_same, list(found.differing), found.beyond) == (
+        12,
+        [("judge", "all", "all")],
+        ("judge", "all", "all"),
+    )
+    assert [str(one) for one in found.differing["judge", "all", "all"]] == ["report.html: other bytes"]
+    without = {place: manifest for place, manifest in new.items() if place != ("grow", "t0", "s0")}
+    assert compare(built, aside, titled, without).only_one == (("grow", "t0", "s0"),)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nothing", "there is no run 'nothing' in the store"),
+        ("first@1", "there is no dataset 'first@1'"),
+        ("../x", "there is no run '../x'"),
+    ],
+)
+def test_what_is_not_on_record_is_said(built: Store, name: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert rerun(name, built) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_run_that_did_not_finish_and_the_same_store_are_refused(
+    built: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["rerun", run_id(built), "--from", str(built.root), "--store", str(built.root)]) == 2
+    assert "--store names another one" in capsys.readouterr().err
+    record = list_runs(built)[-1].path / "run.json"
+    record.write_text(json.dumps({**json.loads(record.read_text()), "status": "failed"}))
+    assert rerun(run_id(built), built) == 2
+    assert "is no finished run (failed)" in capsys.readouterr().err
+
+
+def test_the_record_of_a_run_says_what_decides_last_bits(built: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = read_recorded(built, run_id(built)).environment
+    assert environment["packages"]["python"]
+    assert environment["packages"]["numpy"]
+    assert len(environment["sources"]) == 64
+    assert environment["processor"]["name"]
+    assert environment["settings"]["OMP_NUM_THREADS"] == "1"
+    assert isinstance(read_recorded(built, run_id(built)), Recorded)
+    assert os.sep not in json.dumps(environment["settings"]), "no paths"

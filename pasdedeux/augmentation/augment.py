@@ -194,6 +194,9 @@ class Augmenter:
         failed = np.flatnonzero(frame_verdicts == _FAILED)
         if level is not Level.PASS and len(failed):
             reasons.append(f"{len(failed)} of {len(frame_verdicts)} frames fail, the first is {failed[0]}")
+        if self.source.ground_m is None and not self._meter.has_stances:
+            level = Level.WARN if level is Level.PASS else level
+            reasons.insert(0, "nobody ever stands: the floor is taken to be where the lowest feet are; say floor_m")
         closest_m = self.source.closest_m
         if closest_m is not None and closest_m > FAR_APART_M:
             level = Level.WARN if level is Level.PASS else level

@@ -78,19 +78,18 @@ def find_clearance(
     pairs = np.concatenate([*between, *(model.within + own for own in first)])
     is_within = pairs[:, 0] // joints == pairs[:, 1] // joints
     weight = np.where(is_within, weight_within, weight_between)
-    pairs, weight = pairs[weight > 0], weight[weight > 0]
+    pairs, weight, is_within = (values[weight > 0] for values in (pairs, weight, is_within))
     points = np.ascontiguousarray(points_of(source.positions_m))
     along, gaps = nearest_on_bones(points, pairs, parents, radii)
     grown = radii * (np.repeat(girths_of(() if girth == "follow" else girth, len(first)), joints) - 1.0)
     # One's own thicker limbs come nearer whatever the motion does: only the partner has to keep away from them.
-    added = np.where(pairs[:, 0] // joints != pairs[:, 1] // joints, grown[pairs].sum(axis=1), 0.0)
+    added = np.where(is_within, 0.0, grown[pairs].sum(axis=1))
     nearest = gaps - np.maximum(added, 0.0)
-    is_within = pairs[:, 0] // joints == pairs[:, 1] // joints
     follows = np.maximum(standing_out(pairs, along, gaps, BODY22), _FOLLOWING)
     nearness = fade(nearest, *_NEAR_M) * np.where(is_within, 1.0, follows)
     is_near = nearest.min(axis=0, initial=np.inf) < _NEAR_M[1]
-    pairs, weight, added, along = pairs[is_near], weight[is_near], added[is_near], along[:, is_near]
-    gaps, nearness = gaps[:, is_near], nearness[:, is_near]
+    pairs, weight, is_within = (values[is_near] for values in (pairs, weight, is_within))
+    along, gaps, nearness = (values[:, is_near] for values in (along, gaps, nearness))
     sigma = _SMOOTHING_S * source.rate_hz
     if len(points) > 1:
         nearness, along = (
@@ -114,7 +113,7 @@ def find_clearance(
         normals=packed(normals[is_used]),
         limits_m=packed(limits[is_used]),
         weights=packed((nearness * weight)[is_used]),
-        is_within=packed((pairs[:, 0] // joints == pairs[:, 1] // joints)[column]),
+        is_within=packed(is_within[column]),
     )
 
 

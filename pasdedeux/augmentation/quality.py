@@ -213,6 +213,11 @@ class QualityMeter:
         )
         self._bends = _spine_bends(points)
 
+    @property
+    def has_stances(self) -> bool:
+        """Whether anything ever stands on the floor."""
+        return bool(self._stances)
+
     def measure(
         self, points: Array, *, reference: Array, bone_scale: Array, lengths_m: Array, squared_residual: Array
     ) -> Measured:

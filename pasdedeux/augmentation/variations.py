@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
@@ -36,8 +36,16 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
-Persons = Annotated[str, Field(pattern="^(all|[A-Z]+)$")]
 EVERYBODY = "all"
+
+
+def _check_persons(who: str) -> str:
+    if who != EVERYBODY and not (who.isascii() and who.isalpha() and who.isupper()):
+        raise ValueError(f"'{who}' names nobody; people are letters such as A, B or AC, everybody is {EVERYBODY}")
+    return who
+
+
+Persons = Annotated[str, AfterValidator(_check_persons)]
 
 Group = Literal["torso", "shoulders", "arms", "hips", "legs"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.drawing import PERSON_COLOURS, Panel, Pose, pair_panel, skeleton_sheet
+from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.skeletons import BODY22
@@ -23,7 +23,7 @@ def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
 
     Args:
         take_id: Name of the take.
-        people_m: body22 positions (frame, person, 22, 3), metres; one or two people.
+        people_m: body22 positions (frame, person, 22, 3), metres.
         rate_hz: Frames per second.
     """
     ankles = people_m[:, :, BODY22.indices(("left_ankle", "right_ankle", "left_toe", "right_toe")), 1]
@@ -48,12 +48,5 @@ def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
 def take_sheet(take_id: str, people_m: Array, rate_hz: float, *, num_moments: int = 7) -> bytes:
     """Draw evenly spaced moments of a take, (frame, person, 22, 3), seen along -Z and from the side; PNG bytes."""
     frames = evenly_spread(len(people_m), num_moments)
-    panels = []
-    for frame in frames:
-        title = f"{frame / rate_hz:.1f} s"
-        if people_m.shape[1] == 2:
-            panels.append(pair_panel(title, BODY22, people_m[frame]))
-        else:
-            pose = Pose(skeleton=BODY22, positions_m=people_m[frame, 0], colour=PERSON_COLOURS[0])
-            panels.append(Panel(title=title, poses=(pose,)))
+    panels = [pair_panel(f"{frame / rate_hz:.1f} s", BODY22, people_m[frame]) for frame in frames]
     return skeleton_sheet(panels, title=f"take {take_id}: front (top) and side (bottom)")

@@ -131,7 +131,7 @@ class TakeOptions(CommonOptions):
     files: tuple[Path, ...] = Field(min_length=1, max_length=26, description="A motion file for each person")
     objects: Path | None = Field(
         default=None,
-        description="What the people handle: capsules in metres, in the axes and frames of A's file (CSV, npz)",
+        description="What the people handle: capsules that move, in the axes and frames of A's file (CSV, npz)",
     )
     contacts: Path | None = Field(
         default=None,

@@ -72,6 +72,15 @@ def test_who_is_alone_keeps_a_hand_on_the_other_arm_and_feet_on_the_floor() -> N
     assert not Source(hanging[None, None], 30.0).contacts().is_held.any()
 
 
+def test_a_take_in_which_nobody_ever_stands_is_warned_of_unless_its_floor_is_said() -> None:
+    people = swaying_people(1, 12) + np.linspace(0.0, 1.0, 12)[:, None, None, None] * [1.0, 0.0, 0.0]
+    for floor_m, level in ((None, Level.WARN), (0.02, Level.PASS)):
+        augmenter = Augmenter(Source(people, 30.0), AugmentationSettings(floor_m=floor_m))
+        (variant,) = augmenter.solve(uniform_variations([0.95], ["A"], 1))
+        assert variant.verdict.level is level
+        assert ("nobody ever stands" in variant.verdict.reason) == (level is Level.WARN)
+
+
 def test_contacts_of_somebody_who_is_not_there_are_refused() -> None:
     stated = UserContact(joint_a="head", joint_b="head", person_a="B", person_b="D", stop_frame=5)
     with pytest.raises(InputError, match="contact of B's head and D's head, but the people are A, B, C"):

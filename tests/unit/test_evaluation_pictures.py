@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
+from pasdedeux.evaluation.drawing import PERSON_COLOURS, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.overlay import overlay_clip
 from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
@@ -32,11 +32,26 @@ def test_a_sheet_of_no_moments_is_still_a_picture() -> None:
     assert (picture == 255).all()
 
 
-@pytest.mark.parametrize("persons", [1, 2])
+@pytest.mark.parametrize("persons", [1, 2, 3])
 @pytest.mark.parametrize("frames", [1, 40])
-def test_a_take_is_drawn_whether_one_or_two_people(persons: int, frames: int) -> None:
+def test_a_take_is_drawn_with_everybody_in_it(persons: int, frames: int) -> None:
     picture = take_sheet("waltz", _people(frames, persons), 30.0)
     assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).shape[0] > 300
+
+
+def test_everybody_has_a_colour_and_objects_are_grey() -> None:
+    people, hoop = _people(1, 3)[0], np.array([[[-0.5, 1.5, 0.0], [0.5, 1.5, 0.0]]])
+    sheets = [
+        skeleton_sheet([pair_panel("", BODY22, people[:count], None, objects)])
+        for count, objects in ((2, None), (3, None), (3, hoop))
+    ]
+    counts = []
+    for sheet in sheets:
+        picture = cv2.imdecode(np.frombuffer(sheet, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3)
+        third = np.array([int(PERSON_COLOURS[2][i : i + 2], 16) for i in (5, 3, 1)])
+        counts.append([int((picture == colour).all(axis=1).sum()) for colour in (third, np.full(3, 0x77))])
+    assert counts[0][0] == 0 < counts[1][0]
+    assert counts[1][1] < 0.1 * counts[2][1]
 
 
 def test_left_limbs_are_drawn_darker_than_right_ones() -> None:

@@ -80,6 +80,23 @@ def test_files_become_the_same_people_with_the_bones_of_others(
     assert read_bvh(first.read_bytes()).num_frames == 12
 
 
+def test_three_files_and_one_take_as_many_bodies(files: Path, tmp_path: Path) -> None:
+    third = figure_motion(num_frames=12, seed=2)
+    there = third.root_translation_m + 2.0 * np.eye(3)[2]
+    moved = Motion(BODY22, third.rest_offsets_m, there, third.local_unitquat, 30.0)
+    (tmp_path / "c.bvh").write_text(write_bvh(moved))
+    three, long = [str(files / "a.bvh"), str(files / "b.bvh"), str(tmp_path / "c.bvh")], str(files / "long.bvh")
+    bodies = ["--to", "source", "--to", "source", "--to", long]
+    assert run_command_line(["retarget", *three, *bodies, "--out", str(tmp_path / "3")]) == 0
+    assert run_command_line(["retarget", three[0], "--to", long, "--out", str(tmp_path / "1")]) == 0
+    for path, wanted in (
+        ("3/a_retarget_B", files / "b.bvh"),
+        ("3/a_retarget_C", Path(long)),
+        ("1/a_retarget_A", Path(long)),
+    ):
+        np.testing.assert_allclose(lengths_m(tmp_path / f"{path}.bvh", ELBOWS), lengths_m(wanted, ELBOWS), atol=1e-4)
+
+
 def test_a_take_of_a_store_takes_a_table_and_an_asf(
     store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,7 +60,7 @@ _COARSE_HZ = 10.0
 """Rate at which most of the work is done."""
 _FEWEST_COARSE = 8
 """Takes of fewer frames than this at that rate are not thinned out."""
-_MEMORY = 8
+_MEMORY = 6
 """Moves that Anderson acceleration looks back on."""
 _REACH_S = 2.0
 """How far its least squares look around: a frame counts by 1/e less for every such time."""
@@ -98,7 +98,7 @@ class _End:
 
 _COARSE_END = _End(10, 1e-5, 1e-4, 1e-4)
 _FINE_END = _End(8, 5e-5, 1e-4, 1e-4)
-_MOST_FINE = 48
+_MOST_FINE = 24
 """Most iterations at all frames, which see what is faster than the coarse rate shows."""
 _GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 250.0, 2.0
 """Mean joint distance from the optimum over the last change of the edges at either rate, so that the sum is an upper

@@ -40,7 +40,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 16
+VERSION = 17
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

@@ -16,7 +16,7 @@ from pasdedeux.augmentation.source import Source
 from pasdedeux.interaction.contacts import UserContact, fade
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["floor_weights", "stance_weights"]
+__all__ = ["floor_weights", "lasting_s", "stance_weights"]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +37,20 @@ def stance_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:
     velocity = np.gradient(positions, axis=0) * source.rate_hz if source.num_frames > 1 else np.zeros(positions.shape)
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
     return _smooth(fade(speed, *_STANCE_SPEED_M_S) * fade(_heights(source), *_STANCE_HEIGHT_M), source, stated)
+
+
+def lasting_s(stands: Array, rate_hz: float) -> Array:
+    """Return for how long each joint stands, before and after each frame together, of weights (T, n), seconds.
+
+    A frame of a weight below 1 ends part of it, one of weight 0 all.
+    """
+    lasting = -stands
+    for frames in (range(len(stands)), reversed(range(len(stands)))):
+        so_far = np.zeros(stands.shape[1:])
+        for frame in frames:
+            so_far = stands[frame] * (so_far + 1.0)
+            lasting[frame] += so_far
+    return np.asarray(lasting / rate_hz)
 
 
 def floor_weights(source: Source, stated: Sequence[UserContact] = ()) -> Array:

@@ -6,7 +6,8 @@ With x = p - r (r: plain forward kinematics of the new skeleton) and d = q - r (
       + w_S |D2 x|^2                            smoothness of the difference, not of the motion (which would flatten it)
       + w_R |x|^2                               reference
       + sum w_C (k |z - v|^2 + (1 - k) (|z| - |v|)^2)   contacts keep the distance of their surfaces; see `contacts`
-      + sum w_F |D1 (x - d)|^2                  what stands moves as the source does, wherever it stands (horizontal)
+      + sum w_F |D1 (x - d)|^2                  what stands moves as the source does, wherever it stands (horizontal);
+                                                w_F rises with the square of how long it does, or it would creep
       + sum w_H |y - h|^2                       joints near the floor keep their height above it
       + sum w_K max(0, c - n . B x)^2           near bones come no deeper into each other; see `clearance`
       + w_B sum |(b2 / l2) - (b1 / l1)|^2       spine bends as r's does; b: change of a bone's vector, l: source length
@@ -38,7 +39,7 @@ from pasdedeux.augmentation.source import (
     scaled_lengths,
     widened_m,
 )
-from pasdedeux.augmentation.support import floor_weights, stance_weights
+from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.interaction.contacts import UserContact
 from pasdedeux.skeletons import BODY22
@@ -54,6 +55,9 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 _WEIGHTS_RATE_HZ = 30.0
+
+_STANCE_S = (1.0, 5.0)
+"""Stances are stiffer the longer they last, from the first on and up to the second."""
 
 _SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 _SHORTEST_SPINE_BONE_M = 0.03
@@ -83,7 +87,9 @@ def build_problem(
     contacts = source.contacts(settings.touch_m, user_contacts)
     contact_weights = weights.of_contacts(contacts)
     standing = stance_weights(source, user_contacts).reshape(frames, -1)
-    stance = weights.stance * rate**2 * np.sqrt(standing[1:] * standing[:-1])
+    stands = np.sqrt(standing[1:] * standing[:-1])
+    stiff = np.clip(lasting_s(stands, source.rate_hz), *_STANCE_S) / _STANCE_S[0]
+    stance = weights.stance * rate**2 * stiff**2 * stands
     floor = weights.floor * floor_weights(source, user_contacts).reshape(frames, -1)
     count = source.num_points
     anchor = np.full(count, weights.reference)

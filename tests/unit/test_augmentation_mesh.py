@@ -11,7 +11,7 @@ from pasdedeux.augmentation import (
     uniform_variations,
 )
 from pasdedeux.augmentation.mesh import build_mesh
-from pasdedeux.augmentation.support import floor_weights, stance_weights
+from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contacts import fade
 from pasdedeux.kinematics import bone_lengths
@@ -92,6 +92,13 @@ def test_a_given_floor_is_taken() -> None:
     feet = BODY22.indices(["left_toe", "right_toe"])
     assert variant.positions_m[:, 0, feet, 1].min() < found.positions_m[:, 0, feet, 1].min() - 0.01
     assert not stance_weights(Source(swaying_pair(10), 30.0, ground_m=-0.4)).any()
+
+
+def test_a_stance_lasts_until_somebody_lifts_the_foot_and_part_of_it_ends_with_part_of_the_weight() -> None:
+    stands = np.array([[1.0, 1.0, 0.0, 1.0, 1.0, 1.0]]).T
+    np.testing.assert_allclose(lasting_s(stands, 2.0)[:, 0], [1.0, 1.0, 0.0, 1.5, 1.5, 1.5])
+    np.testing.assert_allclose(lasting_s(stands[::-1], 2.0), lasting_s(stands, 2.0)[::-1])
+    np.testing.assert_allclose(lasting_s(np.array([[1.0], [0.5], [1.0]]), 1.0)[:, 0], [2.0, 1.5, 2.0])
 
 
 def test_a_users_contact_is_of_frames_and_joints_that_there_are() -> None:

@@ -245,6 +245,12 @@ def test_people_do_not_sink_into_each_other_where_contacts_are_dense() -> None:
     assert max(variant.quality.penetration_m for variant in kept) < 0.01
 
 
+def test_feet_do_not_creep_while_they_stand_for_long() -> None:
+    source = Source(make_duet("hug", rate_hz=10.0).positions_m(), 10.0)
+    for variant in Augmenter(source).solve(uniform_variations([0.75, 1.25], ["A"])):
+        assert variant.quality.stance_excursion_m < 0.004
+
+
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_takes_of_a_few_frames_are_solved(frames: int) -> None:
     (variant,) = Augmenter(Source(swaying_pair(frames), 30.0)).solve(uniform_variations([0.8], ["A"]))

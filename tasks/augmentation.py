@@ -34,8 +34,10 @@ __all__ = [
     "AugmentationParameters",
     "BatchParameters",
     "TakeMotion",
+    "batch_of",
     "known_contacts",
     "plan",
+    "planned_variations",
     "read_take",
     "run_shard",
 ]
@@ -109,6 +111,18 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
 def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
     """Return the contacts that are known of a take because it was built that way."""
     return tuple(UserContact(**contact) for contact in take.facts.get("contacts", ()))
+
+
+def batch_of(manifest: Manifest) -> BatchParameters:
+    """Return what a batch of variants was told."""
+    return BatchParameters.model_validate(manifest.parameters)
+
+
+def planned_variations(manifest: Manifest) -> list[Variation]:
+    """Return the variations of a batch of variants, from its manifest alone; no data is read."""
+    batch = batch_of(manifest)
+    known = _variations(manifest, batch, manifest.seed)
+    return [variation for variation in known if variation.variant_id in set(batch.variants)]
 
 
 def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shard:

@@ -149,6 +149,7 @@ class Stage:
         needs: What it makes something of, with the keys that give it; told where it was asked for and made nothing.
         check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
+        check_study: The same for what other stages' sections say, given by stage; called where the stage is asked for.
     """
 
     name: str
@@ -161,6 +162,7 @@ class Stage:
     meaning: str = ""
     needs: str = ""
     check: Callable[[Any], None] | None = field(default=None, repr=False)
+    check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
 
 
 def merge_takes(*manifests: Manifest) -> list[str]:

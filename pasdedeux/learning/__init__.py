@@ -2,34 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
-from pasdedeux.learning.model import Items, LogEntry, TrainingItem, VariantModel, VariantRequest
-from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning.mesh_refine import MeshRefineModel
+from pasdedeux.learning.model import (
+    Arrays,
+    Items,
+    LogEntry,
+    NoSettings,
+    Trained,
+    Training,
+    TrainingItem,
+    VariantModel,
+    VariantRequest,
+)
+from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
+from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
 
 __all__ = [
     "BASELINES",
+    "DEFAULT_MODELS",
     "MODELS",
     "SPLIT_NAMES",
+    "Arrays",
     "CopyModel",
     "Items",
     "LogEntry",
+    "MeshRefineModel",
     "NaiveFkModel",
+    "NoSettings",
+    "RidgeAdaptedModel",
     "RidgeScaleModel",
+    "RidgeSettings",
     "Split",
     "SplitName",
+    "Trained",
+    "Training",
     "TrainingItem",
     "VariantKey",
     "VariantModel",
     "VariantRequest",
     "load_model",
     "make_split",
+    "model_arrays",
     "model_class",
 ]
 
@@ -39,12 +59,17 @@ MODELS: dict[str, type[VariantModel]] = {
         CopyModel,
         NaiveFkModel,
         RidgeScaleModel,
+        RidgeAdaptedModel,
+        MeshRefineModel,
     )
 }
 """Every model, by name: a new one is a file with a `VariantModel` and a line here (and its import)."""
 
-BASELINES = tuple(name for name, model in MODELS.items() if not model.is_trained)
+BASELINES = (CopyModel.name, NaiveFkModel.name)
 """Models that learn nothing and stand beside every result."""
+
+DEFAULT_MODELS = (CopyModel.name, NaiveFkModel.name, RidgeScaleModel.name)
+"""What is trained where nothing is asked for: what takes seconds."""
 
 
 def model_class(name: str) -> type[VariantModel]:
@@ -58,10 +83,28 @@ def model_class(name: str) -> type[VariantModel]:
     return MODELS[name]
 
 
-def load_model(name: str, arrays: Mapping[str, npt.NDArray[np.float64]]) -> VariantModel:
-    """Return a trained model from its name and arrays; ask it with `predict(VariantRequest(...))`.
+def model_arrays(model: VariantModel) -> dict[str, npt.NDArray[Any]]:
+    """Return everything a model knows, with what it is built on under `on:<model>/`."""
+    arrays = dict(model.arrays())
+    if model.built_on is not None:
+        inner = model_arrays(model.built_on)
+        arrays |= {f"{_BUILT_ON}{model.built_on.name}/{name}": values for name, values in inner.items()}
+    return arrays
+
+
+def load_model(name: str, arrays: Arrays) -> VariantModel:
+    """Return a trained model from its name and `model_arrays`; ask it with `predict(VariantRequest(...))`.
 
     Raises:
         InputError: Unknown model, or arrays that do not fit it.
     """
-    return model_class(name).from_arrays(arrays)
+    own = {key: values for key, values in arrays.items() if not key.startswith(_BUILT_ON)}
+    inner: dict[str, dict[str, npt.NDArray[Any]]] = {}
+    for key in set(arrays) - set(own):
+        kind, _, rest = key.removeprefix(_BUILT_ON).partition("/")
+        inner.setdefault(kind, {})[rest] = arrays[key]
+    built_on = [load_model(kind, found) for kind, found in inner.items()]
+    return model_class(name).from_arrays(own, *built_on[:1])
+
+
+_BUILT_ON = "on:"

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import reference_motion
 from pasdedeux.augmentation.source import complete_scales
-from pasdedeux.learning.model import Items, LogEntry, VariantModel, VariantRequest
+from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest
 
 __all__ = ["CopyModel", "NaiveFkModel"]
 
@@ -22,16 +20,16 @@ class _Untrained(VariantModel):
     is_trained = False
 
     @classmethod
-    def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
+    def train(cls, training: Training) -> Trained:
         """Learn nothing; the items are not read."""
-        return cls(), []
+        return Trained(cls())
 
     def arrays(self) -> dict[str, Array]:
         """Return the form of the model, 1."""
         return {"form": np.array([1.0])}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model; there is nothing in the arrays."""
         return cls()
 

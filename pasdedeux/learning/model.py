@@ -4,19 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation import Source
+from pasdedeux.augmentation import AugmentationSettings, Source, UserContact
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
 
-__all__ = ["Items", "LogEntry", "TrainingItem", "VariantModel", "VariantRequest"]
+__all__ = [
+    "Arrays",
+    "Items",
+    "LogEntry",
+    "NoSettings",
+    "Trained",
+    "Training",
+    "TrainingItem",
+    "VariantModel",
+    "VariantRequest",
+]
 
+S = TypeVar("S", bound=Settings)
 Array = npt.NDArray[np.float64]
+Arrays = Mapping[str, npt.NDArray[Any]]
+"""Named arrays, float64 or float32: what a model knows, or what its training goes on from."""
 
 
 @dataclass(frozen=True)
@@ -27,18 +41,26 @@ class VariantRequest:
         take_id: Name of the take; a model may know it from training.
         source: The take's own motion, T frames.
         bone_scale: Scale of each bone (2, 22), the root's being the root height's.
+        solving: How variants of the take are solved, for models that ask the solver.
+        contacts: Contacts stated for the take, in place of what is found.
 
     Raises:
-        InputError: Scales of the wrong shape, or not positive.
+        InputError: A take of other than two people, scales of the wrong shape, or not positive.
     """
 
     take_id: str
     source: Source
     bone_scale: Array
+    solving: AugmentationSettings = field(default_factory=AugmentationSettings)
+    contacts: tuple[UserContact, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the scales."""
-        check_bone_scales(self.bone_scale, what=self.take_id)
+        """Check that both are of two people."""
+        if self.source.num_people != 2:
+            raise InputError(
+                f"{self.take_id}: models are of takes of two people, this one has {self.source.num_people}"
+            )
+        check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id)
 
 
 @dataclass(frozen=True)
@@ -60,7 +82,7 @@ class TrainingItem:
 
 
 Items = Callable[[], Iterator[TrainingItem]]
-"""Return the training items anew each time, so that they can be read more than once without being held."""
+"""Return the items anew each time, so that they can be read more than once without being held."""
 
 
 @dataclass(frozen=True)
@@ -72,40 +94,103 @@ class LogEntry:
     value: float
 
 
+class NoSettings(Settings):
+    """Of a model without any."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One segment of a model's training, and what it rests on.
+
+    Args:
+        items: What is learned from.
+        validation: What a model may choose by, such as when to stop; never learned from, never tested on.
+        settings: Settings of the model; its defaults where not given.
+        generator: Gives whatever is drawn in this segment.
+        segment: Number of the segment, from 0.
+        state: What the segment before left; empty in the first.
+        start: The trained model that this one builds on, where `VariantModel.start` names one.
+    """
+
+    items: Items
+    validation: Items = lambda: iter(())
+    settings: Settings | None = None
+    generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    segment: int = 0
+    state: Arrays = field(default_factory=dict)
+    start: VariantModel | None = None
+
+    def options(self, kind: type[S]) -> S:
+        """Return the settings, which are of this model."""
+        if self.settings is None:
+            return kind()
+        assert isinstance(self.settings, kind)
+        return self.settings
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a segment leaves: the model as good as it is by then, figures, and what the next segment goes on from."""
+
+    model: VariantModel
+    log: list[LogEntry] = field(default_factory=list)
+    state: Arrays = field(default_factory=dict)
+
+
 class VariantModel(ABC):
     """The protocol of models: trained on items, kept as named arrays, asked for motions.
 
     A model is a class with these members; `MODELS` lists it, and a contract test holds all that are listed to what is
-    said here.  Training twice on the same items gives the same arrays to the last bit: whatever is drawn comes from a
-    seed of the model's own.  Positions are metres, float64, axes (frame, person=2, body22 joint, 3).
+    said here.  Training twice on the same items gives the same arrays to the last bit, in one go or segment by segment:
+    whatever is drawn comes from the segment's generator.  Positions are metres, float64, axes (frame, person=2, body22
+    joint, 3).
     """
 
     name: ClassVar[str]
     """Name in studies and tables, unique."""
+    settings: ClassVar[type[Settings]] = NoSettings
+    """Model of its settings."""
     is_trained: ClassVar[bool] = True
-    """It learns from the items; models that do not are baselines, which stand beside every result."""
+    """It learns from the items; one that does not can be trained on nothing."""
     has_exact_bones: ClassVar[bool] = False
     """Every motion has the source's bone lengths times the scales asked for, to rounding."""
 
+    @property
+    def built_on(self) -> VariantModel | None:
+        """The trained model that this one builds on, where `start` names one; kept with it."""
+        return None
+
+    @classmethod
+    def start(cls, settings: Any) -> str | None:
+        """Return the name of the model that this one builds on, trained before it on the same items; None without."""
+        return None
+
+    @classmethod
+    def num_segments(cls, settings: Any) -> int:
+        """Return in how many segments it is trained; a training that is killed loses one."""
+        return 1
+
     @classmethod
     @abstractmethod
-    def train(cls, items: Items) -> tuple[VariantModel, list[LogEntry]]:
-        """Return the model trained on items, and figures of the training.
+    def train(cls, training: Training) -> Trained:
+        """Return the model after one segment of training.
 
-        Args:
-            items: Gives the items anew each time it is called; a model reads them as often as it likes and holds few.
+        It reads the items as often as it likes and holds few.
 
         Raises:
             InputError: There is nothing to train on, for a model that needs it.
         """
 
     @abstractmethod
-    def arrays(self) -> dict[str, Array]:
-        """Return everything the model knows, as named float64 arrays; at least one."""
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return everything the model knows, as named float64 or float32 arrays; at least one.
+
+        What it is built on is not in them; see `model_arrays`.
+        """
 
     @classmethod
     @abstractmethod
-    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Return the model that these arrays were taken from: it predicts the same to the last bit.
 
         Raises:

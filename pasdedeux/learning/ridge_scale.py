@@ -8,34 +8,47 @@ frames and axes (so it turns with the pair), also fitted by ridge regression.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from pasdedeux.augmentation import LIMB_GROUPS, reference_motion
 from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.errors import InputError
-from pasdedeux.learning.model import Items, LogEntry, TrainingItem, VariantModel, VariantRequest
+from pasdedeux.learning.model import (
+    Arrays,
+    LogEntry,
+    Trained,
+    Training,
+    TrainingItem,
+    VariantModel,
+    VariantRequest,
+)
+from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["RidgeScaleModel"]
+__all__ = ["RidgeScaleModel", "RidgeSettings"]
 
 Array = npt.NDArray[np.float64]
 
 _NUM_POINTS = 2 * BODY22.num_joints
-_RIDGE = 3e-3
-"""Ridge of the quadratic, as a share of the mean diagonal.
-
-Two training scales 5 % off fix the square term exactly, and with it every millimetre the solver left, 16 to 25 times
-magnified at 0.75; this much shrinks the square term by a fifth and the linear one not at all.
-"""
 _MIX_RIDGE = 1e-4
 """Ridge of the mix for unseen takes, as a share of the mean diagonal."""
 
 _WHOLE = [np.array([index for index in range(BODY22.num_joints) if index != BODY22.root])]
 _GROUPS = [np.array(BODY22.indices(bones)) for bones in LIMB_GROUPS.values()]
+
+
+class RidgeSettings(Settings):
+    """How much the quadratic of a take is held back.
+
+    Two training scales 5 % off fix the square term exactly, and with it every millimetre the solver left, 16 to 25
+    times magnified at 0.75; the default shrinks the square term by a fifth and the linear one not at all.
+    """
+
+    ridge: float = Field(3e-3, gt=0, le=1, description="Ridge of a take's quadratic, as a share of the mean diagonal")
 
 
 @dataclass
@@ -57,14 +70,16 @@ class RidgeScaleModel(VariantModel):
     """
 
     name = "ridge_scale"
+    settings = RidgeSettings
 
     is_by_group: bool = False
     coefficients: dict[str, Array] = field(default_factory=dict)
     mix: Array = field(default_factory=lambda: np.eye(_NUM_POINTS))
 
     @classmethod
-    def train(cls, items: Items, *, ridge_share: float = _RIDGE) -> tuple[VariantModel, list[LogEntry]]:
+    def train(cls, training: Training) -> Trained:
         """Fit both parts; reads the items three times and holds one at a time."""
+        items, ridge = training.items, training.options(RidgeSettings).ridge
         is_by_group, num_items = False, 0
         for item in items():
             num_items += 1
@@ -80,7 +95,7 @@ class RidgeScaleModel(VariantModel):
             plain, change = _displacements(item)
             gram += np.einsum("tia,tja->ij", plain, plain, optimize=True)
             moment += np.einsum("tia,tja->ij", plain, change, optimize=True)
-        model.coefficients = {take: _ridge(total.gram, total.moment, ridge_share) for take, total in sums.items()}
+        model.coefficients = {take: _ridge(total.gram, total.moment, ridge) for take, total in sums.items()}
         flat = _ridge(gram, moment, _MIX_RIDGE)
         model.mix = np.ascontiguousarray(flat.T)
         squared, count, squared_mix = 0.0, 0, 0.0
@@ -89,12 +104,13 @@ class RidgeScaleModel(VariantModel):
             plain, change = _displacements(item)
             mixed = np.linalg.norm(np.einsum("ji,tia->tja", model.mix, plain) - change, axis=-1)
             squared, squared_mix, count = squared + error.sum(), squared_mix + mixed.sum(), count + error.size
-        return model, [
+        log = [
             LogEntry(0, "num_variants", float(num_items)),
             LogEntry(0, "num_takes", float(len(sums))),
             LogEntry(0, "train_error_cm", 100.0 * squared / count),
             LogEntry(0, "train_error_as_unseen_cm", 100.0 * squared_mix / count),
         ]
+        return Trained(model, log)
 
     def arrays(self) -> dict[str, Array]:
         """Return coefficients per take as `take/<take_id>`, the mix and the kind of features."""
@@ -102,7 +118,7 @@ class RidgeScaleModel(VariantModel):
         return arrays | {f"take/{take}": values for take, values in self.coefficients.items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Array]) -> VariantModel:
+    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model from its arrays."""
         for name in ("mix", "is_by_group"):
             if name not in arrays:

@@ -1,8 +1,11 @@
-"""Splits of variants into training and test set (Li et al. 2024, section 5.1)."""
+"""Splits of variants into training, validation and test set (Li et al. 2024, section 5.1; validation is ours).
+
+What a model is chosen by, or stopped by, is validation: never learned from, never tested on.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -19,7 +22,9 @@ Array = npt.NDArray[np.float64]
 SplitName = Literal["random", "cross_scale", "cross_interaction", "cross_scale_interaction"]
 SPLIT_NAMES = get_args(SplitName)
 """random: a fifth of the variants; cross_scale: near scales train, far ones test, of the same takes;
-cross_interaction: some takes train, others test; cross_scale_interaction: both."""
+cross_interaction: some takes train, others test; cross_scale_interaction: both.  Validation is of the takes and scales
+that do not test: scales between near and far where these are split, a take where takes are and there are enough,
+otherwise a tenth of the variants."""
 
 TRAIN_REACH = 0.05
 """Training scales lie in [0.95, 1.05]."""
@@ -27,6 +32,9 @@ TEST_REACH = (0.15, 0.25)
 """Test scales lie in [0.75, 0.85] or [1.15, 1.25]."""
 
 _TEST_SHARE = 0.2
+_VALIDATION_SHARE = 0.1
+_FEWEST_TAKES = 4
+"""Takes beside those tested on, of which one is left to validation."""
 _ROUNDING = 1e-6
 
 
@@ -46,17 +54,19 @@ class VariantKey:
 
 @dataclass(frozen=True)
 class Split:
-    """Training and test variants; the two share no variant.
+    """Training, validation and test variants; no two share a variant.
 
     Args:
         name: Name of the split.
         train: Variants trained on.
+        validation: Variants that models are chosen by; none where there are too few.
         test: Variants tested on.
         shares_takes: Takes in the test set are also in the training set, by design of the split.
     """
 
     name: str
     train: tuple[VariantKey, ...]
+    validation: tuple[VariantKey, ...]
     test: tuple[VariantKey, ...]
     shares_takes: bool
 
@@ -89,26 +99,28 @@ def make_split(
     tested = set(test_takes)
     if is_across and not tested & set(takes):
         tested = set(takes[(len(takes) + 1) // 2 :])
-    known = [key for key in ordered if key.take_id not in tested]
-    other = [key for key in ordered if key.take_id in tested]
+    known, test = _part(ordered, lambda key: key.take_id not in tested)
+    left: list[VariantKey] = []
+    if is_across and len({key.take_id for key in known}) >= _FEWEST_TAKES:
+        last = max(key.take_id for key in known)
+        known, left = _part(known, lambda key: key.take_id != last)
     if name == "random":
-        count = max(round(_TEST_SHARE * len(known)), 1)
-        chosen = set(generator.permutation(len(known))[:count].tolist())
-        train = [key for index, key in enumerate(known) if index not in chosen]
-        test = [key for index, key in enumerate(known) if index in chosen]
+        test, known = _draw(known, _TEST_SHARE, generator, fewest=1)
     elif name == "cross_scale":
-        train, test = [key for key in known if _is_near(key)], [key for key in known if _is_far(key)]
-    elif name == "cross_interaction":
-        train, test = known, other
-    else:
-        train, test = [key for key in known if _is_near(key)], [key for key in other if _is_far(key)]
+        test = known
+    train = known
+    if name in ("cross_scale", "cross_scale_interaction"):
+        test, (train, others) = [key for key in test if _is_far(key)], _part(known, _is_near)
+        left = [key for key in left if _is_far(key)] or [key for key in others if key.reach < TEST_REACH[0] - _ROUNDING]
+    if not left:
+        left, train = _draw(train, _VALIDATION_SHARE, generator, fewest=0)
     for kind, found in (("training", train), ("test", test)):
         if not found:
             raise InputError(
                 f"split '{name}' has no {kind} variant among {len(keys)} variants of {len(takes)} takes; it needs "
                 + _NEEDS[name]
             )
-    return Split(name=name, train=tuple(train), test=tuple(test), shares_takes=not is_across)
+    return Split(name, tuple(train), tuple(left), tuple(test), shares_takes=not is_across)
 
 
 _NEEDS = {
@@ -126,3 +138,18 @@ def _is_near(key: VariantKey) -> bool:
 
 def _is_far(key: VariantKey) -> bool:
     return TEST_REACH[0] - _ROUNDING <= key.reach <= TEST_REACH[1] + _ROUNDING
+
+
+def _part(keys: Sequence[VariantKey], is_in: Callable[[VariantKey], bool]) -> tuple[list[VariantKey], list[VariantKey]]:
+    """Return those for which something holds, and the others."""
+    return [key for key in keys if is_in(key)], [key for key in keys if not is_in(key)]
+
+
+def _draw(
+    keys: list[VariantKey], share: float, generator: np.random.Generator, *, fewest: int
+) -> tuple[list[VariantKey], list[VariantKey]]:
+    """Return a share of the variants, drawn, and the others."""
+    count = max(round(share * len(keys)), fewest)
+    chosen = set(generator.permutation(len(keys))[:count].tolist())
+    drawn = [keys[index] for index in sorted(chosen)]
+    return drawn, [key for index, key in enumerate(keys) if index not in chosen]

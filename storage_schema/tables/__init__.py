@@ -6,6 +6,7 @@ from storage_schema.columns import Table
 from storage_schema.tables.capture import ANNOTATIONS, CAMERAS, OBJECTS, POSES, TAKE_QUALITY, TAKES
 from storage_schema.tables.lifted import IN_BETWEENS, LIFTED_PAIRS
 from storage_schema.tables.products import (
+    MODEL_STATES,
     MODELS,
     SCORES,
     TRAINING_LOG,
@@ -54,6 +55,7 @@ TABLES: dict[str, Table] = {
         VARIANT_QUALITY,
         VARIANT_FRAMES,
         MODELS,
+        MODEL_STATES,
         TRAINING_LOG,
         SCORES,
         VERDICTS,

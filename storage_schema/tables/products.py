@@ -17,7 +17,16 @@ from storage_schema.tables.common import (
     unitquats,
 )
 
-__all__ = ["MODELS", "SCORES", "TRAINING_LOG", "VARIANTS", "VARIANT_FRAMES", "VARIANT_QUALITY", "VERDICTS"]
+__all__ = [
+    "MODELS",
+    "MODEL_STATES",
+    "SCORES",
+    "TRAINING_LOG",
+    "VARIANTS",
+    "VARIANT_FRAMES",
+    "VARIANT_QUALITY",
+    "VERDICTS",
+]
 
 VARIANTS = Table(
     name="variants",
@@ -162,16 +171,26 @@ VARIANT_FRAMES = Table(
     ),
 )
 
+_NAMED_ARRAY = (
+    *MODEL_ID,
+    text("array_name", "Name of the array"),
+    array("array_shape", "Its shape", dtype=pa.int32()),
+    text("array_dtype", "Its precision, float64 or float32; values of either stand here exactly"),
+    array("values", "Its values, row-major", dtype=pa.float64()),
+)
+
 MODELS = Table(
     name="models",
     meaning="One row per array of a trained model.",
     sorted_by=("split", "model", "array_name"),
-    columns=(
-        *MODEL_ID,
-        text("array_name", "Name of the array"),
-        array("array_shape", "Its shape", dtype=pa.int32()),
-        array("values", "Its values, row-major", dtype=pa.float64()),
-    ),
+    columns=_NAMED_ARRAY,
+)
+
+MODEL_STATES = Table(
+    name="model_states",
+    meaning="One row per array that the training of a model goes on from after a segment.",
+    sorted_by=("split", "model", "array_name"),
+    columns=_NAMED_ARRAY,
 )
 
 TRAINING_LOG = Table(

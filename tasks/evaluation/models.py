@@ -2,47 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pasdedeux.evaluation.models import key_contacts, model_errors, model_figure, model_scores
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, VariantKey, VariantModel, load_model
-from storage_schema import ArtifactRef, Store
-from tasks.augmentation import read_take
+from pasdedeux.learning import BASELINES, load_model
+from pasdedeux.skeletons import BODY22
+from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
-from tasks.training import read_items
+from tasks.training.items import StoredVariants
+from tasks.training.run import read_arrays
 
 __all__ = ["TOPIC"]
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
-    """Plan one shard per split."""
+    """Plan one shard per split, with every model trained on it."""
+    splits: dict[str, list[Manifest]] = {}
+    for manifest in inputs.of("models"):
+        splits.setdefault(manifest.facts["split"], []).append(manifest)
     found = []
-    for models in inputs.of("models"):
-        tested = set(models.facts["test"])
+    for split, models in splits.items():
+        tested = set(models[0].facts["test"])
         takes = [manifest for manifest in inputs.of("poses") if manifest.facts["take_id"] in tested]
         variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in tested]
-        found.append(TOPIC.shard(inputs, models.facts["split"], models=[models], takes=takes, variants=variants))
+        found.append(TOPIC.shard(inputs, split, models=models, takes=takes, variants=variants))
     return found
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants."""
-    facts = store.manifest(shard.ref("models")).facts
-    takes = {store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in shard.refs("takes")}
-    keys, homes, scales = _test_variants(store, shard.refs("variants"), facts["test"])
-    models = _read_models(store, shard.ref("models"))
-    keys_of = {take_id: key_contacts(take.source.contacts()) for take_id, take in takes.items()}
+    manifests = [store.manifest(ref) for ref in shard.refs("models")]
+    facts = manifests[0].facts
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    models = {
+        manifest.facts["model"]: load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
+        for manifest in manifests
+    }
+    keys_of = {take_id: key_contacts(take.source.contacts()) for take_id, take in variants.takes.items()}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in models}
     at: list[float] = []
     owners: list[str] = []
-    for item in read_items(store, keys, homes, takes):
+    for item in variants.items([(take_id, name) for take_id, names in facts["test"].items() for name in names]):
         take_id = item.request.take_id
         owners.append(take_id)
-        at.append(scales[take_id, item.variant_id])
+        at.append(_uniform_scale(item.request.bone_scale[0]))
         for name, model in models.items():
             errors[name].append(model_errors(model.predict(item.request), item.motion_m, keys_of[take_id]))
     split = f"{facts['split']} test"
@@ -62,29 +67,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     )
 
 
-def _test_variants(
-    store: Store, refs: Sequence[ArtifactRef], wanted: dict[str, list[str]]
-) -> tuple[list[VariantKey], dict[tuple[str, str], ArtifactRef], dict[tuple[str, str], float]]:
-    """Return the test variants, where each lies, and the scale of person A (NaN where not uniform)."""
-    keys, homes, scales = [], {}, {}
-    for ref in refs:
-        take_id = store.manifest(ref).facts["take_id"]
-        table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "uniform_scale"])
-        for row, variant_id in enumerate(table["variant_id"]):
-            if variant_id in wanted[take_id]:
-                keys.append(VariantKey(take_id, str(variant_id), table["bone_scale"][row].reshape(2, -1)))
-                homes[take_id, str(variant_id)] = ref
-                scales[take_id, str(variant_id)] = float(table["uniform_scale"][row][0])
-    return keys, homes, scales
-
-
-def _read_models(store: Store, ref: ArtifactRef) -> dict[str, VariantModel]:
-    table = store.read(ref, "models")
-    arrays: dict[str, dict[str, np.ndarray]] = {}
-    for row, model in enumerate(table["model"]):
-        values = np.asarray(table["values"][row], dtype=np.float64).reshape(table["array_shape"][row])
-        arrays.setdefault(str(model), {})[str(table["array_name"][row])] = values
-    return {name: load_model(name, found) for name, found in arrays.items()}
+def _uniform_scale(bone_scale: np.ndarray) -> float:
+    """Return the one scale of all of a person's bones, or NaN where they differ."""
+    bones = np.delete(bone_scale, BODY22.root)
+    return float(bones[0]) if np.ptp(bones) < 1e-6 else float("nan")
 
 
 TOPIC = Topic(

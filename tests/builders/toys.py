@@ -149,6 +149,7 @@ def run_bend(shard: Shard, store: Store) -> ArtifactRef:
                 "model": ["bend"],
                 "array_name": ["values"],
                 "array_shape": [np.array([5], dtype=np.int32)],
+                "array_dtype": ["float64"],
                 "values": [values],
             }
         },

@@ -17,12 +17,14 @@ from pasdedeux.learning import VariantRequest, load_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, artifact_key
-from tasks import augmentation, training
+from tasks import augmentation
 from tasks.augmentation import AugmentationParameters, read_take
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
-from tasks.stage import Parameters, StageInputs, verdict_of
-from tasks.training import TrainingParameters
+from tasks.stage import Parameters, Shard, StageInputs, verdict_of
+from tasks.training import STAGE as TRAINING
+from tasks.training.parameters import TrainingParameters
+from tasks.training.run import read_arrays
 from tests.builders.moving_pairs import standing_person, swaying_people
 
 FRAMES = 12
@@ -266,70 +268,111 @@ def test_asking_twice_gives_the_same_bytes(store: Store, tmp_path: Path) -> None
     assert [m.ref for m in one] == [m.ref for m in two]
 
 
+def plan_training(takes: list[Manifest], variants: list[Manifest], **parameters: Any) -> list[Shard]:
+    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
+    return TRAINING.plan(inputs, TRAINING.parameters(**parameters))
+
+
+def train(store: Store, shards: list[Shard]) -> dict[str, Manifest]:
+    return {f"{shard.partition} {shard.name}": store.manifest(TRAINING.run_shard(shard, store)) for shard in shards}
+
+
 def test_held_out_takes_and_those_that_are_no_pair_are_never_trained_on(store: Store) -> None:
     takes = [put_take(store, "one"), put_take(store, "second"), put_take(store, "held", is_held_out=True)]
     takes.append(put_take(store, "trio", num_persons=3))
     variants = augment(store, takes)
-    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
-    parameters = TrainingParameters(splits=("cross_scale", "cross_interaction"))
-    made = [store.manifest(training.run_shard(shard, store)) for shard in training.plan(inputs, parameters)]
-    scale, interaction = made
+    shards = plan_training(takes, variants, models=("ridge_scale",), splits=("cross_scale", "cross_interaction"))
+    made = train(store, shards)
+    scale, interaction = made["cross_scale ridge_scale"], made["cross_interaction ridge_scale"]
     assert scale.facts["takes"] == interaction.facts["takes"] == ["one", "second"]
     assert scale.facts["shares_takes"]
     assert set(scale.facts["test"]) == {"one", "second"}
     assert set(interaction.facts["test"]) == {"held"}
+    assert set(interaction.facts["validation"]) <= {"one", "second"}
     assert not interaction.facts["shares_takes"]
 
 
 def test_a_stored_model_predicts(store: Store) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes)
-    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
-    (shard,) = training.plan(inputs, TrainingParameters())
-    made = store.manifest(training.run_shard(shard, store))
-    verdict = verdict_of(made)
-    assert verdict is not None
-    assert (verdict.level, verdict.figure, verdict.unit) == (Level.PASS, "test error of ridge_scale", "cm")
-    assert verdict.value < verdict.baseline
-    table = store.read(made.ref, "models")
+    made = train(store, plan_training(takes, variants))
     source = read_take(store, takes[0].ref).source
     quality = store.read(variants[0].ref, "variant_quality")
     motions = store.read(variants[0].ref, "variants")["body22_m"].reshape(-1, FRAMES, 2, 22, 3)
     errors = {}
-    for name in made.facts["models"]:
-        arrays = {
-            str(table["array_name"][row]): np.reshape(table["values"][row], table["array_shape"][row])
-            for row in range(table.num_rows)
-            if table["model"][row] == name
-        }
-        predicted = load_model(name, arrays).predict(
-            VariantRequest("one", source, quality["bone_scale"][1].reshape(2, 22))
-        )
+    for name in ("copy", "naive_fk", "ridge_scale"):
+        model = load_model(name, read_arrays(store, made[f"cross_scale {name}"].ref))
+        predicted = model.predict(VariantRequest("one", source, quality["bone_scale"][1].reshape(2, 22)))
         errors[name] = float(np.linalg.norm(predicted - motions[1], axis=-1).mean())
     assert errors["ridge_scale"] < 0.8 * errors["naive_fk"]
     assert errors["ridge_scale"] < 0.8 * errors["copy"]
-    log = store.read(made.ref, "training_log")
+    log = store.read(made["cross_scale ridge_scale"].ref, "training_log")
     assert "train_error_cm" in list(log["quantity"])
 
 
-def test_training_of_baselines_alone_says_that_nothing_was_learned(store: Store) -> None:
+def test_a_model_is_judged_on_validation_beside_the_better_baseline(store: Store) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes)
-    inputs = StageInputs({"poses": takes, "variants": variants}, seed=3)
-    (shard,) = training.plan(inputs, TrainingParameters(models=("naive_fk", "copy")))
-    verdict = verdict_of(store.manifest(training.run_shard(shard, store)))
-    assert verdict is not None
-    assert verdict.level is Level.WARN
-    assert "no trained model is better than copying the source" in verdict.reason
+    made = train(store, plan_training(takes, variants))
+    verdicts = {name: verdict_of(manifest) for name, manifest in made.items()}
+    ridge = verdicts["cross_scale ridge_scale"]
+    assert ridge is not None
+    assert (ridge.level, ridge.figure, ridge.unit) == (Level.PASS, "joint error of validation variants", "cm")
+    baselines = {name: found.value for name, found in verdicts.items() if found is not None and "ridge" not in name}
+    assert ridge.baseline == min(baselines.values())
+    assert ridge.value < ridge.baseline
+    between = {"A-uniform-0.90", "A-uniform-1.10"}
+    assert set(made["cross_scale ridge_scale"].facts["validation"]["one"]) == between
+    near = augment(store, takes, scales=(0.8, 0.95, 1.05))
+    (alone,) = train(store, plan_training(takes, near, models=("ridge_scale",))).values()
+    said = verdict_of(alone)
+    assert said is not None
+    assert "nothing is said" in said.reason
 
 
-def test_a_split_without_far_scales_says_what_it_needs(store: Store) -> None:
+def test_adding_a_model_or_a_split_leaves_the_others_keys_alone(store: Store) -> None:
+    takes = [put_take(store, "one"), put_take(store, "second")]
+    variants = augment(store, takes)
+    some = plan_training(takes, variants, models=("copy", "ridge_scale"))
+    more = plan_training(
+        takes,
+        variants,
+        models=("copy", "naive_fk", "soft", "ridge_scale"),
+        forms={"soft": {"model": "ridge_scale", "ridge": 0.5}},
+        splits=("cross_scale", "cross_interaction"),
+    )
+    assert {shard.key for shard in some} < {shard.key for shard in more}
+    assert len(more) == 8
+    made = train(store, more)
+    soft, hard = (store.read(made[f"cross_scale {name}"].ref, "models") for name in ("soft", "ridge_scale"))
+    assert list(soft["array_name"]) == list(hard["array_name"])
+    assert [list(row) for row in soft["values"]] != [list(row) for row in hard["values"]]
+
+
+def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store) -> None:
+    takes = [put_take(store, "one")]
+    quality = store.read(augment(store, takes)[0].ref, "variant_quality")
+    drift = dict(zip(quality["variant_id"], quality["contact_drift_p95_m"], strict=True))
+    near = sorted(("A-uniform-0.95", "A-uniform-1.05"), key=lambda name: float(drift[name]))
+    between = float(np.mean([drift[name] for name in near]))
+    variants = augment(store, takes, limits={"contact_drift_p95_m": (0.0, between)})
+    (made,) = train(store, plan_training(takes, variants, models=("ridge_scale",))).values()
+    assert made.facts["train"] == {"one": near[:1]}
+    failed = [row for row, name in enumerate(quality["variant_id"]) if drift[name] > between]
+    assert len(failed) > 1
+    assert len(made.facts["test"]["one"]) == 6
+    all_fail = augment(store, takes, limits={"contact_drift_p95_m": (0.0, 0.0)})
+    with pytest.raises(InputError, match="every variant that it would learn from failed"):
+        train(store, plan_training(takes, all_fail, models=("ridge_scale",)))
+
+
+def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes, scales=(0.95, 1.05))
-    inputs = StageInputs({"poses": takes, "variants": variants, "variant_quality": variants}, seed=3)
-    (shard,) = training.plan(inputs, TrainingParameters())
     with pytest.raises(InputError, match=r"0\.75 to 0\.85 or 1\.15 to 1\.25"):
-        training.run_shard(shard, store)
+        plan_training(takes, variants)
+    with pytest.raises(InputError, match="at least two takes"):
+        plan_training(takes, variants, splits=("cross_interaction",))
 
 
 @pytest.mark.parametrize(
@@ -353,3 +396,9 @@ def test_parameters_that_are_not_allowed_are_refused(parameters: dict[str, Any])
         AugmentationParameters(**parameters)
     with pytest.raises(ValidationError, match="known models"):
         TrainingParameters(models=("oracle",))
+    with pytest.raises(ValidationError, match=r"training\.forms\.soft\.ridge"):
+        TrainingParameters(forms={"soft": {"model": "ridge_scale", "ridge": -1}})
+    with pytest.raises(ValidationError, match=r"training\.forms\.soft\.model: 'oracle' is not known"):
+        TrainingParameters(forms={"soft": {"model": "oracle"}})
+    with pytest.raises(ValidationError, match="no name for a form"):
+        TrainingParameters(forms={"copy": {"model": "ridge_scale"}})

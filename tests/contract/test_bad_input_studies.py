@@ -65,6 +65,11 @@ def write(folder: Path, text: str) -> Path:
             'held_out = ["hugg"]',
             "ingest: 'hugg' is not a take of this study; did you mean 'hug'?",
         ),
+        (
+            "scales = [0.75, 0.95, 1.05, 1.25]",
+            'scales = [0.95, 1.05]\n[training]\nsplits = ["cross_scale"]',
+            "split 'cross_scale' has no test variant among 4 variants of 2 takes; it needs scales within 0.95 to 1.05",
+        ),
         ("rate_hz = 12.0", 'rate_hz = "fast"', "ingest.rate_hz: should be a valid number"),
     ],
 )

@@ -1,18 +1,30 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import Augmenter, Source, reference_motion, uniform_variations
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, reference_motion, uniform_variations
+from pasdedeux.augmentation.energy import fit_terms, total_energy
+from pasdedeux.augmentation.source import complete_scales, points_of
+from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
+    SPLIT_NAMES,
+    MeshRefineModel,
+    RidgeAdaptedModel,
     RidgeScaleModel,
+    RidgeSettings,
+    Training,
     TrainingItem,
     VariantKey,
+    VariantModel,
     VariantRequest,
     load_model,
     make_split,
+    model_arrays,
 )
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
@@ -44,18 +56,22 @@ def _keys(takes: list[str]) -> list[VariantKey]:
     return [VariantKey(take, v.variant_id, v.bone_scale) for take in takes for v in uniform_variations(PAPER_SCALES)]
 
 
+def _train_ridge(items: list[TrainingItem], ridge: float = 3e-3) -> tuple[VariantModel, dict[str, float]]:
+    trained = RidgeScaleModel.train(Training(lambda: iter(items), settings=RidgeSettings(ridge=ridge)))
+    return trained.model, {entry.quantity: entry.value for entry in trained.log}
+
+
 def test_ridge_recovers_a_quadratic_in_scale_from_two_scales() -> None:
     train, test = _quadratic_items([0.95, 1.05]), _quadratic_items([0.75, 1.25])
-    model, log = RidgeScaleModel.train(lambda: iter(train), ridge_share=1e-9)
+    model, figures = _train_ridge(train, ridge=1e-9)
     for item in test:
         np.testing.assert_allclose(model.predict(item.request), item.motion_m, atol=1e-4)
-    figures = {entry.quantity: entry.value for entry in log}
     assert figures["num_variants"] == 2
     assert figures["train_error_cm"] < 1e-4
 
 
 def test_ridge_gives_the_source_at_scale_one() -> None:
-    model, _ = RidgeScaleModel.train(lambda: iter(_quadratic_items([0.9, 1.1])))
+    model, _ = _train_ridge(_quadratic_items([0.9, 1.1]))
     np.testing.assert_array_equal(model.predict(VariantRequest("sway", TAKE, np.ones((2, 22)))), TAKE.positions_m)
 
 
@@ -67,7 +83,7 @@ def test_ridge_tells_limb_groups_apart() -> None:
         motion = TAKE.positions_m.copy()
         motion[..., 0] += change
         items.append(TrainingItem(variation.variant_id, request, motion))
-    model, _ = RidgeScaleModel.train(lambda: iter(items), ridge_share=1e-9)
+    model, _ = _train_ridge(items, ridge=1e-9)
     (arms,) = group_variations([1.2], ["A"], ["arms"])
     (legs,) = group_variations([1.2], ["A"], ["legs"])
     moved = model.predict(VariantRequest("sway", TAKE, arms.bone_scale)) - TAKE.positions_m
@@ -81,7 +97,7 @@ def test_on_an_unseen_take_ridge_learns_what_forward_kinematics_can_tell() -> No
     for variation in uniform_variations([0.8, 0.9, 1.1, 1.2], ["A", "B"]):
         motion = reference_motion(TAKE, variation.bone_scale[None])[0]
         items.append(TrainingItem(variation.variant_id, VariantRequest("sway", TAKE, variation.bone_scale), motion))
-    model, _ = RidgeScaleModel.train(lambda: iter(items))
+    model, _ = _train_ridge(items)
     other = Source(swaying_pair(6, seed=9), 30.0, "other")
     (variation,) = uniform_variations([0.85], ["A"])
     truth = reference_motion(other, variation.bone_scale[None])[0]
@@ -89,6 +105,64 @@ def test_on_an_unseen_take_ridge_learns_what_forward_kinematics_can_tell() -> No
     assert model_errors(predicted, truth)["E_r"] < 0.5
     copied = model_errors(other.positions_m, truth)["E_r"]
     assert copied > 3.0
+
+
+def _request(take: Source, scale: float, person: str = "A") -> VariantRequest:
+    (variation,) = uniform_variations([scale], [person])
+    return VariantRequest(take.name, take, variation.bone_scale)
+
+
+def test_an_unseen_take_that_is_adapted_to_comes_near_the_solver_at_far_scales() -> None:
+    other = Source(swaying_pair(6, seed=9), 30.0, "other")
+    (truth,) = Augmenter(other).solve(uniform_variations([0.8], ["A"]))
+    ridge, _ = _train_ridge(_quadratic_items([0.9, 1.1]))
+    settings = RidgeAdaptedModel.settings()
+    model = RidgeAdaptedModel.train(Training(lambda: iter([]), settings=settings, start=ridge)).model
+    request = _request(other, 0.8)
+    adapted, fk = (
+        model_errors(one.predict(request), truth.positions_m)["E_r"] for one in (model, load_model("naive_fk", {}))
+    )
+    assert adapted < 0.4 * fk
+    seen = _request(TAKE, 0.9)
+    np.testing.assert_allclose(model.predict(seen)[..., 0, :], ridge.predict(seen)[..., 0, :], atol=1e-12)
+    (arms,) = group_variations([0.8], ["A"], ["arms"])
+    of_arms = model.predict(VariantRequest(other.name, other, arms.bone_scale))
+    np.testing.assert_array_equal(model.predict(VariantRequest(other.name, other, arms.bone_scale)), of_arms)
+    again = load_model("ridge_adapted", model_arrays(model))
+    np.testing.assert_array_equal(again.predict(request), model.predict(request))
+
+
+def test_the_mesh_goes_on_from_where_a_model_puts_the_pair_and_its_energy_falls() -> None:
+    request = _request(TAKE, 0.8)
+    problem = build_problem(TAKE)
+    targets = build_targets(problem, complete_scales(TAKE, request.bone_scale[None]))
+    terms = fit_terms(problem, targets, 0)
+    energies = []
+    for start in ("naive_fk", "copy"):
+        first = load_model(start, {})
+        for count in (0, 2, 6, 60):
+            settings = MeshRefineModel.settings(num_iterations=count, start=start)
+            model = MeshRefineModel.train(Training(lambda: iter([]), settings=settings, start=first)).model
+            energies.append(total_energy(terms, points_of(model.predict(request))))
+    from_fk, from_copy = energies[:4], energies[4:]
+    assert from_fk == sorted(from_fk, reverse=True)
+    assert from_copy == sorted(from_copy, reverse=True)
+    assert from_fk[0] < from_copy[0]
+    assert from_copy[-1] == pytest.approx(from_fk[-1], rel=0.02)
+    fk = load_model("naive_fk", {}).predict(request)
+    assert energies[0] == pytest.approx(total_energy(terms, points_of(fk)))
+
+
+def test_a_long_take_is_refined_in_windows() -> None:
+    request = _request(TAKE, 0.8)
+    long = Source(swaying_pair(70), 10.0, "sway")
+    model = MeshRefineModel(load_model("naive_fk", {}), num_iterations=6)
+    short, whole = (
+        model.predict(replace(request, source=long, solving=AugmentationSettings(window_s=window)))
+        for window in (6.5, 30.0)
+    )
+    moved = np.linalg.norm(whole - load_model("naive_fk", {}).predict(replace(request, source=long)), axis=-1).mean()
+    assert np.linalg.norm(short - whole, axis=-1).mean() < 0.1 * moved
 
 
 def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
@@ -110,6 +184,10 @@ def test_metrics_are_in_the_papers_units() -> None:
     assert errors["E_r"] == pytest.approx(1.0)
     assert errors["E_b"] == pytest.approx(0.0, abs=1e-9)
     assert errors["JPD"] == pytest.approx(0.0, abs=1e-9)
+    assert errors["PWD"] == pytest.approx(0.0, abs=1e-9)
+    one_moved = truth.copy()
+    one_moved[:, 1] += np.array([0.0, 0.0, 0.01])
+    assert 0.0 < model_errors(one_moved, truth)["PWD"] < 1.0
     stretched = truth.copy()
     stretched[:, 0, BODY22.index("head")] += (truth[:, 0, BODY22.index("head")] - truth[:, 0, BODY22.index("neck")]) * (
         0.042 / TAKE.lengths_m[0, BODY22.index("head")]
@@ -135,7 +213,21 @@ def test_cross_scale_trains_near_and_tests_far_on_the_same_takes() -> None:
     split = make_split("cross_scale", _keys(["a", "b"]), np.random.default_rng(0))
     assert {round(key.bone_scale[0, 1], 2) for key in split.train} == {0.95, 1.05}
     assert {round(key.bone_scale[0, 1], 2) for key in split.test} == {0.75, 0.8, 0.85, 1.15, 1.2, 1.25}
+    assert {round(key.bone_scale[0, 1], 2) for key in split.validation} == {0.9, 1.1}
     assert split.shares_takes
+
+
+@pytest.mark.parametrize("name", SPLIT_NAMES)
+@pytest.mark.parametrize("num_takes", [2, 3, 7, 9])
+def test_no_variant_is_in_two_sets_and_validation_is_never_of_a_tested_take(name: str, num_takes: int) -> None:
+    split = make_split(name, _keys([f"take{n}" for n in range(num_takes)]), np.random.default_rng(0))
+    sets = [{(key.take_id, key.variant_id) for key in keys} for keys in (split.train, split.validation, split.test)]
+    assert all(sets)
+    assert sum(map(len, sets)) == len(set.union(*sets))
+    if not split.shares_takes:
+        assert not {take for take, _ in sets[1]} & {take for take, _ in sets[2]}
+        is_of_its_own = not {take for take, _ in sets[0]} & {take for take, _ in sets[1]}
+        assert is_of_its_own == (num_takes >= 7)
 
 
 @pytest.mark.parametrize("name", ["cross_interaction", "cross_scale_interaction"])
@@ -150,7 +242,7 @@ def test_splits_across_interactions_share_no_take(name: str) -> None:
 def test_the_random_split_tests_a_fifth_and_leaves_held_out_takes_out() -> None:
     split = make_split("random", _keys(["a", "b"]), np.random.default_rng(0), test_takes=["b"])
     assert len(split.test) == 2
-    assert len(split.train) == 8
+    assert (len(split.train), len(split.validation)) == (7, 1)
     assert split.train_takes == ["a"]
     names = {key.variant_id for key in split.train} & {key.variant_id for key in split.test}
     assert not names
@@ -173,7 +265,7 @@ def test_what_cannot_be_done_is_said() -> None:
     with pytest.raises(InputError, match="array 'mix' is missing"):
         load_model("ridge_scale", {})
     with pytest.raises(InputError, match="no variant to train on"):
-        RidgeScaleModel.train(lambda: iter([]))
+        _train_ridge([])
     with pytest.raises(InputError, match="the source's is"):
         TrainingItem("v", VariantRequest("sway", TAKE, np.ones((2, 22))), TAKE.positions_m[:3])
     with pytest.raises(InputError, match="not finite"):

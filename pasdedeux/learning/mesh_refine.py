@@ -1,0 +1,115 @@
+"""`mesh_refine`: a few iterations of the interaction mesh's guaranteed descent, from where another model puts the pair.
+
+With enough iterations it is the solver itself; a start is worth as much as the iterations it saves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.energy import descend, fit_terms
+from pasdedeux.augmentation.problem import Problem
+from pasdedeux.augmentation.source import Source, complete_scales, points_of, scaled_lengths
+from pasdedeux.augmentation.terms import build_problem, build_targets
+from pasdedeux.augmentation.windows import blend_weights, plan_windows
+from pasdedeux.errors import InputError
+from pasdedeux.fitting import FitSettings
+from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest
+from pasdedeux.settings import Settings
+
+__all__ = ["MeshRefineModel", "MeshRefineSettings"]
+
+Array = npt.NDArray[np.float64]
+
+
+class MeshRefineSettings(Settings):
+    """From where, and how far."""
+
+    start: str = Field("naive_fk", description="Model, or form of one, that gives the start")
+    num_iterations: int = Field(4, ge=0, le=1000, description="Iterations, whether accepted or refused")
+
+
+@dataclass
+class MeshRefineModel(VariantModel):
+    """A start, and how many iterations follow.
+
+    Args:
+        first: The model that gives the start.
+        num_iterations: Iterations.
+    """
+
+    name = "mesh_refine"
+    settings = MeshRefineSettings
+    is_trained = False
+    has_exact_bones = True
+
+    first: VariantModel
+    num_iterations: int
+    _ready: tuple[VariantRequest, list[slice], list[Problem]] | None = field(default=None, repr=False)
+
+    @property
+    def built_on(self) -> VariantModel:
+        """The model that gives the start."""
+        return self.first
+
+    @classmethod
+    def start(cls, settings: MeshRefineSettings) -> str:
+        """Return the model that gives the start."""
+        return settings.start
+
+    @classmethod
+    def train(cls, training: Training) -> Trained:
+        """Learn nothing beside what the start learned."""
+        assert training.start is not None
+        return Trained(cls(training.start, training.options(MeshRefineSettings).num_iterations))
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the number of iterations."""
+        return {"num_iterations": np.array([float(self.num_iterations)])}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Make the model from its array and its start."""
+        if "num_iterations" not in arrays or built_on is None:
+            raise InputError(
+                "mesh_refine: array 'num_iterations' or the model it starts from is missing; found "
+                + (", ".join(arrays) or "none")
+            )
+        return cls(built_on, int(arrays["num_iterations"][0]))
+
+    def predict(self, request: VariantRequest) -> Array:
+        """Return where descent comes to; a long take is refined in the solver's windows."""
+        source = request.source
+        windows, problems = self._problems(request)
+        scales = complete_scales(source, request.bone_scale[None])
+        lengths = scaled_lengths(source, scales)
+        start = project_to_bones(points_of(self.first.predict(request))[None], lengths)[0]
+        settings = FitSettings(max_iterations=self.num_iterations, tolerance=0.0)
+        points = np.zeros_like(start)
+        for window, problem, share in zip(windows, problems, blend_weights(windows), strict=True):
+            targets = build_targets(problem, scales)
+            found = descend(targets, 0, fit_terms(problem, targets, 0), start[window], settings)
+            points[window] += share[:, None, None] * found.positions_m
+        if len(windows) > 1:
+            points = project_to_bones(points[None], lengths)[0]
+        return np.asarray(points.reshape(source.positions_m.shape))
+
+    def _problems(self, request: VariantRequest) -> tuple[list[slice], list[Problem]]:
+        """Return the windows of a take and their problems; those of the last take are kept."""
+        source, last = request.source, self._ready
+        if last is not None and last[0].source is source and last[0].solving == request.solving:
+            return last[1:]
+        windows = plan_windows(source.num_frames, source.rate_hz, request.solving.window_s)
+        problems = []
+        for window in windows:
+            part: Source = source if len(windows) == 1 else source.take_frames(window)
+            within = (contact.within(window.start, window.stop) for contact in request.contacts)
+            contacts = [contact for contact in within if contact is not None]
+            problems.append(build_problem(part, request.solving, user_contacts=contacts))
+        self._ready = (request, windows, problems)
+        return windows, problems

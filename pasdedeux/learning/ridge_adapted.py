@@ -1,0 +1,127 @@
+"""`ridge_adapted`: `ridge_scale`, and for an unseen take a quadratic of its own, from near variants solved for it.
+
+Solving 18 variants of a take once costs what 18 variants cost; any number of others then are a product of matrices.
+Bones are exact: the quadratic says where they point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from pasdedeux.augmentation import Augmenter, Source, uniform_variations
+from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
+from pasdedeux.augmentation.variations import Group, group_variations
+from pasdedeux.errors import InputError
+from pasdedeux.learning.model import (
+    Arrays,
+    Trained,
+    Training,
+    TrainingItem,
+    VariantModel,
+    VariantRequest,
+)
+from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["RidgeAdaptedModel", "RidgeAdaptedSettings"]
+
+Array = npt.NDArray[np.float64]
+
+_GROUPS: tuple[Group, ...] = ("torso", "arms", "legs")
+"""Limbs that are scaled alone; the others are told from whole bodies."""
+
+
+class RidgeAdaptedSettings(RidgeSettings):
+    """Which variants of an unseen take are solved."""
+
+    reach: float = Field(0.05, gt=0, le=0.5, description="How far from scale 1 the solved variants are, either way")
+
+
+@dataclass
+class RidgeAdaptedModel(VariantModel):
+    """What `ridge_scale` learned, and how takes that it does not know are adapted to.
+
+    Args:
+        seen: `ridge_scale`, for the takes that were trained on.
+        reach: How far from scale 1 variants of other takes are solved.
+        ridge: Ridge of their quadratics.
+    """
+
+    name = "ridge_adapted"
+    settings = RidgeAdaptedSettings
+    has_exact_bones = True
+
+    seen: RidgeScaleModel
+    reach: float
+    ridge: float
+    _adapted: tuple[Source, bool, RidgeScaleModel] | None = field(default=None, repr=False)
+
+    @property
+    def built_on(self) -> VariantModel:
+        """`ridge_scale`."""
+        return self.seen
+
+    @classmethod
+    def start(cls, settings: RidgeAdaptedSettings) -> str:
+        """Return `ridge_scale`, which knows the takes trained on."""
+        return RidgeScaleModel.name
+
+    @classmethod
+    def train(cls, training: Training) -> Trained:
+        """Take what `ridge_scale` learned; nothing else is learned before a take is asked for."""
+        assert isinstance(training.start, RidgeScaleModel)
+        settings = training.options(RidgeAdaptedSettings)
+        return Trained(cls(training.start, settings.reach, settings.ridge))
+
+    def arrays(self) -> dict[str, Array]:
+        """Return how takes are adapted to."""
+        return {"adaptation": np.array([self.reach, self.ridge])}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
+        """Make the model from its arrays and `ridge_scale`."""
+        if "adaptation" not in arrays or not isinstance(built_on, RidgeScaleModel):
+            raise InputError(
+                "ridge_adapted: array 'adaptation' or the ridge_scale it builds on is missing; found "
+                + (", ".join(arrays) or "none")
+            )
+        return cls(built_on, reach=float(arrays["adaptation"][0]), ridge=float(arrays["adaptation"][1]))
+
+    def predict(self, request: VariantRequest) -> Array:
+        """Return the motion by the take's quadratic; the first request for an unseen take solves its near variants."""
+        bones = np.delete(request.bone_scale, BODY22.root, axis=1)
+        is_by_group = bool(np.ptp(bones, axis=1).max() > 1e-6)
+        model = self.seen if request.take_id in self.seen.coefficients else self._adapt(request, is_by_group)
+        scales = complete_scales(request.source, request.bone_scale[None])
+        motion = model.predict(request)
+        return project_to_bones(points_of(motion)[None], scaled_lengths(request.source, scales))[0].reshape(
+            motion.shape
+        )
+
+    def _adapt(self, request: VariantRequest, is_by_group: bool) -> RidgeScaleModel:
+        """Return the quadratic of an unseen take; that of the last one is kept."""
+        if self._adapted is not None and self._adapted[0] is request.source and self._adapted[1] == is_by_group:
+            return self._adapted[2]
+        near = (1.0 - self.reach, 1.0 + self.reach)
+        variations = uniform_variations(near, ["A", "B", "AB"])
+        if is_by_group:
+            variations += group_variations(near, ["A", "B"], _GROUPS)
+        solver = Augmenter(request.source, request.solving, user_contacts=request.contacts)
+        items = [
+            TrainingItem(
+                variant.variation.variant_id,
+                VariantRequest(request.take_id, request.source, variant.bone_scale),
+                variant.positions_m,
+            )
+            for variant in solver.solve(variations)
+        ]
+        settings = RidgeSettings(ridge=self.ridge)
+        model = RidgeScaleModel.train(Training(lambda: iter(items), settings=settings)).model
+        assert isinstance(model, RidgeScaleModel)
+        self._adapted = (request.source, is_by_group, model)
+        return model

@@ -1,0 +1,70 @@
+"""Variants of a store as the items that models learn from and are judged on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pasdedeux.augmentation import AugmentationSettings
+from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest
+from storage_schema import ArtifactRef, Store
+from tasks.augmentation import TakeMotion, batch_of, read_take
+
+__all__ = ["StoredVariants"]
+
+
+@dataclass(frozen=True)
+class _Home:
+    """Where variants lie, and how they were solved."""
+
+    ref: ArtifactRef
+    bone_scale: np.ndarray
+    is_failed: bool
+
+
+class StoredVariants:
+    """The variants of some artifacts, with their takes: read one at a time, when they are asked for."""
+
+    def __init__(self, store: Store, takes: Sequence[ArtifactRef], variants: Sequence[ArtifactRef]) -> None:
+        self._store = store
+        self.takes: dict[str, TakeMotion] = {
+            store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in takes
+        }
+        self._homes: dict[tuple[str, str], _Home] = {}
+        for ref in variants:
+            take_id = store.manifest(ref).facts["take_id"]
+            table = store.read(ref, "variant_quality", columns=["variant_id", "bone_scale", "verdict"])
+            for row, variant_id in enumerate(table["variant_id"]):
+                home = _Home(ref, table["bone_scale"][row].reshape(2, -1), str(table["verdict"][row]) == "fail")
+                self._homes[take_id, str(variant_id)] = home
+
+    def sound(self, keys: Sequence[VariantKey]) -> list[VariantKey]:
+        """Return the variants that did not fail."""
+        return [key for key in keys if not self._homes[key.take_id, key.variant_id].is_failed]
+
+    def items(self, wanted: Sequence[tuple[str, str]]) -> Iterator[TrainingItem]:
+        """Read variants, named by take and variant, one at a time, artifact by artifact."""
+        by_ref: dict[ArtifactRef, set[str]] = {}
+        for take_id, variant_id in wanted:
+            by_ref.setdefault(self._homes[take_id, variant_id].ref, set()).add(variant_id)
+        for ref, names in by_ref.items():
+            manifest = self._store.manifest(ref)
+            take_id, told = manifest.facts["take_id"], batch_of(manifest)
+            offset = 0
+            sizes = self._store.read(ref, "variant_quality", columns=["variant_id", "num_frames"])
+            for name, frames in zip(sizes["variant_id"], sizes["num_frames"], strict=True):
+                rows = slice(offset, offset + 2 * int(frames))
+                offset = rows.stop
+                if str(name) not in names:
+                    continue
+                motion = self._store.read(ref, "variants", columns=["body22_m"], rows=rows)["body22_m"]
+                request = VariantRequest(
+                    take_id=take_id,
+                    source=self.takes[take_id].source,
+                    bone_scale=self._homes[take_id, str(name)].bone_scale,
+                    solving=told.part(AugmentationSettings),
+                    contacts=told.contacts,
+                )
+                yield TrainingItem(str(name), request, motion.reshape(-1, 2, *motion.shape[1:]).astype(np.float64))

@@ -1,0 +1,112 @@
+"""Planning of the stage `training`: for each split and model the segments of its training, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pasdedeux.augmentation import make_variations
+from pasdedeux.learning import Split, VariantKey, make_split, model_class
+from storage_schema import Manifest
+from tasks.augmentation import planned_variations
+from tasks.stage import Shard, StageInputs, named_refs, stream
+from tasks.training.parameters import SegmentParameters, TrainingParameters
+
+__all__ = ["VERSION", "check_study", "plan", "split_variants"]
+
+VERSION = 2
+
+
+def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
+    """Plan the segments of every model on every split; of takes that are held out or no pair nothing is learned.
+
+    Adding a model or a split computes that one alone.
+
+    Raises:
+        InputError: A split leaves nothing to train on, or nothing to test on.
+    """
+    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
+    if not variants:
+        return []
+    test_takes = tuple(sorted(parameters.test_takes))
+    for name in parameters.splits:
+        split_variants(name, variants, test_takes, inputs.seed)
+    used = {manifest.facts["take_id"] for manifest in variants}
+    takes = [manifest for manifest in inputs.of("poses") if manifest.facts.get("take_id") in used]
+    shards: list[Shard] = []
+    for name in parameters.splits:
+        last: dict[str, str] = {}
+        for model in parameters.in_order():
+            kind, settings, start = parameters.kind_of(model), parameters.settings_of(model), parameters.start_of(model)
+            before: tuple[str, ...] = ()
+            num_segments = model_class(kind).num_segments(settings)
+            for segment in range(num_segments):
+                shard = _shard(
+                    inputs,
+                    name,
+                    model if num_segments == 1 else f"{model}-segment{segment}",
+                    SegmentParameters(
+                        split=name, test_takes=test_takes, name=model, model=kind, settings=settings, segment=segment
+                    ),
+                    takes=takes,
+                    variants=variants,
+                    after=before + ((last[start],) if start is not None else ()),
+                )
+                before = (shard.key,)
+                shards.append(shard)
+            last[model] = shards[-1].key
+    return shards
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse splits that leave nothing to train or test on, as far as the sections of other stages tell.
+
+    Takes count as pairs here, as what is in their files is not known yet.
+
+    Raises:
+        InputError: A split leaves nothing to train on, or nothing to test on.
+    """
+    if "ingest" not in sections or "augmentation" not in sections:
+        return
+    takes = sections["ingest"].take_ids()
+    parameters, held_out = sections["training"], sections["ingest"].held_out
+    known = make_variations(sections["augmentation"], lambda *labels: stream(0, *labels))
+    keys = [VariantKey(take_id, one.variant_id, one.bone_scale) for take_id in takes for one in known]
+    for name in parameters.splits if keys else ():
+        make_split(name, keys, stream(0, name), test_takes=[*parameters.test_takes, *held_out])
+
+
+def split_variants(name: str, variants: Iterable[Manifest], test_takes: Sequence[str], seed: int) -> Split:
+    """Split variants as they were planned; which of them failed is not known from manifests.
+
+    Raises:
+        InputError: The training or the test set is empty.
+    """
+    keys, held_out = [], set(test_takes)
+    for manifest in variants:
+        take_id = manifest.facts["take_id"]
+        keys += [VariantKey(take_id, one.variant_id, one.bone_scale) for one in planned_variations(manifest)]
+        if manifest.facts["is_held_out"]:
+            held_out.add(take_id)
+    return make_split(name, keys, stream(seed, "training", name), test_takes=sorted(held_out))
+
+
+def _shard(
+    inputs: StageInputs,
+    split: str,
+    name: str,
+    parameters: SegmentParameters,
+    *,
+    after: tuple[str, ...] = (),
+    **read: Sequence[Manifest],
+) -> Shard:
+    return Shard(
+        stage="training",
+        version=VERSION,
+        partition=split,
+        name=name,
+        parameters=parameters,
+        inputs=named_refs(**read),
+        after=after,
+        seed=inputs.seed,
+    )

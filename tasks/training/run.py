@@ -1,0 +1,178 @@
+"""Shards of the stage `training`: one segment of one model's training on one split."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.models import model_errors
+from pasdedeux.learning import (
+    BASELINES,
+    Arrays,
+    LogEntry,
+    Training,
+    TrainingItem,
+    VariantKey,
+    VariantModel,
+    load_model,
+    model_arrays,
+    model_class,
+)
+from pasdedeux.verdict import Level, Verdict
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.stage import Shard, commit, stream
+from tasks.training.items import StoredVariants
+from tasks.training.parameters import SegmentParameters
+from tasks.training.plan import split_variants
+
+__all__ = ["read_arrays", "run_shard"]
+
+_JUDGED = 24
+"""Validation variants that the verdict looks at, spread evenly."""
+
+
+def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+    """Train one segment of a model and commit what it leaves: the model after the last one, the state before.
+
+    Raises:
+        InputError: Every variant to train on failed, or training came to numbers that are not finite.
+    """
+    told = shard.options(SegmentParameters)
+    kind = model_class(told.model)
+    manifests = [store.manifest(ref) for ref in shard.refs("variants")]
+    split = split_variants(told.split, manifests, told.test_takes, shard.seed)
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    train, validation = variants.sound(split.train), variants.sound(split.validation)
+    if not train and kind.is_trained:
+        raise InputError(f"split '{told.split}': every variant that it would learn from failed ({len(split.train)})")
+    done = {"models": None, "model_states": None} | {_what(found): found for found in _done(shard, store)}
+    before, start = done["model_states"], done["models"]
+    trained = kind.train(
+        Training(
+            items=_reader(variants, train),
+            validation=_reader(variants, validation),
+            settings=told.settings,
+            generator=stream(shard.seed, "training", told.split, told.model, told.segment),
+            segment=told.segment,
+            state={} if before is None else read_arrays(store, before.ref, "model_states"),
+            start=None if start is None else _load(store, start),
+        )
+    )
+    log = [
+        *trained.log,
+        LogEntry(0, "num_train", len(train)),
+        LogEntry(0, "num_validation", len(validation)),
+        LogEntry(0, "num_test", len(split.test)),
+    ]
+    is_last = told.segment == kind.num_segments(told.settings) - 1
+    arrays = model_arrays(trained.model) if is_last else trained.state
+    return commit(
+        shard,
+        store,
+        tables={
+            "models" if is_last else "model_states": _array_rows(told, arrays),
+            "training_log": _log_rows(told, log if told.segment == 0 else trained.log),
+        },
+        facts={
+            "kind": "model" if is_last else "model_state",
+            "split": told.split,
+            "model": told.name,
+            "class": told.model,
+            "segment": told.segment,
+            "takes": sorted({key.take_id for key in train}),
+            "shares_takes": split.shares_takes,
+            "train": _by_take(train),
+            "validation": _by_take(validation),
+            "test": _by_take(split.test),
+        },
+        verdict=_judge(told.name, trained.model, _reader(variants, validation[:: -(-len(validation) // _JUDGED) or 1]))
+        if is_last
+        else None,
+    )
+
+
+def read_arrays(store: Store, ref: ArtifactRef, table: str = "models") -> dict[str, np.ndarray]:
+    """Return the arrays of a stored model, or of what its training goes on from."""
+    found = store.read(ref, table)
+    return {
+        str(name): np.asarray(found["values"][row], dtype=str(found["array_dtype"][row])).reshape(
+            found["array_shape"][row]
+        )
+        for row, name in enumerate(found["array_name"])
+    }
+
+
+def _load(store: Store, manifest: Manifest) -> VariantModel:
+    return load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
+
+
+def _done(shard: Shard, store: Store) -> Iterator[Manifest]:
+    for key in shard.after:
+        found = store.find("training", key)
+        assert found is not None, "what this segment goes on from is committed before it runs"
+        yield found
+
+
+def _what(manifest: Manifest) -> str:
+    return "models" if manifest.facts["kind"] == "model" else "model_states"
+
+
+def _reader(variants: StoredVariants, keys: Sequence[VariantKey]) -> Callable[[], Iterator[TrainingItem]]:
+    return lambda: variants.items([(key.take_id, key.variant_id) for key in keys])
+
+
+def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[TrainingItem]]) -> Verdict:
+    """Return whether a model is better than both baselines, over validation variants; the test set is not looked at."""
+    rivals = {baseline: load_model(baseline, {}) for baseline in BASELINES}
+    errors: dict[str, list[float]] = {"": [], **{baseline: [] for baseline in rivals}}
+    for item in items():
+        for found, one in zip(errors.values(), (model, *rivals.values()), strict=True):
+            found.append(model_errors(one.predict(item.request), item.motion_m)["E_r"])
+    if not errors[""]:
+        return Verdict(Level.WARN, "no variant is left for validation, so nothing is said of the model")
+    means = {rival: float(np.mean(found)) for rival, found in errors.items()}
+    own = means.pop("")
+    best = min(means, key=lambda rival: means[rival])
+    is_good = name in BASELINES or own < means[best]
+    return Verdict(
+        Level.PASS if is_good else Level.WARN,
+        "" if is_good else f"{name} is no better than {best} on validation variants",
+        figure="joint error of validation variants",
+        value=own,
+        unit="cm",
+        baseline=means[best],
+        baseline_name=best,
+    )
+
+
+def _by_take(keys: Sequence[VariantKey]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for key in keys:
+        found.setdefault(key.take_id, []).append(key.variant_id)
+    return found
+
+
+def _array_rows(told: SegmentParameters, arrays: Arrays) -> dict[str, list[Any]]:
+    names, count = sorted(arrays), len(arrays)
+    return {
+        "split": [told.split] * count,
+        "model": [told.name] * count,
+        "array_name": names,
+        "array_shape": [np.array(arrays[name].shape, np.int32) for name in names],
+        "array_dtype": [arrays[name].dtype.name for name in names],
+        "values": [arrays[name].ravel() for name in names],
+    }
+
+
+def _log_rows(told: SegmentParameters, log: Sequence[LogEntry]) -> dict[str, list[Any]]:
+    ordered = sorted(log, key=lambda entry: (entry.step, entry.quantity))
+    return {
+        "split": [told.split] * len(ordered),
+        "model": [told.name] * len(ordered),
+        "step": [entry.step for entry in ordered],
+        "quantity": [entry.quantity for entry in ordered],
+        "value": [float(entry.value) for entry in ordered],
+    }

@@ -21,6 +21,7 @@ $(VENV)/.tested: $(VENV)/.installed
 setup: $(VENV)/.tested
 
 demo: $(VENV)/.installed
+	@$(BIN)/python -c 'import importlib.util as u; u.find_spec("torch") or print("networks are left out: torch is not installed (make setup)")'
 	$(BIN)/pasdedeux run duets --store $(STORE)
 
 lint: $(VENV)/.tested

@@ -23,6 +23,8 @@ from pasdedeux.learning.model import (
 from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
+from pasdedeux.learning.start_net import StartNetModel
+from pasdedeux.learning.torch_settings import has_torch
 
 __all__ = [
     "BASELINES",
@@ -41,12 +43,14 @@ __all__ = [
     "RidgeSettings",
     "Split",
     "SplitName",
+    "StartNetModel",
     "Trained",
     "Training",
     "TrainingItem",
     "VariantKey",
     "VariantModel",
     "VariantRequest",
+    "has_torch",
     "load_model",
     "make_split",
     "model_arrays",
@@ -61,6 +65,7 @@ MODELS: dict[str, type[VariantModel]] = {
         RidgeScaleModel,
         RidgeAdaptedModel,
         MeshRefineModel,
+        StartNetModel,
     )
 }
 """Every model, by name: a new one is a file with a `VariantModel` and a line here (and its import)."""

@@ -154,6 +154,8 @@ class VariantModel(ABC):
     """It learns from the items; one that does not can be trained on nothing."""
     has_exact_bones: ClassVar[bool] = False
     """Every motion has the source's bone lengths times the scales asked for, to rounding."""
+    needs_torch: ClassVar[bool] = False
+    """It needs the extra `learning`."""
 
     @property
     def built_on(self) -> VariantModel | None:

@@ -11,7 +11,7 @@ from pasdedeux.learning import DEFAULT_MODELS, MODELS, SplitName, model_class
 from pasdedeux.settings import Settings
 from tasks.stage import Parameters
 
-__all__ = ["SegmentParameters", "TrainingParameters"]
+__all__ = ["LeftOutParameters", "SegmentParameters", "TrainingParameters"]
 
 
 def _with_settings_of_models(section: type[Parameters]) -> Any:
@@ -111,3 +111,9 @@ class SegmentParameters(Parameters):
     model: str
     settings: SerializeAsAny[Settings]
     segment: int
+
+
+class LeftOutParameters(Parameters):
+    """A model that cannot be trained here, as torch is not installed."""
+
+    name: str

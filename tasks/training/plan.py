@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pasdedeux.augmentation import make_variations
-from pasdedeux.learning import Split, VariantKey, make_split, model_class
+from pasdedeux.learning import Split, VariantKey, has_torch, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
 from tasks.stage import Shard, StageInputs, named_refs, stream
-from tasks.training.parameters import SegmentParameters, TrainingParameters
+from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
 
@@ -20,7 +20,8 @@ VERSION = 2
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     """Plan the segments of every model on every split; of takes that are held out or no pair nothing is learned.
 
-    Adding a model or a split computes that one alone.
+    Adding a model or a split computes that one alone.  Where torch is not installed, what needs it is left out, and so
+    is what builds on that.
 
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
@@ -38,6 +39,11 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
         last: dict[str, str] = {}
         for model in parameters.in_order():
             kind, settings, start = parameters.kind_of(model), parameters.settings_of(model), parameters.start_of(model)
+            if start is not None and start not in last:
+                continue
+            if model_class(kind).needs_torch and not has_torch():
+                shards.append(_shard(inputs, name, model, LeftOutParameters(name=model)))
+                continue
             before: tuple[str, ...] = ()
             num_segments = model_class(kind).num_segments(settings)
             for segment in range(num_segments):
@@ -95,7 +101,7 @@ def _shard(
     inputs: StageInputs,
     split: str,
     name: str,
-    parameters: SegmentParameters,
+    parameters: SegmentParameters | LeftOutParameters,
     *,
     after: tuple[str, ...] = (),
     **read: Sequence[Manifest],

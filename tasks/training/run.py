@@ -25,7 +25,7 @@ from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Shard, commit, stream
 from tasks.training.items import StoredVariants
-from tasks.training.parameters import SegmentParameters
+from tasks.training.parameters import LeftOutParameters, SegmentParameters
 from tasks.training.plan import split_variants
 
 __all__ = ["read_arrays", "run_shard"]
@@ -40,6 +40,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     Raises:
         InputError: Every variant to train on failed, or training came to numbers that are not finite.
     """
+    if isinstance(shard.parameters, LeftOutParameters):
+        name = shard.parameters.name
+        verdict = Verdict(Level.WARN, f"{name} is left out: torch is not installed (pip install 'pasdedeux[learning]')")
+        return commit(shard, store, tables={}, facts={"kind": "left_out", "model": name}, verdict=verdict)
     told = shard.options(SegmentParameters)
     kind = model_class(told.model)
     manifests = [store.manifest(ref) for ref in shard.refs("variants")]

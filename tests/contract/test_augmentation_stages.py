@@ -366,6 +366,45 @@ def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store) -
         train(store, plan_training(takes, all_fail, models=("ridge_scale",)))
 
 
+def test_a_network_is_trained_segment_by_segment_and_goes_on_to_the_same_bytes(store: Store, tmp_path: Path) -> None:
+    chosen = {
+        "models": ("start_net",),
+        "start_net": {"num_steps": 5, "segment_steps": 2, "frames_per_step": 2, "variants_per_step": 2},
+    }
+    stores = [store, Store(tmp_path / "other")]
+    done: list[list[Manifest]] = []
+    for one in stores:
+        takes = [put_take(one, "one")]
+        shards = plan_training(takes, augment(one, takes), **chosen)
+        assert [shard.name for shard in shards] == ["ridge_scale", *(f"start_net-segment{n}" for n in range(3))]
+        done.append([one.manifest(TRAINING.run_shard(shard, one)) for shard in shards])
+    assert [made.ref for made in done[0]] == [made.ref for made in done[1]]
+    assert [sorted(set(made.tables) - {"training_log"}) for made in done[0]] == [
+        ["models"],
+        ["model_states"],
+        ["model_states"],
+        ["models"],
+    ]
+    arrays = read_arrays(store, done[0][-1].ref)
+    assert arrays["own"].dtype == np.float32
+    assert arrays["on:ridge_scale/mix"].dtype == np.float64
+    steps = [set(store.read(made.ref, "training_log")["step"]) - {0} for made in done[0][1:]]
+    assert steps == [{2}, {4}, {5}]
+
+
+def test_where_torch_is_missing_what_needs_it_is_left_out_and_named(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
+    takes = [put_take(store, "one")]
+    forms = {"refined": {"model": "mesh_refine", "start": "start_net"}}
+    shards = plan_training(takes, augment(store, takes), models=("copy", "refined"), forms=forms)
+    assert [shard.name for shard in shards] == ["copy", "ridge_scale", "start_net"]
+    verdict = verdict_of(store.manifest(TRAINING.run_shard(shards[-1], store)))
+    assert verdict is not None
+    assert verdict.reason == "start_net is left out: torch is not installed (pip install 'pasdedeux[learning]')"
+
+
 def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes, scales=(0.95, 1.05))

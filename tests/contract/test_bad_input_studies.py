@@ -65,11 +65,6 @@ def write(folder: Path, text: str) -> Path:
             'held_out = ["hugg"]',
             "ingest: 'hugg' is not a take of this study; did you mean 'hug'?",
         ),
-        (
-            "scales = [0.75, 0.95, 1.05, 1.25]",
-            'scales = [0.95, 1.05]\n[training]\nsplits = ["cross_scale"]',
-            "split 'cross_scale' has no test variant among 4 variants of 2 takes; it needs scales within 0.95 to 1.05",
-        ),
         ("rate_hz = 12.0", 'rate_hz = "fast"', "ingest.rate_hz: should be a valid number"),
     ],
 )
@@ -123,6 +118,15 @@ def test_an_unknown_stage_and_a_stage_whose_inputs_are_missing_are_named(
     study = write(tmp_path, SMALL)
     assert "chain" in refuse(capsys, study, "--until", "chain")
     assert refuse(capsys, study, "--only", "training").startswith("stage training needs ")
+
+
+def test_a_split_that_leaves_nothing_to_test_on_is_refused_before_anything_is_computed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    near = SMALL.replace("scales = [0.75, 0.95, 1.05, 1.25]", "scales = [0.95, 1.05]")
+    study = write(tmp_path, near + '\n[training]\nsplits = ["cross_scale"]\n')
+    found = refuse(capsys, study)
+    assert "split 'cross_scale' has no test variant among 4 variants of 2 takes; it needs scales within" in found
 
 
 def test_seeds_that_no_take_has_are_refused_where_it_can_be_known(

@@ -23,6 +23,8 @@ from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(8), 30.0, "sway")
 UNSEEN = Source(swaying_pair(5, seed=9), 30.0, "unseen")
+SMALL = {"start_net": lambda kind: kind(num_steps=12, segment_steps=5, frames_per_step=4, variants_per_step=4)}
+"""Settings of models that would take long."""
 KINDS = pytest.mark.parametrize("kind", MODELS.values(), ids=MODELS)
 
 
@@ -37,7 +39,7 @@ def variants() -> list[TrainingItem]:
 
 def train(kind: type[VariantModel], variants: list[TrainingItem]) -> VariantModel:
     """Train all segments, each from what the one before left as a store would keep it."""
-    settings = kind.settings()
+    settings = SMALL[kind.name](kind.settings) if kind.name in SMALL else kind.settings()
     start = kind.start(settings)
     built_on = None if start is None else train(MODELS[start], variants)
     state: Arrays = {}

@@ -102,8 +102,7 @@ def collect(store: Store, since: datetime) -> Collection:
                 )
         found = find_garbage(store, since)
         remove_unneeded(store, found.artifacts)
-        for run_id in found.going_runs:
-            store.remove_folder(store.root / "runs" / run_id)
+        store.remove_folders(store.root / "runs" / run_id for run_id in found.going_runs)
     return found
 
 

@@ -6,6 +6,7 @@ gives is called the same where no value differs by more than its column's tolera
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -34,11 +35,13 @@ TOLERANCES = {
 }
 """By the unit of a column, what a number may differ by: above rounding that solvers carry on, below what shows.
 
-Whole numbers, texts and truth values may not differ.
+Whole numbers, truth values and texts may not differ, but for keys of artifacts and numbers with a point in a text.
 """
 RELATIVE_TOLERANCE = 1e-4
 """What a number may differ by for its size, beside its unit's tolerance."""
 _TINY = 1e-300
+_KEY = re.compile(r"@[0-9a-f]{8,64}")
+_NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e-\d+")
 
 
 @dataclass(frozen=True)
@@ -144,11 +147,12 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
     else:
         rows = np.arange(len(mine))
     if column_kind(column) in (Kind.TEXT, Kind.TEXT_LIST):
-        differing = [index for index, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
-        if not differing:
-            return None
-        row = differing[0]
-        return Difference(name, column.name, start + row, f"{one[row]!r}, {other[row]!r} there")
+        differing = [
+            _of_text(name, column, start + index, str(a), str(b))
+            for index, (a, b) in enumerate(zip(one, other, strict=True))
+            if a != b
+        ]
+        return max(differing, key=lambda difference: difference.excess, default=None)
     one, other = (np.asarray(values, np.float64) for values in (one, other))
     with np.errstate(invalid="ignore"):
         apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
@@ -161,3 +165,16 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
     at = np.unravel_index(np.argmax(apart / np.maximum(allowed, _TINY)), apart.shape)
     detail = f"{one[at]:.9g}, {other[at]:.9g} there, {apart[at]:.2g} {column.unit}".rstrip() + " apart"
     return Difference(name, column.name, start + int(rows[at[0]]), detail, float(apart[at]), float(allowed[at]))
+
+
+def _of_text(name: str, column: Column, row: int, one: str, other: str) -> Difference:
+    """Compare two texts: keys of artifacts follow from what was read, and numbers with a point are numbers."""
+    detail = f"{one!r:.60}, {other!r:.60} there"
+    bare = [_KEY.sub("@", text) for text in (one, other)]
+    if _NUMBER.sub("", bare[0]) != _NUMBER.sub("", bare[1]):
+        return Difference(name, column.name, row, detail)
+    mine, theirs = (np.array(_NUMBER.findall(text), np.float64) for text in bare)
+    apart, allowed = np.abs(mine - theirs), TOLERANCES[""] + RELATIVE_TOLERANCE * np.abs(mine)
+    worst = np.argmax(apart / allowed) if len(apart) else None
+    size = (0.0, 0.0) if worst is None else (float(apart[worst]), float(allowed[worst]))
+    return Difference(name, column.name, row, detail, *size)

@@ -65,8 +65,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
 
 def remove_unneeded(store: Store, sweep: Sweep) -> None:
     """Remove what goes; killed at any moment this leaves a whole store, and the same call again finishes it."""
-    for stored in sweep.going:
-        store.remove_folder(store.folder(*stored.place))
+    store.remove_folders(store.folder(*stored.place) for stored in sweep.going)
     store.clear_leftovers()
 
 

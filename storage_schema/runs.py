@@ -211,7 +211,7 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
 def in_use(store: Store, *, alone: bool = False) -> Iterator[None]:
     """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
 
-    Who uses a store waits for the one who has it alone, which lasts seconds; who wants it alone does not wait.  A store
+    Who uses a store waits until the one who has it alone is done; who wants it alone does not wait.  A store
     that is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.
 
     Raises:

@@ -11,7 +11,7 @@ import json
 import logging
 import re
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -195,8 +195,16 @@ class Store(StoreReader):
 
     def remove_folder(self, target: Path) -> None:
         """Remove a folder of the store, if it is there; it vanishes in one rename, so nobody sees it half removed."""
-        if not target.exists():
-            return
-        with closing(StagingFolder(self.staging_root)) as staging, suppress(FileNotFoundError):  # moved away by another
-            target.rename(staging.path / uuid.uuid4().hex)
-            sync_folder(target.parent)
+        if target.exists():
+            self.remove_folders([target])
+
+    def remove_folders(self, targets: Iterable[Path]) -> None:
+        """Remove folders of the store in this order, each in one rename; those that are not there are left out."""
+        parents = set()
+        with closing(StagingFolder(self.staging_root)) as staging:
+            for target in targets:
+                with suppress(FileNotFoundError):  # moved away by another
+                    target.rename(staging.path / uuid.uuid4().hex)
+                    parents.add(target.parent)
+            for parent in parents:
+                sync_folder(parent)

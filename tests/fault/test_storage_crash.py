@@ -21,7 +21,7 @@ def kill_at_every_step(action: str, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8), ("sweep", 15)]
+    ("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8), ("sweep", 8)]
 )
 def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
     tmp_path: Path, action: str, min_steps: int

@@ -109,6 +109,23 @@ def test_a_number_beside_a_missing_or_an_infinite_one_is_beyond_every_tolerance(
         assert found.is_beyond
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "is_beyond"),
+    [
+        ("draws@3cee9f89eb64a470#2", "draws@bc51b59d1c01853d#2", False),
+        ("draws@3cee9f89eb64a470#2", "draws@bc51b59d1c01853d#3", True),
+        ('{"log_block": [1.15442, 2.5e-05], "n": 3}', '{"log_block": [1.15443, 2.6e-05], "n": 3}', False),
+        ('{"log_block": [1.15442, 2.5e-05], "n": 3}', '{"log_block": [1.25442, 2.5e-05], "n": 3}', True),
+        ('{"n": 3}', '{"n": 4}', True),
+        ("judo", "jude", True),
+    ],
+)
+def test_a_text_may_differ_by_keys_and_by_rounded_numbers_alone(one: str, other: str, is_beyond: bool) -> None:
+    rows = random_columns("lifted_pairs", 2)
+    (found,) = compared("lifted_pairs", {**rows, "draw": ["", one]}, {**rows, "draw": ["", other]})
+    assert (found.column, found.row, found.is_beyond) == ("draw", 1, is_beyond)
+
+
 def test_arrays_without_a_value_do_not_differ() -> None:
     one = random_columns("models", 2)
     one["values"] = [np.zeros(0), np.zeros(0)]

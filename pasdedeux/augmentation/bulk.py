@@ -97,7 +97,7 @@ class _End:
 
 
 _COARSE_END = _End(10, 1e-5, 1e-4, 1e-4)
-_FINE_END = _End(8, 5e-5, 1e-4, 1e-4)
+_FINE_END = _End(4, 2e-5, 3e-5, 3e-5)
 _MOST_FINE = 24
 """Most iterations at all frames, which see what is faster than the coarse rate shows."""
 _GAP_PER_COARSE_CHANGE, _GAP_PER_FINE_CHANGE = 250.0, 2.0

@@ -109,7 +109,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
 
 
 def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
-    """Return the contacts that are known of a take because it was built that way."""
+    """Return the contacts that are known of a take: it was built that way, or its file of contacts says so."""
     return tuple(UserContact(**contact) for contact in take.facts.get("contacts", ()))
 
 

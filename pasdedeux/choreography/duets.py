@@ -23,7 +23,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "duet_torso_basis", "make_duet"]
+__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "duet_torso_basis", "make_duet", "style_of"]
 
 S = TypeVar("S", bound=DuetStyle)
 
@@ -65,6 +65,16 @@ def make_duet(name: str, **style: object) -> Duet:
     >>> make_duet("waltz", duration_s=1.0).num_frames
     60
     """
+    chosen = style_of(name, **style)
+    return DUETS[name].make(chosen)
+
+
+def style_of(name: str, **style: object) -> DuetStyle:
+    """Return the style of a built-in duet, with its defaults for what is not told.
+
+    Raises:
+        InputError: As `make_duet` does.
+    """
     if name not in DUETS:
         raise InputError(f"duet '{name}' is not known{_nearest(name, list(DUETS))}; known duets: {', '.join(DUETS)}")
     dance = DUETS[name]
@@ -75,12 +85,12 @@ def make_duet(name: str, **style: object) -> Duet:
                 f"duet '{name}': parameter '{key}' is not known{_nearest(key, known)}; known: {', '.join(known)}"
             )
     try:
-        chosen = dance.style.model_validate(style)
+        return dance.style.model_validate(style)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
-        raise InputError(f"duet '{name}': {place} is {first['input']}: {first['msg']}") from None
-    return dance.make(chosen)
+        said = f"{place} is {first['input']}: {first['msg']}" if place else first["msg"].removeprefix("Value error, ")
+        raise InputError(f"duet '{name}': {said}") from None
 
 
 @lru_cache

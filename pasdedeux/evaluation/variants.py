@@ -65,7 +65,7 @@ class VariantQualities:
 
     Args:
         take_id: Name of the take.
-        scale: Uniform scale of person A, (variant,); NaN where not uniform.
+        scale: Uniform scale of whoever is scaled, (variant,); NaN where not uniform.
         values: Quality columns by name, each (variant,).
         drift_fk_m: Contact drift of plain forward kinematics, (variant,), metres: the baseline.
         verdicts: pass, warn or fail of each variant.
@@ -194,7 +194,7 @@ def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:
 
 
 def drift_figure(qualities: VariantQualities) -> bytes:
-    """Draw contact drift against the scale of person A, ours beside plain forward kinematics; PNG bytes."""
+    """Draw contact drift against the scale, ours beside plain forward kinematics; PNG bytes."""
     order = np.argsort(qualities.scale)
     order = order[np.isfinite(qualities.scale[order])]
     scale = qualities.scale[order]
@@ -204,7 +204,7 @@ def drift_figure(qualities: VariantQualities) -> bytes:
             Curve("plain forward kinematics", scale, 1e3 * qualities.drift_fk_m[order], is_baseline=True),
         ],
         title=f"{qualities.take_id}: contacts kept",
-        x_label="scale of person A",
+        x_label="scale of whoever is scaled",
         y_label="mean change of contact distance (mm)",
     )
 

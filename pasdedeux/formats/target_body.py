@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +12,7 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.npz import is_npz, read_npz
 from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
+from pasdedeux.formats.text import parse_table, split_lines
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -253,14 +252,17 @@ def _of_positions(name: str, positions: Array, joint_names: Sequence[str], layou
 
 
 def _of_table(name: str, text: str) -> TargetBody:
-    rows = csv.DictReader(io.StringIO(text))
-    if not set(_COLUMNS) <= set(rows.fieldnames or ()):
+    if not set(_COLUMNS) <= set(split_lines(text)[0].replace('"', "").split(",")):
         raise FormatError(
             f"{name}: no body is recognised: a BVH or ASF file, a table with the columns {', '.join(_COLUMNS)}, or "
             "positions (npz, JSON) with joint names are"
         )
+    try:
+        _, rows = parse_table(text)
+    except FormatError as error:
+        raise FormatError(f"{name}: {error}") from None
     distances: dict[tuple[int, int], float] = {}
-    for line, row in enumerate(rows, start=2):
+    for line, row in rows:
         ends = [OTHER_NAMES.get((row[key] or "").strip(), (row[key] or "").strip()) for key in _COLUMNS[:2]]
         for joint in ends:
             if joint not in BODY22.joint_names:

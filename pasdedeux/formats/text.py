@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from typing import Any
@@ -11,7 +12,16 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 
-__all__ = ["MAX_MAGNITUDE", "decode", "parse_integer", "parse_json", "parse_number", "parse_triples", "split_lines"]
+__all__ = [
+    "MAX_MAGNITUDE",
+    "decode",
+    "parse_integer",
+    "parse_json",
+    "parse_number",
+    "parse_table",
+    "parse_triples",
+    "split_lines",
+]
 
 MAX_MAGNITUDE = 1e7
 """Greatest absolute value of a length, angle or pixel that a file may hold; beyond it the file is damaged."""
@@ -42,6 +52,27 @@ def decode(data: bytes | str, what: str) -> str:
 def split_lines(text: str) -> list[str]:
     """Split text into lines as an editor counts them: Windows, Unix and old Mac line ends."""
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def parse_table(text: str) -> tuple[tuple[str, ...], list[tuple[int, dict[str, str | None]]]]:
+    r"""Return the columns of a CSV with a header, and line and cells of each row; None for cells that a row has not.
+
+    >>> parse_table("a,b\r1,2\r3")
+    (('a', 'b'), [(2, {'a': '1', 'b': '2'}), (3, {'a': '3', 'b': None})])
+
+    Raises:
+        FormatError: It is not valid CSV, or a row has more cells than there are columns.
+    """
+    reader = csv.DictReader(split_lines(text), strict=True)
+    rows = []
+    try:
+        for row in reader:
+            if None in row:
+                raise FormatError(f"line {reader.line_num}: there are more values than columns")
+            rows.append((reader.line_num, dict(row)))
+    except csv.Error as error:
+        raise FormatError(f"line {reader.line_num + 1}: this is not valid CSV: {error}") from None
+    return tuple(reader.fieldnames or ()), rows
 
 
 def shorten(token: str) -> str:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
-
 from pydantic import ValidationError
 
 from pasdedeux.errors import FormatError
-from pasdedeux.formats.text import decode
+from pasdedeux.formats.text import decode, parse_table
 from pasdedeux.interaction.contacts import UserContact
 
 __all__ = ["read_contacts"]
@@ -20,20 +17,18 @@ def read_contacts(data: bytes) -> tuple[UserContact, ...]:
     Raises:
         FormatError: A column, joint or value is not known or allowed; the line is named.
     """
-    reader = csv.DictReader(io.StringIO(decode(data, "table of contacts")))
+    columns, rows = parse_table(decode(data, "table of contacts"))
     known = list(UserContact.model_fields)
-    unknown = [name for name in reader.fieldnames or () if name not in known]
+    unknown = [name for name in columns if name not in known]
     if unknown:
         raise FormatError(f"line 1: the column '{unknown[0]}' is not known; known: {', '.join(known)}")
     found = []
-    for row in reader:
-        if None in row:
-            raise FormatError(f"line {reader.line_num}: there are more values than columns")
+    for line, row in rows:
         try:
             found.append(UserContact.model_validate({name: value for name, value in row.items() if value}))
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"]))
             said = f"{place}: {first['msg']}" if place else first["msg"]
-            raise FormatError(f"line {reader.line_num}: {said.replace('Value error, ', '')}") from None
+            raise FormatError(f"line {line}: {said.replace('Value error, ', '')}") from None
     return tuple(found)

@@ -200,7 +200,9 @@ class UserContact(Settings):
     joint_a: str = Field(description="Joint of the first person in which the bone ends, by its name in body22")
     joint_b: str | None = Field(None, description="Joint of the second person in which the bone ends")
     object: str | None = Field(
-        None, description="What is touched in place of a second person: an object of the take by its name, or floor"
+        None,
+        min_length=1,
+        description="What is touched in place of a second person: an object of the take by its name, or floor",
     )
     share_a: float = Field(1.0, ge=0, le=1, description="Where on the first bone: 0 at its beginning, 1 at the joint")
     share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone, or from an object's start to end")
@@ -221,6 +223,8 @@ class UserContact(Settings):
     def _has_frames(self) -> UserContact:
         if (self.joint_b is None) == (self.object is None):
             raise ValueError("joint_b or object is needed, and not both")
+        if self.joint_a == self.joint_b and self.person_a == self.person_b:
+            raise ValueError(f"{self.person_a}'s {self.joint_a} touches nothing but itself")
         if self.stop_frame <= self.start_frame:
             raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
         return self

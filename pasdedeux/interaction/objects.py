@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import FormatError
 from pasdedeux.formats.npz import is_npz, read_npz
-from pasdedeux.formats.text import decode, parse_integer, parse_number
+from pasdedeux.formats.text import decode, parse_integer, parse_number, parse_table
 
 __all__ = ["FLOOR", "MovingObjects", "read_objects"]
 
@@ -48,6 +46,17 @@ class MovingObjects:
         """Return them in some frames."""
         return replace(self, ends_m=self.ends_m[frames])
 
+    def closest_m(self, people_m: Array) -> Array:
+        """Return how near (capsule,), metres, each axis comes to joints of people (frame, person, joint, 3)."""
+        joints = people_m.reshape(self.num_frames, -1, 3)
+        closest = []
+        for start, end in self.ends_m.transpose(1, 2, 0, 3)[..., None, :]:
+            axis = end - start
+            share = ((joints - start) * axis).sum(axis=-1) / np.maximum((axis**2).sum(axis=-1), 1e-12)
+            nearest = start + np.clip(share, 0.0, 1.0)[..., None] * axis
+            closest.append(np.linalg.norm(joints - nearest, axis=-1).min())
+        return np.array(closest)
+
 
 def read_objects(data: bytes) -> MovingObjects:
     """Read the capsules of a take, in its files' axes, metres; a point is a capsule whose ends are one.
@@ -78,30 +87,33 @@ def _of_arrays(data: bytes) -> MovingObjects:
 
 
 def _of_table(text: str) -> MovingObjects:
-    reader = csv.DictReader(io.StringIO(text))
-    missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+    columns, rows = parse_table(text)
+    missing = [name for name in _COLUMNS if name not in columns]
     if missing:
         raise FormatError(f"line 1: the column {missing[0]} is missing; needed: {', '.join(_COLUMNS)}")
     found: dict[tuple[int, str], list[float]] = {}
-    for row in reader:
-        where = f"line {reader.line_num}"
-        if None in row.values():
-            raise FormatError(f"{where}: there are fewer values than columns")
-        key = parse_integer(row["frame"], where), row["name"]
+    for line, row in rows:
+        cells = {name: cell for name, cell in row.items() if cell is not None}
+        if len(cells) < len(columns):
+            raise FormatError(f"line {line}: there are fewer values than columns")
+        key = parse_integer(cells["frame"], f"line {line}"), cells["name"]
         if key in found:
-            raise FormatError(f"{where}: frame {key[0]} of '{key[1]}' is there twice")
-        found[key] = [parse_number(row[name], f"{where}, {name}") for name in (*_ENDS, "radius_m")]
+            raise FormatError(f"line {line}: frame {key[0]} of '{key[1]}' is there twice")
+        found[key] = [parse_number(cells[name], f"line {line}, {name}") for name in (*_ENDS, "radius_m")]
     names = tuple(dict.fromkeys(name for _, name in found))
+    negative = next((key for key in found if key[0] < 0), None)
+    if negative:
+        raise FormatError(f"frame {negative[0]} of '{negative[1]}' is none; frames are counted from 0")
     frames = 1 + max((frame for frame, _ in found), default=-1)
-    values = np.full((frames, len(names), 7), np.nan)
-    for (frame, name), numbers in found.items():
-        if frame < 0:
-            raise FormatError(f"frame {frame} of '{name}' is none; frames are counted from 0")
-        values[frame, names.index(name)] = numbers
-    gaps = np.argwhere(np.isnan(values[..., 0]))
-    if len(gaps):
-        frame, one = gaps[0]
-        raise FormatError(f"frame {frame} of '{names[one]}' is missing; needed are all from 0 to {frames - 1}")
+    # The first that is missing comes soon, however large a frame number is.
+    all_of_them = ((frame, name) for frame in range(frames) for name in names)
+    missing_key = next((key for key in all_of_them if key not in found), None)
+    if missing_key:
+        raise FormatError(
+            f"frame {missing_key[0]} of '{missing_key[1]}' is missing; needed are all from 0 to {frames - 1}"
+        )
+    values = np.array([[found[frame, name] for name in names] for frame in range(frames)])
+    values = values.reshape(frames, len(names), 7)
     radii = np.median(values[..., 6], axis=0) if frames else np.zeros(0)
     if (values[..., 6] != radii).any():
         frame, one = np.argwhere(values[..., 6] != radii)[0]

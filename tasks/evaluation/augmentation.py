@@ -48,7 +48,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     homes = [ref for ref, table in zip(parts, tables, strict=True) for _ in range(table.num_rows)]
     qualities = VariantQualities(
         take_id=take_id,
-        scale=np.array([scales[0] for table in tables for scales in table["uniform_scale"]]),
+        scale=np.array([_furthest_from_1(scales) for table in tables for scales in table["uniform_scale"]]),
         values={name: np.concatenate([table[name] for table in tables]) for name in QUALITY_COLUMNS},
         drift_fk_m=np.concatenate([table["contact_drift_fk_m"] for table in tables]),
         verdicts=[verdict for table in tables for verdict in table["verdict"]],
@@ -63,15 +63,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_take(store, take).source
     solved = BatchParameters.model_validate(store.manifest(parts[0]).parameters)
-    held = tuple(contact for contact in solved.contacts if contact.weight > 0)
+    held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
     contacts = source.contacts(solved.touch_m, solved.contacts)
     if held:
         contacts = stated_contacts(held, source.num_frames, BODY22, source.objects)
     if contacts.weights.size:
         whose = "found in the source"
         if held:
-            is_built = held == known_contacts(store.manifest(take))
-            whose = "known because the take was built that way" if is_built else "stated by the study"
+            is_known = solved.contacts == known_contacts(store.manifest(take))
+            whose = "known of the take" if is_known else "stated by the study"
         notes.append(f"{take_id}: contacts of hands and of bodies are those {whose}.")
     kept = contact_scores(contacts, source, solved.girth, _motions(store, parts, tables), item=take_id)
     scales = np.concatenate([table["bone_scale"] for table in tables]).astype(np.float64)
@@ -101,6 +101,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         captions={name: caption for name, caption in captions.items() if name in pictures},
         notes=notes,
     )
+
+
+def _furthest_from_1(scales: np.ndarray) -> float:
+    """Return of scales (person,) that of whoever has another size; NaN where somebody's is not uniform.
+
+    >>> _furthest_from_1(np.array([1.0, 0.8, 1.0]))
+    0.8
+    """
+    return float(scales[np.argmax(np.abs(scales - 1.0))])
 
 
 def _motions(

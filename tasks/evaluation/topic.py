@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 24
+VERSION = 25
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -175,6 +175,11 @@ class DuetOptions(DuetStyle, Parameters):
     def take_id(self) -> str:
         """Name of the take."""
         return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """Everything that is told of the dance."""
+        return {**self.model_dump(exclude={"id", "name", "style"}), **self.style}
 
 
 class CaptureOptions(CaptureLimits, Parameters):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pasdedeux.choreography import DUETS
+from pasdedeux.choreography import DUETS, style_of
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.contact_table import read_contacts
 from pasdedeux.interaction.contacts import check_contacts
@@ -32,7 +32,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 11
+VERSION = 12
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -133,8 +133,7 @@ def _family_file(family: PairOptions, subject: str, take: str) -> Path:
 
 
 def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> Shard:
-    if duet.name not in DUETS:
-        raise InputError(f"duet '{duet.name}' is not known; known duets: {', '.join(DUETS)}")
+    style_of(duet.name, **duet.told)
     take_id = duet.take_id
     told = DuetParameters(
         take_id=take_id,

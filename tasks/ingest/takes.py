@@ -37,6 +37,9 @@ __all__ = ["run_duet", "run_take"]
 SURE = 0.6
 """Confidence of a guessed unit or axis below which a take is doubted: a very small or tall adult has 0.5."""
 
+AWAY_M = 1.0
+"""Who touches an object comes nearer than this to it with some joint."""
+
 
 @dataclass(frozen=True)
 class _Person:
@@ -57,8 +60,7 @@ class _Person:
 def run_duet(shard: Shard, store: Store, parameters: DuetParameters) -> ArtifactRef:
     """Make a built-in duet and commit its poses."""
     duet = parameters.duet
-    shared = duet.model_dump(exclude={"id", "name", "style"})
-    made = make_duet(duet.name, **{**shared, **duet.style})
+    made = make_duet(duet.name, **duet.told)
     options = duet.model_dump(mode="json", exclude={"id"})
     people = [
         _Person(
@@ -115,20 +117,22 @@ def run_take(shard: Shard, store: Store, parameters: TakeParameters) -> Artifact
         )
     verdict, facts, objects = _verdict(parameters.persons, common), {}, None
     if parameters.contacts_sha256:
-        facts["contacts"] = _known_contacts(parameters, read_again(files[parameters.contacts_sha256]))
+        data = read_again(files[parameters.contacts_sha256])
+        facts["contacts"] = _known_contacts(parameters, people[0].motion.num_frames, data)
     if parameters.objects_sha256:
         objects = _objects(parameters, read_again(files[parameters.objects_sha256]), up_axes[0])
     return _commit(shard, store, parameters, people, parameters.floor, verdict, facts, objects)
 
 
-def _known_contacts(take: TakeParameters, data: bytes) -> list[dict[str, Any]]:
-    """Return the contacts of the frames that are taken, counted at the study's rate."""
+def _known_contacts(take: TakeParameters, num_frames: int, data: bytes) -> list[dict[str, Any]]:
+    """Return the contacts of the frames that are taken, counted at the study's rate, which has so many of them."""
     first = take.persons[0]
     known = (contact.within(first.first_frame, first.first_frame + take.num_frames) for contact in read_contacts(data))
     stated = []
     for contact in (one for one in known if one is not None):
+        # The last frame at the study's rate may come before the end of the last frame that is taken.
         start, stop = (
-            int(np.ceil(frame * take.rate_hz / first.rate_hz - 1e-6))
+            min(int(np.ceil(frame * take.rate_hz / first.rate_hz - 1e-6)), num_frames)
             for frame in (contact.start_frame, contact.stop_frame)
         )
         if start < stop:
@@ -221,6 +225,10 @@ def _commit(
             replace(person, motion=place_motion(person.motion, translation_m=up, yaw_rad=0.0)) for person in people
         ]
         poses = [derive_working_poses(person.motion, person.layout) for person in people]
+        objects = objects and replace(objects, ends_m=objects.ends_m + up)
+    verdict = _joined(verdict, judged.take)
+    if objects is not None:
+        verdict = _joined(verdict, _far_from(objects, np.stack([pose.body22_m for pose in poses], axis=1)))
     return commit(
         shard,
         store,
@@ -228,23 +236,34 @@ def _commit(
             **tables,
             "takes": _takes(parameters, people, poses),
             "poses": _poses(take_id, parameters.rate_hz, people, poses),
-            **({"objects": _object_rows(take_id, objects, shift)} if objects is not None else {}),
+            **({"objects": _object_rows(take_id, objects)} if objects is not None else {}),
         },
         facts=facts,
         sources=[parameters.source],
-        verdict=_joined(verdict, judged.take),
+        verdict=verdict,
     )
 
 
-def _object_rows(take_id: str, objects: MovingObjects, shift: float) -> dict[str, Any]:
+def _object_rows(take_id: str, objects: MovingObjects) -> dict[str, Any]:
     frames, count = objects.ends_m.shape[:2]
+    order = np.argsort(objects.names)
     return {
         "take_id": [take_id] * frames * count,
-        "object": np.repeat(objects.names, frames).tolist(),
+        "object": np.repeat(np.array(objects.names)[order], frames).tolist(),
         "frame": np.tile(np.arange(frames), count),
-        "ends_m": np.swapaxes(objects.ends_m + np.array([0.0, shift, 0.0]), 0, 1).reshape(-1, 2, 3),
-        "radius_m": np.repeat(objects.radii_m, frames),
+        "ends_m": np.swapaxes(objects.ends_m[:, order], 0, 1).reshape(-1, 2, 3),
+        "radius_m": np.repeat(objects.radii_m[order], frames),
     }
+
+
+def _far_from(objects: MovingObjects, body22_m: np.ndarray) -> Verdict:
+    """Warn of objects that nobody comes near: of another unit, or in other axes than the people."""
+    far = [
+        f"nobody comes nearer than {distance_m - radius_m:.1f} m to '{name}': are these metres, in A's file's axes?"
+        for name, radius_m, distance_m in zip(objects.names, objects.radii_m, objects.closest_m(body22_m), strict=True)
+        if distance_m - radius_m > AWAY_M
+    ]
+    return Verdict(Level.WARN if far else Level.PASS, "; ".join(far))
 
 
 def _joined(guessed: Verdict, captured: Verdict) -> Verdict:

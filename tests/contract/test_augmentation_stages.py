@@ -199,6 +199,7 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
         {},
         {"pair": [{**touch, "weight": 0.0}]},
         {"pair": [touch, {**touch, "joint_a": "head", "weight": 0.0}]},
+        {"pair": [{"joint_a": "left_wrist", "object": "floor", "stop_frame": FRAMES}]},
     ):
         inputs = {"poses": [take], "variants": augment(store, [take], scales=(0.8,), contacts=stated)}
         (shard,) = TOPIC.plan(StageInputs(inputs, seed=3), Parameters())
@@ -206,6 +207,7 @@ def test_the_headline_is_of_the_contacts_that_the_variants_were_made_with(store:
         counts.append(scores["hand_contact_drift_p95", "interaction_mesh"].count)
     assert counts[0] > counts[1] > 0
     assert counts[2] == FRAMES
+    assert counts[3] == counts[0]
 
 
 def test_bodies_may_be_drawn_from_a_population_and_be_thicker(store: Store) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,19 @@ def test_parameters_that_do_not_fit_are_refused(section: dict[str, Any], sentenc
 def test_an_unknown_duet_is_named() -> None:
     with pytest.raises(InputError, match="duet 'tango' is not known; known duets: waltz"):
         planned(duets=[{"name": "tango"}])
+
+
+@pytest.mark.parametrize(
+    ("told", "sentence"),
+    [
+        ({"heights_m": [1.7, 1.8, 1.9]}, "duet 'waltz': 3 heights are told for 2 people"),
+        ({"style": {"stried": 0.2}}, "duet 'waltz': parameter 'stried' is not known, did you mean 'stride'?"),
+        ({"style": {"stride": 9.0}}, "duet 'waltz': stride is 9.0: Input should be less than or equal to"),
+    ],
+)
+def test_a_style_that_a_duet_does_not_have_is_refused_while_planning(told: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InputError, match=re.escape(sentence)):
+        planned(duets=[{"name": "waltz", **told}])
 
 
 def test_a_file_that_changes_after_planning_is_noticed(tmp_path: Path, pair: tuple[Path, Path]) -> None:

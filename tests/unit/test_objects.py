@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.augmentation import Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.source import points_of, reference_motion
@@ -21,10 +22,11 @@ from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.interaction.objects import MovingObjects, read_objects
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
+from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.augmentation import known_contacts, read_take
 from tasks.ingest import STAGE, IngestParameters
-from tasks.stage import StageInputs
+from tasks.stage import StageInputs, verdict_of
 from tests.builders.moving_pairs import swaying_people
 
 FRAMES = 16
@@ -76,6 +78,9 @@ def test_table_and_archive_say_the_same() -> None:
         ("radius_m", "radius", "line 1: the column radius_m is missing"),
         ("\n2,bar", "\n1,bar", "line 4: frame 1 of 'bar' is there twice"),
         ("\n2,bar", "\n99,bar", "frame 2 of 'bar' is missing; needed are all from 0 to 99"),
+        ("\n2,bar", "\n999999999,bar", "frame 2 of 'bar' is missing; needed are all from 0 to 999999999"),
+        ("\n2,bar,11.5", "\n2,bar,11,5", "line 4: there are more values than columns"),
+        ("\n2,bar", '\n2,"bar', "line 4: this is not valid CSV"),
         ("\n2,bar", "\n-2,bar", "frame -2 of 'bar' is none"),
         ("\n2,bar,", "\n2,bar,much", "line 4, x_start_m: 'much"),
         ("\n2,bar,", "\n2,bar,2", "frame 2: 'bar' is not finite or further than 100 m"),
@@ -173,12 +178,26 @@ def test_objects_of_another_length_are_refused() -> None:
         ("joint_a,joint_b,stop_frame\nhead,,3\n", "line 2: joint_b or object is needed, and not both"),
         ("joint_a,joint_b,start_frame,stop_frame\nhead,head,3,3\n", "line 2: frames 3 to 3 are none"),
         ("joint_a,object,stop_frame,share_a\nhead,floor,3,2\n", "line 2: share_a: Input should be less than"),
+        ("joint_a,joint_b,person_b,stop_frame\nhead,head,A,3\n", "line 2: A's head touches nothing but itself"),
+        ('joint_a,joint_b,stop_frame\n"head,head,3\n', "line 2: this is not valid CSV"),
     ],
 )
 def test_tables_of_contacts_that_are_none_are_refused_in_words(text: str, sentence: str) -> None:
     with pytest.raises(FormatError) as refused:
         read_contacts(text.encode())
     assert sentence in str(refused.value)
+
+
+def test_tables_may_have_any_line_ends() -> None:
+    rows = ["joint_a,joint_b,stop_frame", "head,neck,3", "neck,head,4"]
+    read = [read_contacts(end.join([*rows, ""]).encode()) for end in ("\n", "\r\n", "\r")]
+    assert read[0] == read[1] == read[2]
+    assert [contact.stop_frame for contact in read[0]] == [3, 4]
+
+
+def test_an_object_without_a_name_is_no_object() -> None:
+    with pytest.raises(ValidationError, match="at least 1 character"):
+        UserContact(joint_a="head", object="", stop_frame=3)
 
 
 def trio_files(folder: Path) -> dict[str, Any]:
@@ -224,6 +243,40 @@ def test_three_files_objects_and_contacts_make_a_take(tmp_path: Path) -> None:
     assert (first.person_a, first.person_b, first.start_frame, first.stop_frame) == ("B", "C", 5, 20)
     assert (first.share_a, first.weight) == (1.0, 1.0)
     assert (second.object, second.start_frame, second.stop_frame) == ("hoop", 0, 5)
+
+
+@pytest.mark.parametrize("rate_hz", [29.97, 75.0, 119.0])
+def test_a_contact_over_all_frames_of_a_file_lasts_as_long_as_the_take(tmp_path: Path, rate_hz: float) -> None:
+    take, store = trio_files(tmp_path), Store(tmp_path / "store")
+    (tmp_path / "contacts.csv").write_text("joint_a,joint_b,stop_frame\nhead,head,60\n")
+    study = section(take).model_copy(update={"rate_hz": rate_hz})
+    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), study)[0], store)
+    manifest, source = store.manifest(ref), read_take(store, ref).source
+    (contact,) = known_contacts(manifest)
+    assert (contact.start_frame, contact.stop_frame) == (0, source.num_frames)
+    assert source.objects is not None
+    Augmenter(source, user_contacts=[contact])
+
+
+def test_objects_that_nobody_comes_near_are_doubted_and_rows_come_by_name(tmp_path: Path) -> None:
+    take, store = trio_files(tmp_path), Store(tmp_path / "store")
+    ends = np.zeros((60, 2, 2, 3))
+    ends[:, 1, :, 1] = 95.0, 96.0
+    objects = MovingObjects(("pole", "box"), ends, np.array([0.05, 0.1]))
+    (tmp_path / "hoop.csv").write_text(table_of(objects))
+    ref = STAGE.run_shard(STAGE.plan(StageInputs(manifests={}, seed=0), section({**take, "contacts": None}))[0], store)
+    verdict = verdict_of(store.manifest(ref))
+    assert verdict is not None
+    assert verdict.level is Level.WARN
+    assert "nobody comes nearer than 93." in verdict.reason
+    assert "'box': are these metres" in verdict.reason
+    assert "'pole'" not in verdict.reason
+    assert store.read(ref, "objects")["object"].tolist() == ["box"] * 25 + ["pole"] * 25
+    found = read_take(store, ref).source.objects
+    assert found is not None
+    assert found.names == ("box", "pole")
+    np.testing.assert_allclose(found.ends_m[:, 1], 0.0, atol=1e-6)
+    np.testing.assert_allclose(found.radii_m, [0.1, 0.05])
 
 
 def test_things_that_do_not_fit_the_take_are_refused_while_planning(tmp_path: Path) -> None:

@@ -25,13 +25,15 @@ Place = tuple[str, str, str]
 class Recorded:
     """A run or a version of a dataset: the resolved study, what it ran on, and its artifacts by place.
 
-    The artifacts are all that it was computed from, each after what it reads.
+    The artifacts are all that it was computed from, each after what it reads; `named` are the stages whose artifacts it
+    names itself, all of them, while of other stages it may need a part.
     """
 
     label: str
     sections: Mapping[str, Any]
     environment: Mapping[str, Any]
     artifacts: Mapping[Place, Manifest]
+    named: frozenset[str]
 
     @property
     def stages(self) -> list[str]:
@@ -59,7 +61,11 @@ def read_recorded(store: Store, name: str) -> Recorded:
         if not (folder / STUDY_FILE).is_file():
             folder = _run_of(store, refs, name)
         return Recorded(
-            dataset.label, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts_by_place(store, refs)
+            dataset.label,
+            _read(folder, STUDY_FILE),
+            _read(folder, ENVIRONMENT_FILE),
+            artifacts_by_place(store, refs),
+            frozenset(ref.stage for ref in refs),
         )
     runs = [folder.run_id for folder in list_runs(store)]
     if name not in runs:
@@ -71,8 +77,13 @@ def read_recorded(store: Store, name: str) -> Recorded:
             f"run {name} is no finished run ({status}), so there is nothing to compare with; run it to its end"
         )
     folder = open_run(store, name).path
+    refs = _made(store, name)
     return Recorded(
-        name, _read(folder, STUDY_FILE), _read(folder, ENVIRONMENT_FILE), artifacts_by_place(store, _made(store, name))
+        name,
+        _read(folder, STUDY_FILE),
+        _read(folder, ENVIRONMENT_FILE),
+        artifacts_by_place(store, refs),
+        frozenset(ref.stage for ref in refs),
     )
 
 

@@ -87,7 +87,7 @@ def compare(
     """Compare two builds artifact by artifact; of those with the same digest nothing is read.
 
     Attached files (pages, pictures, weights) have no tolerance: other bytes of theirs count as rounding where a table
-    before them, or beside them, was rounded otherwise.
+    before them, or beside them, was rounded otherwise; one that is missing never does.
 
     Raises:
         CorruptArtifact, SchemaError: A table cannot be read.
@@ -105,7 +105,9 @@ def compare(
             continue
         differing[place] = found
         is_rounded = is_rounded or any(not difference.is_attachment for difference in found)
-        if beyond is None and any(d.is_beyond and not (is_rounded and d.is_attachment) for d in found):
+        if beyond is None and any(
+            d.is_beyond and not (is_rounded and d.is_attachment and not d.is_missing) for d in found
+        ):
             beyond = place
     return Comparison(num_same, tuple(sorted(one.keys() ^ other.keys())), differing, beyond)
 

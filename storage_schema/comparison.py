@@ -49,6 +49,7 @@ class Difference:
     """What a column of a table (or an attached file: no column) differs by, at its worst place.
 
     `largest` and `allowed` are of numbers; where values cannot be told apart by a distance `largest` is infinite.
+    A table or file that only one of the two has is missing.
     """
 
     table: str
@@ -57,6 +58,7 @@ class Difference:
     detail: str = "other bytes"
     largest: float = np.inf
     allowed: float = 0.0
+    is_missing: bool = False
 
     @property
     def is_beyond(self) -> bool:
@@ -98,7 +100,7 @@ def compare_artifacts(
     ]
     files, other_files = one.data_files, other.data_files
     found += [
-        Difference(name.removesuffix(".parquet"), detail="is only in one")
+        Difference(name.removesuffix(".parquet"), detail="is only in one", is_missing=True)
         for name in sorted(files.keys() ^ other_files.keys())
     ]
     return found + [
@@ -154,7 +156,7 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
         ]
         return max(differing, key=lambda difference: difference.excess, default=None)
     one, other = (np.asarray(values, np.float64) for values in (one, other))
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
     apart = np.where(np.isnan(apart), np.inf, apart)
     if not apart.any():
@@ -162,7 +164,8 @@ def _of_column(name: str, column: Column, mine: TableData, theirs: TableData, st
     allowed = np.zeros_like(apart)
     if pa.types.is_floating(value_type(column)):
         allowed += TOLERANCES[column.unit] + RELATIVE_TOLERANCE * np.nan_to_num(np.abs(one))
-    at = np.unravel_index(np.argmax(apart / np.maximum(allowed, _TINY)), apart.shape)
+    with np.errstate(over="ignore"):
+        at = np.unravel_index(np.argmax(apart / np.maximum(allowed, _TINY)), apart.shape)
     detail = f"{one[at]:.9g}, {other[at]:.9g} there, {apart[at]:.2g} {column.unit}".rstrip() + " apart"
     return Difference(name, column.name, start + int(rows[at[0]]), detail, float(apart[at]), float(allowed[at]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,18 +18,21 @@ __all__ = ["StageKey", "Stored", "Sweep", "find_unneeded", "folder_bytes", "remo
 StageKey = tuple[str, str]
 """An artifact, whatever it holds."""
 
+_KEY = re.compile(r"[0-9a-f]{64}")
+
 
 @dataclass(frozen=True)
 class Stored:
     """What stands under a key: when it was made, what it was computed from, its bytes on the disk, the manifest's too.
 
-    A folder whose manifest cannot be read counts by the time of its last change, and as computed from nothing.
+    A folder whose manifest is none counts by the time of its last change; what it was computed from is not known.
     """
 
     place: StageKey
     num_bytes: int
     made_at: datetime
     inputs: tuple[StageKey, ...] = ()
+    is_damaged: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
 
     Raises:
         NewerSchema: The store was written by a newer program.
+        CorruptArtifact: A manifest may not be read, or that of what is kept is none: what it needs is not known.
     """
     store.check_version()
     found = {stored.place: stored for stored in _all(store)}
@@ -53,6 +58,12 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
     while waiting:
         place = waiting.pop()
         if place not in kept:
+            if found[place].is_damaged:
+                raise CorruptArtifact(
+                    f"artifact {place[0]}@{place[1][:12]} is to be kept and its manifest is damaged, so what it was "
+                    f"computed from is not known and nothing is removed; remove its folder {store.folder(*place)} and "
+                    "run its study"
+                )
             kept.add(place)
             waiting += [read for read in found[place].inputs if read in found]
     reads = {place: [read for read in stored.inputs if read in found] for place, stored in found.items()}
@@ -77,11 +88,20 @@ def folder_bytes(folder: Path) -> int:
 def _all(store: Store) -> Iterator[Stored]:
     for folder in store.folders():
         place = (folder.parent.parent.name, folder.name)
+        if not _KEY.fullmatch(folder.name) or folder != store.folder(*place):
+            continue  # somebody's own folder: a store may lie among other things
         inputs: tuple[StageKey, ...] = ()
+        is_damaged = True
         with suppress(FileNotFoundError):  # another process has just removed it
             made_at = datetime.fromtimestamp(folder.stat().st_mtime, UTC)
-            with suppress(MissingArtifact, CorruptArtifact, ValueError):
+            try:
                 manifest = store.load(*place)
                 made_at = datetime.fromisoformat(manifest.created_at)
                 inputs = tuple((ref.stage, ref.key) for ref in manifest.inputs)
-            yield Stored(place, folder_bytes(folder), made_at, inputs)
+                is_damaged = False
+            except (MissingArtifact, ValueError):
+                pass
+            except CorruptArtifact as error:
+                if isinstance(error.__cause__, OSError):
+                    raise
+            yield Stored(place, folder_bytes(folder), made_at, inputs, is_damaged)

@@ -72,14 +72,21 @@ def rerun(
             typer.echo(f"{old.label}: {counted(len(old.artifacts), 'artifact')}; {words}")
             for line in environment_lines(old.environment, environment()) or ["as it was"]:
                 typer.echo(f"environment: {line}")
-        outcome, _ = build(study, graph, target, Selection(), cluster, is_quiet=as_json)
-        new = artifacts_by_place(target, [ref for stage in outcome.stages for ref in stage.artifacts])
+        outcome, made = build(study, graph, target, Selection(), cluster, is_quiet=as_json)
+        named = [ref for stage in outcome.stages if stage.name in old.named for ref in stage.artifacts]
+        new = artifacts_by_place(target, named)
         found = compare(origin, old.artifacts, target, new)
         reasons = why_it_differs(old, new, read_environment(target, outcome.run_id)) if found.differs else []
+    stale = [f"{store} had results of other sources, which were compared; --store names an empty folder"] * bool(
+        made.warnings
+    )
     if as_json:
-        print_json({"name": old.label, "run_id": outcome.run_id, **found.to_json(), "reasons": reasons})
+        print_json(
+            {"name": old.label, "run_id": outcome.run_id, **found.to_json(), "reasons": reasons, "warnings": stale}
+        )
     else:
-        for line in (*outcome_lines(outcome), *found.lines(), *(f"why it may be: {reason}" for reason in reasons)):
+        lines = (*(f"warning: {words}" for words in stale), *(f"why it may be: {reason}" for reason in reasons))
+        for line in (*outcome_lines(outcome), *found.lines(), *lines):
             typer.echo(line)
     if not found.is_same:
         raise typer.Exit(1)

@@ -145,3 +145,11 @@ def test_other_numbers_of_rows_and_other_attachments_are_said() -> None:
         assert (str(found), found.is_beyond, found.is_attachment) == ("page.html: other bytes", True, True)
         (found,) = compare_artifacts(stores[0], made[0], stores[2], made[2])
         assert str(found) == "page.html: is only in one"
+        assert (found.is_beyond, found.is_missing) == (True, True)
+
+
+def test_whole_numbers_far_apart_are_beyond_without_a_warning() -> None:
+    one = random_columns("codebook", 1)
+    one["members"] = [np.array([2**40])]
+    (found,) = compared("codebook", one, {**one, "members": [np.array([1])]})
+    assert (found.column, found.is_beyond) == ("members", True)

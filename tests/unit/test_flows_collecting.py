@@ -15,7 +15,7 @@ import pytest
 from flows.collecting import StoreInUseError, collect, find_garbage
 from flows.console.app import run_command_line
 from flows.planning import Selection
-from storage_schema import Store, create_dataset, in_use, lineage, read_latest, verify
+from storage_schema import CorruptArtifact, Store, create_dataset, in_use, lineage, read_latest, verify
 from tests.builders.storage_rows import commit_rows
 from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
@@ -121,6 +121,31 @@ def test_a_damaged_manifest_that_nothing_needs_goes_and_a_record_that_cannot_be_
     (store.root / "runs" / "latest" / "toy.json").write_text("{")
     assert call("gc", "--store", str(store.root), "--days", "0", "--yes") == 1
     assert set(files(store.root)) == set(before)
+
+
+def test_folders_of_somebody_else_beside_the_artifacts_stay(store: Store) -> None:
+    own = [store.root / place / "own.bvh" for place in ("subjects/60/60_03", "subjects/aa/" + "b" * 64)]
+    for path in own:
+        path.parent.mkdir(parents=True)
+        path.write_text("mine")
+    collect(store, NOW)
+    assert all(path.is_file() for path in own)
+
+
+def test_nothing_goes_where_what_is_kept_does_not_say_what_it_was_computed_from(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    take = commit_rows(store, "poses", stage="ingest")
+    score = commit_rows(store, inputs=(take,))
+    create_dataset(store, "first", [score])
+    manifest = store.folder(score.stage, score.key) / "manifest.json"
+    manifest.write_text("{")
+    with pytest.raises(CorruptArtifact, match="is to be kept and its manifest is damaged"):
+        collect(store, NOW)
+    manifest.unlink()
+    manifest.mkdir()
+    with pytest.raises(CorruptArtifact, match="cannot be read"):
+        collect(store, NOW)
+    assert store.find(take.stage, take.key) is not None
 
 
 @pytest.fixture

@@ -120,6 +120,49 @@ def test_a_version_of_a_dataset_is_built_again_from_its_own_study(
     assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
 
 
+def test_what_a_dataset_was_not_computed_from_is_no_difference(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = TOYS.stage("bend")
+
+    def plan(inputs: StageInputs, parameters: Any) -> list[Shard]:
+        return [shard for shard in old.plan(inputs, parameters) if shard.partition == "t0"]
+
+    graph = Graph(tuple(replace(old, plan=plan) if stage.name == "bend" else stage for stage in TOYS.stages))
+    store = Store(tmp_path / "store")
+    run_toys(write_study(tmp_path, STUDY), store.root, graph=graph)
+    line = ["dataset", "create", "half", "--study", "toy", "--stage", "bend", "--store", str(store.root)]
+    assert run_command_line(line, graph=graph) == 0
+    assert rerun("half@1", store, graph=graph) == 0
+    assert "same bytes: 6 of 6 artifacts" in capsys.readouterr().out
+
+
+def test_results_that_other_sources_left_in_the_other_store_are_said(
+    built: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert rerun(run_id(built), built) == 0
+    assert "warning" not in capsys.readouterr().out
+    monkeypatch.setattr("flows.planning.source_digest", lambda: "0" * 64)
+    assert rerun(run_id(built), built) == 0
+    assert "had results of other sources, which were compared" in capsys.readouterr().out
+
+
+def test_an_attached_file_that_is_missing_is_never_rounding(
+    built: Store, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old = TOYS.stage("judge")
+
+    def run_shard(shard: Shard, store: Store) -> ArtifactRef:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(toys, "commit", lambda *args, **more: commit(*args, **{**more, "attachments": {}}))
+            return old.run_shard(shard, store)
+
+    rounded = changed(by=1e-6)
+    graph = Graph(tuple(replace(old, run_shard=run_shard) if s.name == "judge" else s for s in rounded.stages))
+    assert rerun(run_id(built), built, graph=graph) == 1
+    assert "report.html: is only in one" in capsys.readouterr().out
+
+
 def test_an_input_that_has_changed_is_refused_before_any_work(built: Store, capsys: pytest.CaptureFixture[str]) -> None:
     (built.root.parent / "source.txt").write_text("what it is now")
     assert rerun(run_id(built), built) == 2

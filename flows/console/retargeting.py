@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from string import ascii_uppercase
 
 import numpy as np
 import typer
@@ -95,12 +96,14 @@ def retarget_take(
 @contextmanager
 def _take_of_files(files: Sequence[str], options: FileOptions) -> Iterator[tuple[Store, ArtifactRef]]:
     """Read motion files as a study would, at their own rate, into a store that is gone afterwards."""
+    if len(files) > len(ascii_uppercase):
+        raise InputError(f"{len(files)} motion files are given, one a person; a take has at most 26 people")
     if len(options.units_m) > len(files):
         raise InputError(f"--unit is given {len(options.units_m)} times for {len(files)} file{'s' * (len(files) > 1)}")
     last = len(options.units_m) - 1
     units = [options.units_m[min(person, last)] if options.units_m else None for person in range(len(files))]
     take = {
-        "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-") or "take",
+        "id": re.sub(r"[^A-Za-z0-9_-]", "_", Path(files[0]).stem).lstrip("_-")[:100] or "take",
         "files": [str(Path(file).resolve()) for file in files],
         "rate_hz": options.rate_hz,
         "persons": [{"metres_per_unit": unit} for unit in units],

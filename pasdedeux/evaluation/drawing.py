@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning 
     from matplotlib.figure import Figure
 
 __all__ = [
+    "COLOUR_NAMES",
     "PERSON_COLOURS",
     "TRUTH_COLOUR",
     "Panel",
@@ -37,6 +38,8 @@ Array = npt.NDArray[np.float64]
 
 PERSON_COLOURS = ("#c1440e", "#1f5fa8", "#8a5a9e", "#b58900", "#3f7f7f")
 """Colours of person A, B, ... in every picture; a sixth person has the first one again."""
+COLOUR_NAMES = ("orange", "blue", "purple", "ochre", "teal")
+"""What these are called."""
 TRUTH_COLOUR = "#9a9a9a"
 _SIDES = {"left_": 0.62, "right_": 1.0}
 """Brightness of left and right limbs."""
@@ -158,6 +161,9 @@ def _draw_panel(axis: Axes, panel: Panel, yaw_rad: float, reach: float) -> None:
         if lines_m is not None and len(lines_m):
             lines = (lines_m - middle * [1, 0, 1]) @ turn.T
             axis.add_collection(LineCollection(list(lines[..., :2]), colors=colour, linewidths=width))
+            if lines_m is panel.objects_m:
+                # A ball's axis is a point, of which a line shows nothing.
+                axis.plot(*lines[..., :2].reshape(-1, 2).T, "o", color=colour, markersize=width)
     axis.plot([-reach, reach], [0, 0], color="#bbbbbb", linewidth=0.8, zorder=0)
     top = float(finite[:, 1].max()) if len(finite) else 1.8
     axis.set_xlim(-reach, reach)

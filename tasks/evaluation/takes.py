@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+from string import ascii_uppercase
+
+from pasdedeux.evaluation.drawing import COLOUR_NAMES
 from pasdedeux.evaluation.takes import take_scores, take_sheet
 from pasdedeux.verdict import Level
 from storage_schema import Store
@@ -26,7 +30,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     people = read_people(store, shard.ref("take"), "body22_m")
     name = f"take-{facts['take_id']}.png"
     held_out = ", held out" if facts["is_held_out"] else ""
-    who = "person A orange, person B blue, " if people.shape[1] > 1 else ""
+    coloured = zip(ascii_uppercase[: people.shape[1]], cycle(COLOUR_NAMES), strict=False)
+    who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
     return TopicResult(
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
         pictures={name: take_sheet(facts["take_id"], people, facts["rate_hz"])},

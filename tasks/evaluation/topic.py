@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 25
+VERSION = 26
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

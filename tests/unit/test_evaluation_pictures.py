@@ -41,9 +41,10 @@ def test_a_take_is_drawn_with_everybody_in_it(persons: int, frames: int) -> None
 
 def test_everybody_has_a_colour_and_objects_are_grey() -> None:
     people, hoop = _people(1, 3)[0], np.array([[[-0.5, 1.5, 0.0], [0.5, 1.5, 0.0]]])
+    ball = np.full((1, 2, 3), [0.4, 1.9, 0.4])
     sheets = [
         skeleton_sheet([pair_panel("", BODY22, people[:count], None, objects)])
-        for count, objects in ((2, None), (3, None), (3, hoop))
+        for count, objects in ((2, None), (3, None), (3, hoop), (3, ball))
     ]
     counts = []
     for sheet in sheets:
@@ -52,6 +53,7 @@ def test_everybody_has_a_colour_and_objects_are_grey() -> None:
         counts.append([int((picture == colour).all(axis=1).sum()) for colour in (third, np.full(3, 0x77))])
     assert counts[0][0] == 0 < counts[1][0]
     assert counts[1][1] < 0.1 * counts[2][1]
+    assert sheets[3] != sheets[1]
 
 
 def test_left_limbs_are_drawn_darker_than_right_ones() -> None:

@@ -184,6 +184,14 @@ def test_bodies_that_are_none_end_with_a_sentence(
     assert not (tmp_path / "o").exists()
 
 
+def test_more_files_than_a_take_has_people_end_with_a_sentence(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    many = [str(files / "a.bvh")] * 27
+    assert run_command_line(["retarget", *many, "--to", "source", "--out", str(tmp_path / "o")]) == 2
+    assert capsys.readouterr().err.startswith("error: 27 motion files are given, one a person; a take has at most 26")
+
+
 def test_takes_that_are_none_end_with_a_sentence(
     store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

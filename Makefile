@@ -30,7 +30,7 @@ lint: $(VENV)/.tested
 	$(BIN)/mypy
 
 test: $(VENV)/.tested lint
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadgroup
 
 # Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
 blender:

@@ -33,10 +33,15 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark with `data` every test that is given the folder of real motion data."""
+    """Mark with `data` every test that is given the folder of real motion data, and say which tests one process runs.
+
+    Those of a file share what it builds, and all that read the small study share its one build.
+    """
     for item in items:
-        if "data_dir" in getattr(item, "fixturenames", ()):
+        fixtures = getattr(item, "fixturenames", ())
+        if "data_dir" in fixtures:
             item.add_marker(pytest.mark.data)
+        item.add_marker(pytest.mark.xdist_group("small" if "small" in fixtures else item.nodeid.partition("::")[0]))
 
 
 @pytest.fixture(scope="session")
@@ -64,6 +69,6 @@ def small(tmp_path_factory: pytest.TempPathFactory, prefect_home: Path) -> Built
     study, store = folder / "small.toml", folder / "store"
     study.write_text(SMALL)
     run = RealRun("run", study, "--store", store, "--workers", "2", "--oversubscribe", prefect_home=prefect_home)
-    answer = run.finish()
+    answer = run.finish(limit_s=900.0)  # it compiles every kernel where nobody has before
     assert answer.code == 0, answer.err
     return BuiltStudy(study, store, answer)

@@ -168,7 +168,7 @@ class RealRun:
             start_new_session=True,
         )
 
-    def finish(self, *, limit_s: float = 300.0) -> Answer:
+    def finish(self, *, limit_s: float = 600.0) -> Answer:
         """Wait for the end."""
         out, err = self.process.communicate(timeout=limit_s)
         return Answer(self.process.returncode, out, err)

@@ -53,9 +53,9 @@ QUALITY_COLUMNS = {
 """Columns of a variant's quality that are scored, with their units."""
 
 
-_SAMPLE_S = 2.0
+_SAMPLE_S = 1.0
 """Seconds in the middle of a take that the guaranteed solver does too."""
-_SAMPLE_VARIANTS = 3
+_SAMPLE_VARIANTS = 2
 """Variants of a take that it does, evenly spread."""
 
 
@@ -142,7 +142,7 @@ def gap_scores(
 ) -> list[Score]:
     """Return how far the bulk solver ends from guaranteed descent on a sample, beside its own estimate of that.
 
-    The sample is the 2 s in the middle of the take, for three variants evenly spread over those there are.
+    The sample is the second in the middle of the take, for the first and the last variant.
 
     Args:
         source: The take.

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 26
+VERSION = 27
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

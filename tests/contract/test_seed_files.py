@@ -151,7 +151,7 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     stored = np.asarray(open_table("draws:edited", store)["pair17_m"][row])
     np.testing.assert_allclose(chosen.pair.pair_m, stored, atol=1e-6)
 
-    def build(study: Study, graph: Graph, opened: Store, selection: Selection, **_: object) -> None:
+    def build(study: Study, graph: Graph, opened: Store, selection: Selection, *_: object, **__: object) -> None:
         run = Run(study, graph, opened, selection)
         plan = make_plan(study, graph, opened, selection)
         execute(run, begin(run, plan), plan, serial)

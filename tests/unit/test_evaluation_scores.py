@@ -146,9 +146,10 @@ def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_
 
 
 def test_model_scores_leave_out_a_distance_that_no_take_has() -> None:
-    errors = {"copy": [{"E_r": 1.0, "E_b": 2.0, "JPD": np.nan}, {"E_r": 3.0, "E_b": 4.0, "JPD": np.nan}]}
+    known = ({"E_r": 1.0, "E_b": 2.0, "PWD": 5.0}, {"E_r": 3.0, "E_b": 4.0, "PWD": 7.0})
+    errors = {"copy": [{**one, "JPD": np.nan} for one in known]}
     scores = model_scores(errors, baselines=("copy",), split="cross_scale test", item="all")
-    assert {s.metric: s.value for s in scores} == {"E_r": 2.0, "E_b": 3.0}
+    assert {s.metric: s.value for s in scores} == {"E_r": 2.0, "E_b": 3.0, "PWD": 6.0}
     assert model_figure([0.75, 1.25], errors, baselines=("copy",), split="cross_scale")
 
 

@@ -137,9 +137,10 @@ def test_a_resolved_study_writes_infinity_as_toml_has_it(capsys: pytest.CaptureF
 
 def test_a_fresh_run_leaves_no_new_record(built: tuple[str, str]) -> None:
     study, store = built
-    before = sorted((Path(store) / "runs").iterdir())
+    before = sorted((Path(store) / "runs").glob("[!.]*"))
+    assert before
     assert call("run", study, "--store", store) == 0
-    assert sorted((Path(store) / "runs").iterdir()) == before
+    assert sorted((Path(store) / "runs").glob("[!.]*")) == before
 
 
 def test_plan_says_what_would_be_computed_and_why(built: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,7 @@ from pasdedeux.augmentation.augment import Augmenter, Variant
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, reference_motion, variant_rotations
 from pasdedeux.augmentation.variations import LIMB_GROUPS, VariationSettings, make_variations, uniform_variations
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.known_contacts import UserContact
 
 __all__ = [
     "LIMB_GROUPS",

@@ -21,7 +21,7 @@ from pasdedeux.augmentation.source import (
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
-from pasdedeux.interaction.contacts import UserContact, check_contacts
+from pasdedeux.interaction.known_contacts import UserContact, check_contacts
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.verdict import Level, Verdict
 

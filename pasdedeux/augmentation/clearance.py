@@ -19,7 +19,8 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
-from pasdedeux.interaction.contacts import fade, nearest_on_bones, packer, parents_of, standing_out, stencil_vectors
+from pasdedeux.interaction.contacts import packer, stencil_vectors
+from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
 

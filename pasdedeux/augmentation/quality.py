@@ -13,7 +13,8 @@ from pydantic import AfterValidator, Field
 
 from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
 from pasdedeux.augmentation.support import stance_weights
-from pasdedeux.interaction.contacts import TOUCH_M, UserContact
+from pasdedeux.interaction.contacts import TOUCH_M
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits, capsule_model
 from pasdedeux.settings import Settings

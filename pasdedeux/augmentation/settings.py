@@ -9,7 +9,8 @@ from pydantic import AfterValidator, Field
 from pasdedeux.augmentation.quality import FrameLimits, QualityLimits
 from pasdedeux.augmentation.weights import Weights
 from pasdedeux.augmentation.windows import OVERLAP_S
-from pasdedeux.interaction.contacts import TOUCH_M, Letter
+from pasdedeux.interaction.contacts import TOUCH_M
+from pasdedeux.interaction.known_contacts import Letter
 from pasdedeux.settings import Settings
 
 __all__ = ["AugmentationSettings"]

@@ -13,9 +13,11 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.variations import check_bone_scales, leg_ratio
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import TOUCH_M, Contacts, UserContact, closest_joint_distance, find_contacts
+from pasdedeux.interaction.contacts import TOUCH_M, Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
+from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.plausibility import body_height_m, capsule_model
 from pasdedeux.skeletons import BODY22

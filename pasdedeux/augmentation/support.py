@@ -13,7 +13,8 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
-from pasdedeux.interaction.contacts import UserContact, fade
+from pasdedeux.interaction.known_contacts import UserContact
+from pasdedeux.interaction.surfaces import fade
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["floor_weights", "lasting_s", "stance_weights"]

@@ -41,7 +41,7 @@ from pasdedeux.augmentation.source import (
 )
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.augmentation.variations import persons_of
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
 
 __all__ = [

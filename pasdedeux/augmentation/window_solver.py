@@ -15,7 +15,7 @@ from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.fitting import FitSettings, Term
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.known_contacts import UserContact
 
 __all__ = ["POLISH", "SOLVERS", "SolvedWindow", "WindowSolver"]
 

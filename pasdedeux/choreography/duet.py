@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from pasdedeux.choreography.anthropometry import Body, make_body
 from pasdedeux.choreography.figure import SIDES, Figure
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22

@@ -15,7 +15,8 @@ from pasdedeux.augmentation.variations import Variation
 from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.interaction.contacts import Contacts, UserContact
+from pasdedeux.interaction.contacts import Contacts
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
 from pasdedeux.spread import evenly_spread
 

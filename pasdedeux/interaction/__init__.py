@@ -1,6 +1,5 @@
 """Interaction of two people: interaction coordinates in 2D and 3D, dissimilarities, contacts."""
 
-from pasdedeux.interaction.contacts import closest_joint_distance
 from pasdedeux.interaction.dissimilarity import (
     BETA_M,
     align_plane,
@@ -13,6 +12,7 @@ from pasdedeux.interaction.dissimilarity import (
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table, edge_table_3d
 from pasdedeux.interaction.shape_context import ShapeCoverage, plane_shape_dissimilarity
+from pasdedeux.interaction.surfaces import closest_joint_distance
 
 __all__ = [
     "BETA_M",

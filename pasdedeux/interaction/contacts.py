@@ -16,45 +16,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from string import ascii_uppercase
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from pydantic import Field, field_validator, model_validator
 from scipy.ndimage import gaussian_filter1d
 
-from pasdedeux.errors import InputError
-from pasdedeux.interaction.objects import FLOOR, MovingObjects
-from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, length, row_of, subtract
-from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22, Skeleton
+from pasdedeux.interaction.known_contacts import UserContact
+from pasdedeux.interaction.objects import MovingObjects
+from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
+from pasdedeux.skeletons import Skeleton
 
-__all__ = [
-    "TOUCH_M",
-    "Contacts",
-    "Gaps",
-    "Letter",
-    "UserContact",
-    "check_contacts",
-    "closest_joint_distance",
-    "fade",
-    "find_contacts",
-    "nearest_on_bones",
-    "packer",
-    "parents_of",
-    "standing_out",
-    "stated_contacts",
-    "stencil_vectors",
-    "surface_gaps",
-]
+__all__ = ["TOUCH_M", "Contacts", "find_contacts", "packer", "stated_contacts", "stencil_vectors"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
-
-Letter = Annotated[str, Field(pattern="^[A-Z]$")]
-"""A person of a take: A is the first."""
 
 TOUCH_M = (0.02, 0.08)
 """Distance of surfaces: in contact up to the first (cloth, flesh, capsules that taper less than limbs do), not beyond
@@ -65,218 +42,10 @@ _HAND_SHARE = 0.5
 """From here on along a forearm or shank a point becomes one of the hand or foot."""
 _NEXT_M = 0.015
 """A hand or foot touches the nearest bone; the weight of another falls by 1/e for every such length it is farther."""
-_BESIDE_M = 0.005
-"""Where a next bone is closer by this, a pair of bones weighs 1/e."""
-_AT_END = 0.2
-"""Within this share of a bone from its end, a pair that is closest there gives way to the next bone."""
 _SMOOTHING_S = 0.1
 """Standard deviation of the averaging of weights and points over time."""
 _SMALLEST_WEIGHT = 1e-2
 """Contacts that weigh less are left out."""
-
-
-def closest_joint_distance(pair_m: Array) -> Array:
-    """Return the distance (*batch,) of the closest joints of A and B of pairs (*batch, person=2, joint, 3), metres.
-
-    NaN joints are left out.
-    """
-    difference = pair_m[..., 0, :, None, :] - pair_m[..., 1, None, :, :]
-    return np.asarray(np.nanmin(np.linalg.norm(difference, axis=-1), axis=(-2, -1)))
-
-
-def fade(value: Array, full: float, none: float) -> Array:
-    """Return 1 up to `full`, 0 from `none` on, and a smooth step (3t^2 - 2t^3) between."""
-    t = np.clip((none - value) / (none - full), 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
-
-
-@dataclass(frozen=True)
-class Gaps:
-    """How far the surfaces of two people are apart, bone by bone; a bone is named by its child joint.
-
-    Args:
-        gap_m: (*batch, bone of A, bone of B), metres; negative where they pass through each other.
-        share: Where on each of the two bones they are closest (*batch, bone of A, bone of B, 2): 0 at the parent
-            joint, 1 at the child.
-        bones: Child joints of the bones (bone,).
-    """
-
-    gap_m: Array
-    share: Array
-    bones: Indices
-
-    @property
-    def closest_m(self) -> Array:
-        """The gap (*batch,) of the two people."""
-        return np.asarray(self.gap_m.min(axis=(-2, -1)))
-
-
-def surface_gaps(pair_m: Array, radii_m: Array, skeleton: Skeleton) -> Gaps:
-    """Return the distances of the surfaces of two people.
-
-    Args:
-        pair_m: Pairs (*batch, person=2, joint, 3), metres; NaN gives NaN.
-        radii_m: Radius of the bone that ends in each joint (person=2, joint), metres.
-        skeleton: Whose joints.
-    """
-    bones, half = np.array([child for _, child in skeleton.bones]), skeleton.num_joints
-    flat = np.ascontiguousarray(pair_m, dtype=np.float64).reshape(-1, 2 * half, 3)
-    pairs = np.stack(np.broadcast_arrays(bones[:, None], bones + half), axis=-1).reshape(-1, 2)
-    share, gap = nearest_on_bones(flat, pairs, parents_of(skeleton, 2), np.ravel(np.asarray(radii_m, dtype=np.float64)))
-    shape = (*np.shape(pair_m)[:-3], len(bones), len(bones))
-    return Gaps(gap.reshape(shape), share.reshape(*shape, 2), bones)
-
-
-def parents_of(skeleton: Skeleton, num_people: int) -> Indices:
-    """Return the parent of each joint of all people (P J,), joints numbered through; a root is its own."""
-    parents = np.maximum(np.array(skeleton.parents), skeleton.root * (np.array(skeleton.parents) < 0))
-    return np.concatenate([parents + person * skeleton.num_joints for person in range(num_people)])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
-    """Return where on their bones (T, pair, 2) the nearest points are, 0 at the parent, and the gap of the surfaces.
-
-    Args:
-        points: Joints (T, n, 3), metres.
-        pairs: Child joints of two bones (pair, 2).
-        parents: Parent of each joint (n,).
-        radii: Radius of the bone that ends in each joint (n,), metres.
-    """
-    share, gap = np.empty((len(points), len(pairs), 2)), np.empty((len(points), len(pairs)))
-    for at in range(len(points)):
-        for row in range(len(pairs)):
-            one, other = pairs[row, 0], pairs[row, 1]
-            a, b = row_of(points[at], parents[one]), row_of(points[at], parents[other])
-            u, v, g = subtract(row_of(points[at], one), a), subtract(row_of(points[at], other), b), subtract(a, b)
-            # Parallel bones: half way is as good as any, and does not jump.
-            s, t = closest_on_segments(dot(u, u), dot(v, v), dot(u, v), dot(u, g), dot(v, g), 0.5)
-            apart = (g[0] + s * u[0] - t * v[0], g[1] + s * u[1] - t * v[1], g[2] + s * u[2] - t * v[2])
-            share[at, row, 0], share[at, row, 1] = s, t
-            gap[at, row] = length(apart) - radii[one] - radii[other]
-    return share, gap
-
-
-def standing_out(bones: Indices, share: Array, gap_m: Array, skeleton: Skeleton) -> Array:
-    """Return how much two bones meet by themselves (T, pair), from 0 to 1.
-
-    Where they are closest at a joint and the next bone from there is closer, it is that bone which meets the other.
-
-    Args:
-        bones: Child joints of two bones (pair, 2), joints of all people numbered through.
-        share: Where on them the nearest points are (T, pair, 2).
-        gap_m: Gaps of the surfaces (T, pair), metres.
-        skeleton: Whose joints.
-    """
-    weight = np.ones(gap_m.shape)
-    for side in (0, 1):
-        for end in (0, 1):
-            closest = gap_m[:, _beside(bones, side, end, skeleton)].min(axis=-1)
-            at_end = fade(np.abs(share[..., side] - end), 0.0, _AT_END)
-            weight *= 1.0 + at_end * np.expm1((closest - gap_m) / _BESIDE_M)
-    return weight
-
-
-def _beside(bones: Indices, side: int, end: int, skeleton: Skeleton) -> Indices:
-    """Return which pairs have a next bone, at the beginning (0) or end of the pair's, and the pair itself (pair, k)."""
-    joints, places = skeleton.num_joints, {pair: place for place, pair in enumerate(map(tuple, bones.tolist()))}
-    meeting = [[edge[1] for edge in skeleton.bones if joint in edge] for joint in range(joints)]
-    found = []
-    for pair in places:
-        person, child = divmod(pair[side], joints)
-        joint = child if end else skeleton.parents[child]
-        others = (person * joints + bone for bone in (meeting[joint] if person >= 0 else [child]))
-        found.append(
-            [places[other] for other in ((pair[0], b) if side else (b, pair[1]) for b in others) if other in places]
-        )
-    most = max(map(len, found), default=1)
-    filled = [[*rows, *[place] * (most - len(rows))] for place, rows in enumerate(found)]
-    return np.array(filled, dtype=np.int64).reshape(-1, most)
-
-
-class UserContact(Settings):
-    """A contact that is stated, in place of what is found between the two bones."""
-
-    joint_a: str = Field(description="Joint of the first person in which the bone ends, by its name in body22")
-    joint_b: str | None = Field(None, description="Joint of the second person in which the bone ends")
-    object: str | None = Field(
-        None,
-        min_length=1,
-        description="What is touched in place of a second person: an object of the take by its name, or floor",
-    )
-    share_a: float = Field(1.0, ge=0, le=1, description="Where on the first bone: 0 at its beginning, 1 at the joint")
-    share_b: float = Field(1.0, ge=0, le=1, description="The same on the second bone, or from an object's start to end")
-    person_a: Letter = Field("A", description="The first person")
-    person_b: Letter = Field("B", description="The second person, who may be the first")
-    start_frame: int = Field(0, ge=0, description="First frame")
-    stop_frame: int = Field(description="Frame after the last")
-    weight: float = Field(1.0, ge=0, le=10, description="1 in contact, 0 not in contact whatever the distance")
-
-    @field_validator("joint_a", "joint_b")
-    @classmethod
-    def _is_a_joint(cls, joint: str | None) -> str | None:
-        if joint is not None and joint not in BODY22.joint_names:
-            raise ValueError(f"joint '{joint}' is not in body22: {', '.join(BODY22.joint_names)}")
-        return joint
-
-    @model_validator(mode="after")
-    def _has_frames(self) -> UserContact:
-        if (self.joint_b is None) == (self.object is None):
-            raise ValueError("joint_b or object is needed, and not both")
-        if self.joint_a == self.joint_b and self.person_a == self.person_b:
-            raise ValueError(f"{self.person_a}'s {self.joint_a} touches nothing but itself")
-        if self.stop_frame <= self.start_frame:
-            raise ValueError(f"frames {self.start_frame} to {self.stop_frame} are none")
-        return self
-
-    @property
-    def is_of_floor(self) -> bool:
-        """Whether the floor is touched."""
-        return self.object == FLOOR
-
-    @property
-    def persons(self) -> tuple[int, ...]:
-        """Numbers of the people, one where something is touched."""
-        letters = self.person_a if self.object else self.person_a + self.person_b
-        return tuple(map(ascii_uppercase.index, letters))
-
-    def bones(self, skeleton: Skeleton, objects: MovingObjects | None) -> tuple[int, int]:
-        """Return the child joints of the two bones, the joints of all people numbered through; -1, ... for objects."""
-        first = self.persons[0] * skeleton.num_joints + skeleton.index(self.joint_a)
-        if self.joint_b is not None:
-            return first, self.persons[1] * skeleton.num_joints + skeleton.index(self.joint_b)
-        assert objects is not None
-        assert self.object is not None
-        return first, -1 - objects.names.index(self.object)
-
-    def within(self, start: int, stop: int) -> UserContact | None:
-        """Return the part of it in frames `start` to `stop`, counted from `start`; None where there is none."""
-        first, last = max(self.start_frame, start), min(self.stop_frame, stop)
-        changed = {"start_frame": first - start, "stop_frame": last - start}
-        return self.model_copy(update=changed) if first < last else None
-
-
-def check_contacts(
-    stated: Sequence[UserContact], *, name: str, num_frames: int, num_people: int, objects: MovingObjects | None
-) -> None:
-    """Refuse contacts of frames, people or objects that a take does not have.
-
-    Raises:
-        InputError: With the contact in words, and what is there.
-    """
-    things = (*(objects.names if objects else ()), FLOOR)
-    for contact in stated:
-        other = contact.object or f"{contact.person_b}'s {contact.joint_b}"
-        said = f"{name}: contact of {contact.person_a}'s {contact.joint_a} and {other}"
-        if max(contact.persons) >= num_people:
-            raise InputError(f"{said}, but the people are {', '.join(ascii_uppercase[:num_people])}")
-        if contact.object and contact.object not in things:
-            raise InputError(f"{said}, but what there is to be touched is {', '.join(things)}")
-        if contact.stop_frame > num_frames:
-            raise InputError(
-                f"{said} over frames {contact.start_frame} to {contact.stop_frame}; allowed are frames within 0 to "
-                f"{num_frames}"
-            )
 
 
 @dataclass(frozen=True)
@@ -353,6 +122,34 @@ def find_contacts(
             not reach beyond its wrist, or arms that hang would touch the thighs.
         objects: What else may be touched, by every bone.
     """
+    bones, share, gap = _all_gaps(people_m, radii_m, skeleton, own, objects)
+    hand, weights = _found(bones, share, gap, touch_m, skeleton)
+    known = [contact for contact in stated if not contact.is_of_floor]
+    for contact in known:
+        _clear(weights, hand, bones, contact, skeleton, objects)
+    is_near = weights.max(axis=0, initial=0.0) > _SMALLEST_WEIGHT
+    bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
+    frames, sigma = len(people_m), _SMOOTHING_S * rate_hz
+    if frames > 1 and weights.size:
+        moved = _averaged(weights[..., None] * share, sigma)
+        weights = _averaged(weights, sigma)
+        share = np.clip(moved / np.maximum(weights, 1e-9)[..., None], 0.0, 1.0)
+    if known:
+        told = np.zeros((frames, len(known)))
+        for column, contact in enumerate(known):
+            told[contact.start_frame : contact.stop_frame, column] = contact.weight
+        weights = np.concatenate([weights, _averaged(told, sigma)], axis=1)
+        at = np.array([[contact.share_a, contact.share_b] for contact in known])
+        share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
+        bones = np.concatenate([bones, np.array([contact.bones(skeleton, objects) for contact in known])])
+    frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
+    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton, objects)
+
+
+def _all_gaps(
+    people_m: Array, radii_m: Array, skeleton: Skeleton, own: Indices | None, objects: MovingObjects | None
+) -> tuple[Indices, Array, Array]:
+    """Return all that may touch: two bones (n, 2), where they are nearest (T, n, 2), and their gap (T, n), metres."""
     (frames, num_people), joints = people_m.shape[:2], skeleton.num_joints
     children = np.array([child for _, child in skeleton.bones])
     each = np.stack(np.broadcast_arrays(children[:, None], children), axis=-1).reshape(-1, 2)
@@ -372,44 +169,46 @@ def find_contacts(
         points = np.concatenate([points, starts, ends], axis=1)
         parents = np.concatenate([parents, *[len(parents) + np.arange(len(things))] * 2])
         radii = np.concatenate([radii, np.zeros(len(things)), objects.radii_m[::-1]])
-    share, gap = nearest_on_bones(points, bones, parents, radii)
+    return (bones, *nearest_on_bones(points, bones, parents, radii))
+
+
+def _found(
+    bones: Indices, share: Array, gap_m: Array, touch_m: tuple[float, float], skeleton: Skeleton
+) -> tuple[Array, Array]:
+    """Return how much the points of two bones are of a hand or foot (T, n, 2), and the weights of contact (T, n)."""
+    joints = skeleton.num_joints
     hand, is_own = _hands(bones, share, skeleton), bones[:, 0] // joints == bones[:, 1] // joints
-    away = gap - _HAND_M * (hand * _is_hand(skeleton)[bones % joints]).sum(axis=-1) * ~is_own
-    weights = fade(away, *touch_m) * standing_out(bones, share, gap, skeleton)
+    away = gap_m - _HAND_M * (hand * _is_hand(skeleton)[bones % joints]).sum(axis=-1) * ~is_own
+    weights = fade(away, *touch_m) * standing_out(bones, share, gap_m, skeleton)
     for rows, sides in _of_each_hand(bones, is_own, skeleton):
         of_hand = hand[:, rows, sides]
         nearest = (away[:, rows] + (1.0 - of_hand)).min(axis=1, keepdims=True)
         weights[:, rows] *= 1.0 + of_hand * np.expm1(-np.maximum(away[:, rows] - nearest, 0.0) / _NEXT_M)
-    places = {frozenset(pair): place for place, pair in enumerate(bones.tolist())}
-    told = []
-    for contact in (one for one in stated if not one.is_of_floor):
-        both, shares = contact.bones(skeleton, objects), np.array([contact.share_a, contact.share_b])
-        when = slice(contact.start_frame, contact.stop_frame)
-        if frozenset(both) in places:
-            weights[when, places[frozenset(both)]] = 0.0
-        if contact.weight > 0:
-            for bone, lies in zip(both, _hands(np.array(both), shares, skeleton), strict=True):
-                weights[when] *= 1.0 - lies * (hand[when] * (bones == bone)).sum(axis=-1)
-        weight = np.zeros(frames)
-        weight[when] = contact.weight
-        told.append((both, shares, weight))
-    is_near = weights.max(axis=0, initial=0.0) > _SMALLEST_WEIGHT
-    bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
-    if frames > 1 and weights.size:
-        sigma = _SMOOTHING_S * rate_hz
-        moved = gaussian_filter1d(weights[..., None] * share, sigma, axis=0, mode="nearest", truncate=3.0)
-        weights = gaussian_filter1d(weights, sigma, axis=0, mode="nearest", truncate=3.0)
-        share = np.clip(moved / np.maximum(weights, 1e-9)[..., None], 0.0, 1.0)
-    if told:
-        weight = np.stack([weight for *_, weight in told], axis=-1)
-        if frames > 1:
-            weight = gaussian_filter1d(weight, _SMOOTHING_S * rate_hz, axis=0, mode="nearest", truncate=3.0)
-        weights = np.concatenate([weights, weight], axis=1)
-        at = np.array([shares for _, shares, _ in told])
-        share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
-        bones = np.concatenate([bones, np.array([ends for ends, *_ in told])])
-    frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
-    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton, objects)
+    return hand, weights
+
+
+def _clear(
+    weights: Array,
+    hand: Array,
+    bones: Indices,
+    contact: UserContact,
+    skeleton: Skeleton,
+    objects: MovingObjects | None,
+) -> None:
+    """Take out of found weights (T, n) what a stated contact replaces: its two bones, and all of its hand or foot."""
+    both, when = contact.bones(skeleton, objects), slice(contact.start_frame, contact.stop_frame)
+    weights[when, (np.sort(bones, axis=1) == np.sort(both)).all(axis=1)] = 0.0
+    if contact.weight > 0:
+        shares = np.array([contact.share_a, contact.share_b])
+        for bone, lies in zip(both, _hands(np.array(both), shares, skeleton), strict=True):
+            weights[when] *= 1.0 - lies * (hand[when] * (bones == bone)).sum(axis=-1)
+
+
+def _averaged(values: Array, sigma: float) -> Array:
+    """Return values (T, ...) averaged over a moment; those of a single frame as they are."""
+    if len(values) < 2:
+        return values
+    return np.asarray(gaussian_filter1d(values, sigma, axis=0, mode="nearest", truncate=3.0))
 
 
 def stated_contacts(

@@ -20,8 +20,8 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from pasdedeux.formats.guess import USUAL_HEIGHT_M
-from pasdedeux.interaction.contacts import closest_joint_distance, surface_gaps
 from pasdedeux.interaction.floor import StandingSettings, find_standing
+from pasdedeux.interaction.surfaces import closest_joint_distance, surface_gaps
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility.capsules import body_height_m
 from pasdedeux.settings import Settings

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import surface_gaps
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
+from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import capsule_model

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import surface_gaps
+from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import conjugate, rotate
 from pasdedeux.plausibility import body_height_m, capsule_model

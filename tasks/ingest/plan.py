@@ -7,8 +7,7 @@ from pathlib import Path
 
 from pasdedeux.choreography import DUETS, style_of
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contact_table import read_contacts
-from pasdedeux.interaction.contacts import check_contacts
+from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
 from pasdedeux.interaction.objects import read_objects
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.known_sources import DUET_CREDIT, known_performance

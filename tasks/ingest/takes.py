@@ -19,7 +19,7 @@ from pasdedeux.formats.placement import floor_shift, place_motion, place_points
 from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.formats.source_motion import SourceMotion, upright_from_file
 from pasdedeux.formats.working_poses import WorkingPoses, derive_working_poses
-from pasdedeux.interaction.contact_table import read_contacts
+from pasdedeux.interaction.known_contacts import read_contacts
 from pasdedeux.interaction.objects import MovingObjects, read_objects
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import rotate

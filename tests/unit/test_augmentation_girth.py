@@ -8,7 +8,7 @@ from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.choreography import make_duet
 from pasdedeux.fitting import FitSettings
-from pasdedeux.interaction.contacts import surface_gaps
+from pasdedeux.interaction.surfaces import surface_gaps
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 from tests.builders.oracles_augmentation import plain_residuals

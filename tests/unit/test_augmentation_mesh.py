@@ -13,7 +13,7 @@ from pasdedeux.augmentation import (
 from pasdedeux.augmentation.mesh import build_mesh
 from pasdedeux.augmentation.support import floor_weights, lasting_s, stance_weights
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.contacts import fade
+from pasdedeux.interaction.surfaces import fade
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair

@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pasdedeux.choreography import make_duet
-from pasdedeux.interaction.contacts import Contacts, UserContact, find_contacts, standing_out, surface_gaps
+from pasdedeux.interaction.contacts import Contacts, find_contacts
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
+from pasdedeux.interaction.known_contacts import UserContact
+from pasdedeux.interaction.surfaces import standing_out, surface_gaps
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.plausibility import capsule_model, segment_distance
 from pasdedeux.skeletons import BODY22

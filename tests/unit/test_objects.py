@@ -17,8 +17,8 @@ from pasdedeux.augmentation.support import floor_weights, stance_weights
 from pasdedeux.choreography import make_duet
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.interaction.contact_table import read_contacts
 from pasdedeux.interaction.contacts import stated_contacts
+from pasdedeux.interaction.known_contacts import read_contacts
 from pasdedeux.interaction.objects import MovingObjects, read_objects
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22

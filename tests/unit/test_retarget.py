@@ -13,7 +13,7 @@ from flows.console.app import run_command_line
 from pasdedeux.augmentation import Augmenter, Source
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
-from pasdedeux.interaction.contacts import UserContact
+from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
 from pasdedeux.skeletons import BODY22
 from storage_schema import Store

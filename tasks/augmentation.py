@@ -42,7 +42,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 18
+VERSION = 19
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

@@ -433,7 +433,7 @@ def _edges(num_people: int) -> tuple[npt.NDArray[np.int64], int]:
 def _edge_penalties(problem: Problem, edges: npt.NDArray[np.int64]) -> Array:
     """Return the penalty of each edge (T, edge): as stiff as what pulls at its ends, or the iteration swings there."""
     contact = np.zeros((problem.num_frames, problem.source.num_points))
-    pull = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
-    np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), pull)
+    at_ends = problem.contact_weights[..., None] * np.abs(problem.contacts.shares)
+    np.add.at(contact, (np.arange(len(contact))[:, None, None], problem.contacts.points), at_ends)
     stiffness = contact[:, edges[:, 0]] + contact[:, edges[:, 1]]
     return np.asarray(_PENALTY * problem.weights.laplacian + _CONTACT_PENALTY * stiffness)

@@ -92,8 +92,10 @@ class Problem:
 
     @property
     def contact_direction(self) -> Array:
-        """Share of each contact's weight that keeps its direction (T, M): all of it where an object is held."""
-        return np.where(self.contacts.objects >= 0, 1.0, self.weights.contact_direction)
+        """Share of each contact's weight that keeps its direction (T, M): all of it where a hand holds an object."""
+        least = self.weights.contact_direction
+        holds = np.where(self.contacts.objects >= 0, self.contacts.hand[..., 0], 0.0)
+        return np.asarray(least + (1.0 - least) * holds)
 
     @cached_property
     def free_matrix(self) -> Array:

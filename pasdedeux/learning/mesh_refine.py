@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.augmentation.bulk import project_to_bones
 from pasdedeux.augmentation.energy import descend, fit_terms
 from pasdedeux.augmentation.problem import Problem
-from pasdedeux.augmentation.source import Source, complete_scales, points_of, scaled_lengths
+from pasdedeux.augmentation.source import Source, complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.errors import InputError
@@ -87,17 +86,15 @@ class MeshRefineModel(VariantModel):
         source = request.source
         windows, problems = self._problems(request)
         scales = complete_scales(source, request.bone_scale[None])
-        lengths = scaled_lengths(source, scales)
-        start = project_to_bones(points_of(self.first.predict(request))[None], lengths)[0]
+        start = points_of(request.with_exact_bones(self.first.predict(request)))
         settings = FitSettings(max_iterations=self.num_iterations, tolerance=0.0)
         points = np.zeros_like(start)
         for window, problem, share in zip(windows, problems, blend_weights(windows), strict=True):
             targets = build_targets(problem, scales)
             found = descend(targets, 0, fit_terms(problem, targets, 0), start[window], settings)
             points[window] += share[:, None, None] * found.positions_m
-        if len(windows) > 1:
-            points = project_to_bones(points[None], lengths)[0]
-        return np.asarray(points.reshape(source.positions_m.shape))
+        motion = points.reshape(source.positions_m.shape)
+        return motion if len(windows) == 1 else request.with_exact_bones(motion)
 
     def _problems(self, request: VariantRequest) -> tuple[list[slice], list[Problem]]:
         """Return the windows of a take and their problems; those of the last take are kept."""

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import AugmentationSettings, Source, UserContact
+from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
@@ -61,6 +63,11 @@ class VariantRequest:
                 f"{self.take_id}: models are of takes of two people, this one has {self.source.num_people}"
             )
         check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id)
+
+    def with_exact_bones(self, motion_m: Array) -> Array:
+        """Return a motion (T, 2, 22, 3), metres, with the directions it has and exactly the bones asked for."""
+        lengths = scaled_lengths(self.source, complete_scales(self.source, self.bone_scale[None]))
+        return np.asarray(project_to_bones(points_of(motion_m)[None], lengths)[0].reshape(motion_m.shape))
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.bulk import project_to_bones
-from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
 from pasdedeux.augmentation.variations import Group, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import (
@@ -97,11 +95,7 @@ class RidgeAdaptedModel(VariantModel):
         bones = np.delete(request.bone_scale, BODY22.root, axis=1)
         is_by_group = bool(np.ptp(bones, axis=1).max() > 1e-6)
         model = self.seen if request.take_id in self.seen.coefficients else self._adapt(request, is_by_group)
-        scales = complete_scales(request.source, request.bone_scale[None])
-        motion = model.predict(request)
-        return project_to_bones(points_of(motion)[None], scaled_lengths(request.source, scales))[0].reshape(
-            motion.shape
-        )
+        return request.with_exact_bones(model.predict(request))
 
     def _adapt(self, request: VariantRequest, is_by_group: bool) -> RidgeScaleModel:
         """Return the quadratic of an unseen take; that of the last one is kept."""

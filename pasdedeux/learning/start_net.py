@@ -16,8 +16,7 @@ from pydantic import Field
 from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, reference_motion
-from pasdedeux.augmentation.bulk import project_to_bones
-from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
+from pasdedeux.augmentation.source import complete_scales, scaled_lengths
 from pasdedeux.errors import InputError
 from pasdedeux.learning.model import (
     Arrays,
@@ -146,18 +145,13 @@ class StartNetModel(VariantModel):
 
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion: by the take's own quadratic where it was trained on, by the network elsewhere."""
-        source = request.source
-        scales = complete_scales(source, request.bone_scale[None])
         if request.take_id in self.seen.coefficients:
-            points = points_of(self.seen.predict(request))
-        else:
-            if self._ready is None or self._ready[0] is not source:
-                self._ready = (source, _Pass.over(source, self.weights))
-            reference = reference_motion(source, scales)[0]
-            points = points_of(reference + self._ready[1].displacement(source.positions_m - reference))
-        return np.asarray(
-            project_to_bones(points[None], scaled_lengths(source, scales))[0].reshape(source.positions_m.shape)
-        )
+            return request.with_exact_bones(self.seen.predict(request))
+        source = request.source
+        if self._ready is None or self._ready[0] is not source:
+            self._ready = (source, _Pass.over(source, self.weights))
+        reference = reference_motion(source, complete_scales(source, request.bone_scale[None]))[0]
+        return request.with_exact_bones(reference + self._ready[1].displacement(source.positions_m - reference))
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from pasdedeux.reconstruction.body import body_through, pose_body
 from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from storage_schema import Store, artifact_key
+from storage_schema import Store
 from tasks.projections import ProjectionsParameters
 from tests.builders.walkers import walk
+from tests.builders.walking_takes import put_artifact
 
 LAYOUT = KEYPOINT_LAYOUTS["coco18"]
 FRAMES = 40
@@ -50,38 +51,28 @@ def build_store(folder: Path) -> Store:
     poses = np.concatenate([centre_and_face(walk(72, seed=seed)).poses_m for seed in range(4)])
     count = len(poses)
     built = Store(folder)
-    built.commit(
-        stage="projections",
-        key=artifact_key(stage="projections", version=1, parameters={}, input_digests=[], seed=0),
-        partition="walk",
-        name="walk",
-        version=1,
-        parameters={},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables={
-            "projections": {
-                "origin": ["take"] * count,
-                "take_id": ["walk"] * count,
-                "person": np.zeros(count, dtype=int),
-                "frame": np.arange(count),
-                "is_sequence_start": np.arange(count) % 72 == 0,
-                "op14_m": poses,
-                "op14_unitquat": bone_rotations(poses),
-                "body22_unitquat": pose_body(body_through(poses), poses)[1],
-                "heading_rad": np.zeros(count),
-                "root_translation_m": np.zeros((count, 3)),
-                "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
-            }
-        },
-        facts={
-            "kind": "projections",
-            "takes": ["walk"],
-            "rate_hz": 24.0,
-            "views": ProjectionsParameters().views.model_dump(mode="json"),
-        },
-    )
+    tables = {
+        "projections": {
+            "origin": ["take"] * count,
+            "take_id": ["walk"] * count,
+            "person": np.zeros(count, dtype=int),
+            "frame": np.arange(count),
+            "is_sequence_start": np.arange(count) % 72 == 0,
+            "op14_m": poses,
+            "op14_unitquat": bone_rotations(poses),
+            "body22_unitquat": pose_body(body_through(poses), poses)[1],
+            "heading_rad": np.zeros(count),
+            "root_translation_m": np.zeros((count, 3)),
+            "joint_radius_m": np.hypot(poses[..., 0], poses[..., 2]),
+        }
+    }
+    facts = {
+        "kind": "projections",
+        "takes": ["walk"],
+        "rate_hz": 24.0,
+        "views": ProjectionsParameters().views.model_dump(mode="json"),
+    }
+    put_artifact(built, "projections", "walk", tables, facts)
     return built
 
 

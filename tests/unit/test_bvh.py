@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pybvh
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -185,7 +186,7 @@ def test_the_up_axis_is_turned_to_y_without_mirroring(axis: str, matrix: np.ndar
 
 @pytest.mark.parametrize("name", ["cmu_salsa_bvh/60_10.bvh", "projection_db_yiannakides/91_13.bvh"])
 def test_real_files_agree_with_an_independent_reader(data_dir: Path, name: str) -> None:
-    pybvh = pytest.importorskip("pybvh")
+
     path = data_dir / name
     ours = read_bvh(path.read_bytes())
     theirs = pybvh.read_bvh_file(path, world_up="+y")

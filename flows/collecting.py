@@ -49,8 +49,8 @@ class Collection:
 def find_garbage(store: Store, since: datetime) -> Collection:
     """Tell what is needed in a store, and what is not.
 
-    Needed is what datasets name, what the last finished run of each study made and what is on record of the study, what
-    runs begun at or after a time made or found there, whatever was made since, and all that these were computed from.
+    Needed is what datasets name, what is on record of each study, what the last finished run of each of its stages
+    made, what runs begun at or after a time made or found there, whatever was made since, and all these came from.
 
     Raises:
         CorruptArtifact: A dataset or the record of a study cannot be read: what it needs is not known.
@@ -62,19 +62,15 @@ def find_garbage(store: Store, since: datetime) -> Collection:
     for last in latest:
         runs.add(last.run_id)
         needed.update((stage, shard.key) for stage, shards in last.stages.items() for shard in shards)
-    finished: dict[str, str] = {}
+    last_of: dict[tuple[str, str], str] = {}
     for folder in list_runs(store):
         record = run_record(store, folder.run_id)
         if record.get("status") == "finished":
-            finished[record["study"]] = folder.run_id
+            last_of |= {(record["study"], stage["stage"]): folder.run_id for stage in record["stages"]}
         begun = _BEGUN.match(folder.run_id)
         if begun is None or datetime.strptime(begun[0], "%Y%m%dT%H%M%S").replace(tzinfo=UTC) >= since:
             runs.add(folder.run_id)
-    # Ids tell seconds: of runs that began in the same one the record knows the last.
-    finished |= {
-        last.study: last.run_id for last in latest if run_record(store, last.run_id).get("status") == "finished"
-    }
-    runs.update(finished.values())
+    runs.update(last_of.values())
     needed.update(place for run_id in runs for place in _made_or_found(store, run_id))
     sizes = {folder.run_id: folder_bytes(folder.path) for folder in list_runs(store)}
     return Collection(

@@ -112,7 +112,8 @@ def dataset(
         if plan.is_fresh:
             outcome = outcome_of_fresh(run, plan)
         else:
-            with _workers(run, cluster) as found:
+            run.store.prepare()
+            with in_use(run.store), _workers(run, cluster) as found:
                 record = begin(run, plan)
                 outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
     _publish(chosen.name, outcome)

@@ -133,8 +133,9 @@ class RunFolder:
 
 
 def new_run(store: Store, study: str) -> RunFolder:
-    """Make the folder of a new run; its name starts with the time in UTC, so names sort by age."""
-    run_id = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{_checked(study)}-{secrets.token_hex(3)}"
+    """Make the folder of a new run; its name tells the time in UTC to the microsecond: a study's names sort by age."""
+    now = datetime.now(UTC)
+    run_id = f"{now:%Y%m%dT%H%M%S}-{_checked(study)}-{now.microsecond:05x}{secrets.token_hex(1)}"
     store.prepare()
     with write_errors(store.root):
         make_folder(store.root / "runs" / run_id)

@@ -25,10 +25,10 @@ _GC = """Remove from a store what nothing needs; without --yes only say what tha
   pasdedeux gc --store /data/store --yes
   pasdedeux gc --store /data/store --days 0 --yes
 
-Kept is what a dataset names, what the last finished run of each study made, what `TABLE:study` names, what runs of the
-last days made or read, and everything that any of these were computed from.  The folders of older runs go too, their
-reports with them.  Nothing is removed while a run is in progress.  Killed half-way it leaves a whole store, and the
-same command again finishes.
+Kept is what a dataset names, what the last finished run of each stage of a study made, what `TABLE:study` names, what
+runs of the last days made or read, and everything that any of these were computed from.  The folders of older runs go
+too, their reports with them.  Nothing is removed while a run is in progress.  Killed half-way it leaves a whole store,
+and the same command again finishes.
 """
 
 

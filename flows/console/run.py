@@ -119,7 +119,9 @@ def build(
         if made.is_fresh:
             return outcome_of_fresh(run, made), made
         _refuse_full_disk(opened)
-        return _build(run, made, cluster, is_quiet=is_quiet), made
+        opened.prepare()
+        with in_use(opened):  # a store that is new was not there to be locked before
+            return _build(run, made, cluster, is_quiet=is_quiet), made
 
 
 @app.command(help=_PLAN)

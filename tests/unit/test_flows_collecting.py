@@ -14,8 +14,21 @@ import pytest
 
 from flows.collecting import StoreInUseError, collect, find_garbage
 from flows.console.app import run_command_line
+from flows.console.run import build
 from flows.planning import Selection
-from storage_schema import CorruptArtifact, Store, create_dataset, in_use, lineage, read_latest, verify
+from flows.study import load_study
+from storage_schema import (
+    CorruptArtifact,
+    StorageError,
+    Store,
+    create_dataset,
+    in_use,
+    lineage,
+    list_runs,
+    read_latest,
+    verify,
+)
+from tasks.shards import ClusterSettings
 from tests.builders.storage_rows import commit_rows
 from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
@@ -68,6 +81,29 @@ def test_what_a_dataset_and_the_last_run_were_computed_from_stays_and_the_rest_g
     assert plan_toys(study, store.root).is_fresh, "the dataset keeps what its run needs"
     assert not plan_toys(study, store.root, "grow.scale=2.0").is_fresh
     assert collect(store, NOW).num_bytes == 0
+
+
+def test_a_run_of_some_stages_does_not_push_out_the_last_one_of_the_others(store: Store, study: Path) -> None:
+    whole = [folder.run_id for folder in list_runs(store)][-1]
+    some = run_toys(study, store.root, "grow.scale=4.0", selection=Selection(until="grow")).run_id
+    kept = find_garbage(store, NOW).kept_runs
+    assert {whole, some} <= set(kept)
+    last = run_toys(study, store.root, "grow.scale=5.0").run_id
+    assert list(find_garbage(store, NOW).kept_runs) == [last]
+
+
+def test_a_first_run_keeps_its_new_store_from_being_collected(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path / "new")
+
+    def collect_instead(*_: object, is_quiet: bool) -> None:
+        collect(store, NOW)
+
+    monkeypatch.setattr("flows.console.run._build", collect_instead)
+    with pytest.raises(StorageError, match="plans or builds in the store"):
+        build(*load_study(str(study), TOYS), store, Selection(), ClusterSettings(), is_quiet=True)
+    assert collect(store, NOW).num_bytes == 0, "the lock is held no longer than the run"
 
 
 def test_an_unfinished_run_does_not_push_out_the_last_finished_one(store: Store, study: Path) -> None:

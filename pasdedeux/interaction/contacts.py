@@ -142,8 +142,8 @@ def find_contacts(
         at = np.array([[contact.share_a, contact.share_b] for contact in known])
         share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
         bones = np.concatenate([bones, np.array([contact.bones(skeleton, objects) for contact in known])])
-    frame, column = np.nonzero(weights > _SMALLEST_WEIGHT)
-    return _pack(frame, frames, bones[column], share[frame, column], weights[frame, column], skeleton, objects)
+    frame, pair = np.nonzero(weights > _SMALLEST_WEIGHT)
+    return _pack(frame, frames, bones[pair], share[frame, pair], weights[frame, pair], skeleton, objects)
 
 
 def _all_gaps(

@@ -32,6 +32,7 @@ _MM = 1000.0
 _UNITS = {"E_r": "cm", "E_b": "mm", "JPD": "cm", "PWD": "cm"}
 _NEAREST_M = 0.1
 """Distances below this weigh alike."""
+_SCALE_STEP = 0.05
 
 
 def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
@@ -118,9 +119,9 @@ def model_figure(
     baselines: Sequence[str],
     split: str,
 ) -> bytes:
-    """Draw E_r of each model against the scale of the test variants (mean over takes); PNG bytes."""
-    at = np.array(scales)
-    known = np.unique(np.round(at[np.isfinite(at)], 6))
+    """Draw E_r of each model against the test variants' scale furthest from 1 (means of steps of 0.05); PNG bytes."""
+    at = np.round(np.array(scales) / _SCALE_STEP) * _SCALE_STEP
+    known = np.unique(np.round(at, 6))
     curves = []
     for model, found in errors.items():
         values = np.array([error["E_r"] for error in found])
@@ -129,6 +130,6 @@ def model_figure(
     return curve_figure(
         curves,
         title=f"models on {split.replace('_', ' ')} test variants",
-        x_label="scale of person A",
+        x_label="scale furthest from 1, of anybody's bones",
         y_label="E_r (cm)",
     )

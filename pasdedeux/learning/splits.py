@@ -19,12 +19,24 @@ __all__ = ["SPLIT_NAMES", "Split", "SplitName", "VariantKey", "make_split"]
 
 Array = npt.NDArray[np.float64]
 
-SplitName = Literal["random", "cross_scale", "cross_interaction", "cross_scale_interaction"]
+SplitName = Literal[
+    "random",
+    "cross_scale",
+    "extrapolation",
+    "cross_interaction",
+    "cross_interaction_swapped",
+    "cross_scale_interaction",
+    "cross_scale_interaction_swapped",
+]
 SPLIT_NAMES = get_args(SplitName)
-"""random: a fifth of the variants; cross_scale: near scales train, far ones test, of the same takes;
-cross_interaction: some takes train, others test; cross_scale_interaction: both.  Validation is of the takes and scales
-that do not test: scales between near and far where these are split, a take where takes are and there are enough,
-otherwise a tenth of the variants."""
+"""random: a fifth of the variants; cross_scale: near scales train, far ones test, of the same takes; extrapolation:
+near scales train, those beyond all others test (0.65 and 1.3 in the paper), of the same takes; cross_interaction: some
+interactions train, others test; cross_scale_interaction: both.  In the swapped ones the halves change places.  Variants
+beyond the far scales are in no split but extrapolation.  Validation is of the takes and scales that do not test: scales
+between near and far where these are split, a take where takes are and there are enough, otherwise a tenth of the
+variants."""
+
+_SWAPPED = "_swapped"
 
 TRAIN_REACH = 0.05
 """Training scales lie in [0.95, 1.05]."""
@@ -40,16 +52,27 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class VariantKey:
-    """A variant as splits see it: its take, its name and its scales (2, 22)."""
+    """A variant as splits see it: its take, its name, its scales (2, 22), and what interaction the take is of.
+
+    Takes of one interaction, such as two waltzes, are never on both sides of a split across interactions; a take of
+    none is one of its own.
+    """
 
     take_id: str
     variant_id: str
     bone_scale: Array
+    interaction: str = ""
+
+    @property
+    def furthest_scale(self) -> float:
+        """The scale furthest from 1 of anybody's bones, whoever is scaled; the root height is no bone."""
+        scales = np.delete(self.bone_scale, BODY22.root, axis=1)
+        return float(scales.flat[np.argmax(np.abs(scales - 1.0))])
 
     @property
     def reach(self) -> float:
-        """How far its furthest bone is from scale 1; the root height is no bone."""
-        return float(np.abs(np.delete(self.bone_scale, BODY22.root, axis=1) - 1.0).max())
+        """How far its furthest bone is from scale 1."""
+        return abs(self.furthest_scale - 1.0)
 
 
 @dataclass(frozen=True)
@@ -77,7 +100,12 @@ class Split:
 
 
 def make_split(
-    name: str, keys: Sequence[VariantKey], generator: np.random.Generator, *, test_takes: Sequence[str] = ()
+    name: str,
+    keys: Sequence[VariantKey],
+    generator: np.random.Generator,
+    *,
+    test_takes: Sequence[str] = (),
+    held_out: Sequence[str] = (),
 ) -> Split:
     """Split variants.
 
@@ -85,50 +113,69 @@ def make_split(
         name: One of `SPLIT_NAMES`.
         keys: All variants.
         generator: Decides the random split.
-        test_takes: Takes that are only tested on.  The two splits across interactions need some: where none are given,
-            the later half of the takes by name.  The other two leave them out.
+        test_takes: Takes that splits across interactions test on, and swapped ones learn from; the other splits leave
+            them out.  Splits across interactions need some: where none are given (nor held out), they are those of the
+            later half of the interactions by name.
+        held_out: Takes that nothing is learned from: tested on across interactions, swapped or not, else left out.
 
     Raises:
         InputError: Unknown split, or its training or test set is empty.
     """
     if name not in SPLIT_NAMES:
         raise InputError(f"split '{name}' is not known; known splits: {', '.join(SPLIT_NAMES)}")
+    kind = name.removesuffix(_SWAPPED)
     ordered = sorted(keys, key=lambda key: (key.take_id, key.variant_id))
-    takes = sorted({key.take_id for key in ordered})
-    is_across = name in ("cross_interaction", "cross_scale_interaction")
-    tested = set(test_takes)
-    if is_across and not tested & set(takes):
-        tested = set(takes[(len(takes) + 1) // 2 :])
-    known, test = _part(ordered, lambda key: key.take_id not in tested)
+    takes = {key.take_id for key in ordered}
+    is_across = kind in ("cross_interaction", "cross_scale_interaction")
+    tested = takes & {*test_takes, *held_out}
+    if is_across:
+        tested = _tested_takes(name, ordered, takes & set(test_takes), takes & set(held_out))
+    within = ordered if kind == "extrapolation" else [key for key in ordered if key.reach <= TEST_REACH[1] + _ROUNDING]
+    known, test = _part(within, lambda key: key.take_id not in tested)
     left: list[VariantKey] = []
     if is_across and len({key.take_id for key in known}) >= _FEWEST_TAKES:
         last = max(key.take_id for key in known)
         known, left = _part(known, lambda key: key.take_id != last)
-    if name == "random":
+    if kind == "random":
         test, known = _draw(known, _TEST_SHARE, generator, fewest=1)
-    elif name == "cross_scale":
+    elif not is_across:
         test = known
     train = known
-    if name in ("cross_scale", "cross_scale_interaction"):
+    if kind in ("cross_scale", "cross_scale_interaction"):
         test, (train, others) = [key for key in test if _is_far(key)], _part(known, _is_near)
         left = [key for key in left if _is_far(key)] or [key for key in others if key.reach < TEST_REACH[0] - _ROUNDING]
+    elif kind == "extrapolation":
+        test, (train, others) = [key for key in test if _is_beyond(key)], _part(known, _is_near)
+        left = [key for key in others if not _is_beyond(key)]
     if not left:
         left, train = _draw(train, _VALIDATION_SHARE, generator, fewest=0)
-    for kind, found in (("training", train), ("test", test)):
+    for what, found in (("training", train), ("test", test)):
         if not found:
             raise InputError(
-                f"split '{name}' has no {kind} variant among {len(keys)} variants of {len(takes)} takes; it needs "
-                + _NEEDS[name]
+                f"split '{name}' has no {what} variant among {len(keys)} variants of {len(takes)} "
+                f"take{'s' * (len(takes) != 1)}; it needs {_NEEDS[kind]}"
             )
     return Split(name, tuple(train), tuple(left), tuple(test), shares_takes=not is_across)
 
 
+def _tested_takes(name: str, keys: Sequence[VariantKey], stated: set[str], held_out: set[str]) -> set[str]:
+    """Return the takes that a split across interactions tests on; nothing is ever learned from those held out."""
+    interactions = {key.take_id: key.interaction or key.take_id for key in keys}
+    free = {take: what for take, what in interactions.items() if take not in held_out}
+    is_swapped = name.endswith(_SWAPPED)
+    if not stated and (is_swapped or not held_out):
+        kinds = sorted(set(free.values()))
+        stated = {take for take, what in free.items() if what in kinds[(len(kinds) + 1) // 2 :]}
+    return (set(free) - stated if is_swapped else stated) | held_out
+
+
 _NEEDS = {
-    "random": "at least two variants",
+    "random": "at least two variants with scales within 0.75 to 1.25",
     "cross_scale": "scales within 0.95 to 1.05, and within 0.75 to 0.85 or 1.15 to 1.25",
-    "cross_interaction": "variants of at least two takes",
-    "cross_scale_interaction": "at least two takes, scales within 0.95 to 1.05 of the one and 0.75 to 0.85 or 1.15 to "
-    "1.25 of the other",
+    "extrapolation": "scales within 0.95 to 1.05, and below 0.75 or above 1.25, such as 0.65 and 1.3",
+    "cross_interaction": "variants of at least two takes that are not of one interaction, or training.test_takes",
+    "cross_scale_interaction": "at least two takes that are not of one interaction, scales within 0.95 to 1.05 of the "
+    "one and 0.75 to 0.85 or 1.15 to 1.25 of the other",
 }
 
 
@@ -138,6 +185,10 @@ def _is_near(key: VariantKey) -> bool:
 
 def _is_far(key: VariantKey) -> bool:
     return TEST_REACH[0] - _ROUNDING <= key.reach <= TEST_REACH[1] + _ROUNDING
+
+
+def _is_beyond(key: VariantKey) -> bool:
+    return key.reach > TEST_REACH[1] + _ROUNDING
 
 
 def _part(keys: Sequence[VariantKey], is_in: Callable[[VariantKey], bool]) -> tuple[list[VariantKey], list[VariantKey]]:

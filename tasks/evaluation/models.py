@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from pasdedeux.evaluation.models import key_contacts, model_errors, model_figure, model_scores
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, load_model
-from pasdedeux.skeletons import BODY22
+from pasdedeux.learning import BASELINES, VariantKey, load_model
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
@@ -47,7 +44,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     for item in variants.items([(take_id, name) for take_id, names in facts["test"].items() for name in names]):
         take_id = item.request.take_id
         owners.append(take_id)
-        at.append(_uniform_scale(item.request.bone_scale[0]))
+        at.append(VariantKey(take_id, item.variant_id, item.request.bone_scale).furthest_scale)
         for name, model in models.items():
             errors[name].append(model_errors(model.predict(item.request), item.motion_m, keys_of[take_id]))
     split = f"{facts['split']} test"
@@ -65,12 +62,6 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         pictures={name: model_figure(at, errors, baselines=BASELINES, split=facts["split"])},
         captions={name: f"Error of each model on the {len(at)} test variants of split {facts['split']}.{shared}"},
     )
-
-
-def _uniform_scale(bone_scale: np.ndarray) -> float:
-    """Return the one scale of all of a person's bones, or NaN where they differ."""
-    bones = np.delete(bone_scale, BODY22.root)
-    return float(bones[0]) if np.ptp(bones) < 1e-6 else float("nan")
 
 
 TOPIC = Topic(

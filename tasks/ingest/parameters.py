@@ -177,6 +177,11 @@ class DuetOptions(DuetStyle, Parameters):
         return self.id or (self.name if self.variation == 0 else f"{self.name}_{self.variation}")
 
     @property
+    def style_model(self) -> type[DuetStyle]:
+        """Model of the dance's style; of any dance where there is none of that name."""
+        return DUETS[self.name].style if self.name in DUETS else DuetStyle
+
+    @property
     def told(self) -> dict[str, Any]:
         """Everything that is told of the dance."""
         return {**self.model_dump(exclude={"id", "name", "style"}), **self.style}
@@ -358,12 +363,22 @@ class IngestParameters(Parameters):
 
     def take_ids(self) -> list[str]:
         """Return the names of all takes, in the order in which they are planned."""
-        families = [
-            family.id.format(subject=family.subjects[0], take=take)
-            for family in self.pairs.values()
-            for take in family.takes
+        return [take_id for take_id, _ in self._takes()]
+
+    def num_people(self) -> dict[str, int]:
+        """Return the number of people of every take."""
+        return dict(self._takes())
+
+    def _takes(self) -> list[tuple[str, int]]:
+        return [
+            *((duet.take_id, duet.style_model.num_people) for duet in self.resolved_duets()),
+            *((take.id, len(take.files)) for take in self.takes),
+            *(
+                (family.id.format(subject=family.subjects[0], take=take), len(family.subjects))
+                for family in self.pairs.values()
+                for take in family.takes
+            ),
         ]
-        return [*(duet.take_id for duet in self.resolved_duets()), *(take.id for take in self.takes), *families]
 
     def is_prior(self, take_id: str) -> bool:
         """Tell whether priors learn from a take."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import Field, SerializeAsAny, ValidationError, create_model, model_validator
 
-from pasdedeux.learning import DEFAULT_MODELS, MODELS, SplitName, model_class
+from pasdedeux.learning import DEFAULT_MODELS, MODELS, SPLIT_NAMES, SplitName, model_class
 from pasdedeux.settings import Settings
 from tasks.stage import Parameters
 
@@ -30,15 +30,15 @@ def _with_settings_of_models(section: type[Parameters]) -> Any:
 class TrainingParameters(Parameters):
     """Which models are trained on which splits, and how."""
 
-    splits: tuple[SplitName, ...] = Field(
-        ("cross_scale",), description="Splits: random, cross_scale, cross_interaction, cross_scale_interaction"
-    )
+    splits: tuple[SplitName, ...] = Field(("cross_scale",), description=f"Splits: {', '.join(SPLIT_NAMES)}")
     models: tuple[str, ...] = Field(
         DEFAULT_MODELS,
         min_length=1,
         description=f"Models, or names of `forms`: {', '.join(MODELS)}",
     )
-    test_takes: tuple[str, ...] = Field((), description="Takes the splits across interactions test on, beside held-out")
+    test_takes: tuple[str, ...] = Field(
+        (), description="Takes the splits across interactions test on, beside held-out; swapped ones learn from them"
+    )
     forms: dict[str, dict[str, Any]] = Field(
         {},
         description="Models with other settings, by name: each has a `model` and any of that model's settings",

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pasdedeux.augmentation import make_variations
+from pasdedeux.errors import InputError
 from pasdedeux.learning import Split, VariantKey, has_torch, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
@@ -14,7 +15,7 @@ from tasks.training.parameters import LeftOutParameters, SegmentParameters, Trai
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
 
-VERSION = 2
+VERSION = 3
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -29,11 +30,12 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
     if not variants:
         return []
-    test_takes = tuple(sorted(parameters.test_takes))
-    for name in parameters.splits:
-        split_variants(name, variants, test_takes, inputs.seed)
     used = {manifest.facts["take_id"] for manifest in variants}
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts.get("take_id") in used]
+    test_takes = tuple(sorted(parameters.test_takes))
+    _check_test_takes(test_takes, used)
+    for name in parameters.splits:
+        split_variants(name, takes, variants, test_takes, inputs.seed)
     shards: list[Shard] = []
     for name in parameters.splits:
         last: dict[str, str] = {}
@@ -67,34 +69,57 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
 def check_study(sections: Mapping[str, Any]) -> None:
     """Refuse splits that leave nothing to train or test on, as far as the sections of other stages tell.
 
-    Takes count as pairs here, as what is in their files is not known yet.
+    Only takes of two people count; where a study has none, there is nothing to split.
 
     Raises:
-        InputError: A split leaves nothing to train on, or nothing to test on.
+        InputError: A split leaves nothing to train on, or nothing to test on, or a test take is no take of a pair.
     """
     if "ingest" not in sections or "augmentation" not in sections:
         return
-    takes = sections["ingest"].take_ids()
-    parameters, held_out = sections["training"], sections["ingest"].held_out
+    ingest, parameters = sections["ingest"], sections["training"]
+    duets = {duet.take_id: duet.name for duet in ingest.resolved_duets()}
+    takes = [take_id for take_id, count in ingest.num_people().items() if count == 2]
     known = make_variations(sections["augmentation"], lambda *labels: stream(0, *labels))
-    keys = [VariantKey(take_id, one.variant_id, one.bone_scale) for take_id in takes for one in known]
+    keys = [
+        VariantKey(take_id, one.variant_id, one.bone_scale, duets.get(take_id, ""))
+        for take_id in takes
+        for one in known
+    ]
+    if keys:
+        _check_test_takes(parameters.test_takes, takes)
     for name in parameters.splits if keys else ():
-        make_split(name, keys, stream(0, name), test_takes=[*parameters.test_takes, *held_out])
+        make_split(name, keys, stream(0, name), test_takes=parameters.test_takes, held_out=ingest.held_out)
 
 
-def split_variants(name: str, variants: Iterable[Manifest], test_takes: Sequence[str], seed: int) -> Split:
+def split_variants(
+    name: str, takes: Iterable[Manifest], variants: Iterable[Manifest], test_takes: Sequence[str], seed: int
+) -> Split:
     """Split variants as they were planned; which of them failed is not known from manifests.
 
     Raises:
         InputError: The training or the test set is empty.
     """
-    keys, held_out = [], set(test_takes)
+    interactions = {take.facts["take_id"]: take.parameters.get("duet", {}).get("name", "") for take in takes}
+    keys: list[VariantKey] = []
+    held_out: set[str] = set()
     for manifest in variants:
         take_id = manifest.facts["take_id"]
-        keys += [VariantKey(take_id, one.variant_id, one.bone_scale) for one in planned_variations(manifest)]
+        keys += [
+            VariantKey(take_id, one.variant_id, one.bone_scale, interactions.get(take_id, ""))
+            for one in planned_variations(manifest)
+        ]
         if manifest.facts["is_held_out"]:
             held_out.add(take_id)
-    return make_split(name, keys, stream(seed, "training", name), test_takes=sorted(held_out))
+    return make_split(name, keys, stream(seed, "training", name), test_takes=test_takes, held_out=sorted(held_out))
+
+
+def _check_test_takes(test_takes: Sequence[str], takes: Iterable[str]) -> None:
+    for take_id in test_takes:
+        if take_id not in takes:
+            raise InputError(
+                f"training.test_takes: '{take_id}' is no take of two people with variants; there are: "
+                + (", ".join(sorted(takes)) or "none")
+            )
 
 
 def _shard(

@@ -46,8 +46,8 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         return commit(shard, store, tables={}, facts={"kind": "left_out", "model": name}, verdict=verdict)
     told = shard.options(SegmentParameters)
     kind = model_class(told.model)
-    manifests = [store.manifest(ref) for ref in shard.refs("variants")]
-    split = split_variants(told.split, manifests, told.test_takes, shard.seed)
+    takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
+    split = split_variants(told.split, takes, variants_of, told.test_takes, shard.seed)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
     train, validation = variants.sound(split.train), variants.sound(split.validation)
     if not train and kind.is_trained:

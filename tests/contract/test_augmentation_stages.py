@@ -21,6 +21,7 @@ from tasks import augmentation
 from tasks.augmentation import AugmentationParameters, read_take
 from tasks.evaluation.augmentation import TOPIC
 from tasks.graph import load_graph
+from tasks.ingest.parameters import IngestParameters
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
@@ -414,6 +415,28 @@ def test_a_split_that_leaves_nothing_is_refused_while_planning(store: Store) -> 
         plan_training(takes, variants)
     with pytest.raises(InputError, match="at least two takes"):
         plan_training(takes, variants, splits=("cross_interaction",))
+
+
+def test_only_takes_of_two_people_count_for_the_splits_of_a_study() -> None:
+    def check(*duets: str, alone: bool = False, **training: Any) -> None:
+        takes = [{"id": "alone", "files": ["walk.bvh"]}] if alone else []
+        told = {"duets": [{"name": name} for name in duets], "takes": takes}
+        assert TRAINING.check_study is not None
+        TRAINING.check_study(
+            {
+                "ingest": IngestParameters.model_validate(told),
+                "augmentation": augmentation.AugmentationParameters(),
+                "training": TRAINING.parameters(**training),
+            }
+        )
+
+    across = {"splits": ("cross_interaction",)}
+    check("trio", alone=True, **across)
+    check("waltz", "hug", "trio", **across)
+    with pytest.raises(InputError, match="no test variant among 10 variants of 1 take; it needs variants of at least"):
+        check("waltz", "trio", alone=True, **across)
+    with pytest.raises(InputError, match="'trio' is no take of two people with variants; there are: hug, waltz"):
+        check("waltz", "hug", "trio", test_takes=("trio",), **across)
 
 
 @pytest.mark.parametrize(

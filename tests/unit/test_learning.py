@@ -1,3 +1,4 @@
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, refe
 from pasdedeux.augmentation.energy import fit_terms, total_energy
 from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
-from pasdedeux.augmentation.variations import PAPER_SCALES, group_variations
+from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.models import key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts
@@ -53,7 +54,14 @@ def _quadratic_items(scales: list[float], seed: int = 0) -> list[TrainingItem]:
 
 
 def _keys(takes: list[str]) -> list[VariantKey]:
-    return [VariantKey(take, v.variant_id, v.bone_scale) for take in takes for v in uniform_variations(PAPER_SCALES)]
+    """Return keys of every scale; of `waltz-1` and `waltz-2` both are waltzes."""
+    found = uniform_variations((0.65, *PAPER_SCALES, 1.3), ["A", "B"])
+    kinds = {take: take.partition("-")[0] if "-" in take else "" for take in takes}
+    return [VariantKey(take, one.variant_id, one.bone_scale, kinds[take]) for take in takes for one in found]
+
+
+def _scales(keys: Sequence[VariantKey]) -> set[float]:
+    return {round(key.furthest_scale, 2) for key in keys}
 
 
 def _train_ridge(items: list[TrainingItem], ridge: float = 3e-3) -> tuple[VariantModel, dict[str, float]]:
@@ -211,10 +219,47 @@ def test_key_pairs_are_those_in_contact_and_none_when_apart() -> None:
 
 def test_cross_scale_trains_near_and_tests_far_on_the_same_takes() -> None:
     split = make_split("cross_scale", _keys(["a", "b"]), np.random.default_rng(0))
-    assert {round(key.bone_scale[0, 1], 2) for key in split.train} == {0.95, 1.05}
-    assert {round(key.bone_scale[0, 1], 2) for key in split.test} == {0.75, 0.8, 0.85, 1.15, 1.2, 1.25}
-    assert {round(key.bone_scale[0, 1], 2) for key in split.validation} == {0.9, 1.1}
+    assert _scales(split.train) == {0.95, 1.05}
+    assert _scales(split.test) == {0.75, 0.8, 0.85, 1.15, 1.2, 1.25}
+    assert _scales(split.validation) == {0.9, 1.1}
     assert split.shares_takes
+
+
+def test_extrapolation_tests_beyond_the_far_scales_and_no_other_split_has_those() -> None:
+    split = make_split("extrapolation", _keys(["a", "b"]), np.random.default_rng(0))
+    assert _scales(split.train) == {0.95, 1.05}
+    assert _scales(split.test) == {0.65, 1.3}
+    assert _scales(split.validation) == set(PAPER_SCALES) - {0.95, 1.05}
+    for name in set(SPLIT_NAMES) - {"extrapolation"}:
+        other = make_split(name, _keys(["a", "b"]), np.random.default_rng(0))
+        assert not _scales((*other.train, *other.validation, *other.test)) & {0.65, 1.3}
+
+
+def test_the_scale_of_a_variant_is_that_of_whoever_is_scaled_whichever_bones() -> None:
+    for variation in (*uniform_variations([0.8, 1.2], ["A", "B", "AB"]), *bone_variations([0.8, 1.2], ["B"])):
+        key = VariantKey("a", variation.variant_id, variation.bone_scale)
+        assert f"{key.furthest_scale:.2f}" == variation.variant_id[-4:]
+
+
+@pytest.mark.parametrize("kind", ["cross_interaction", "cross_scale_interaction"])
+@pytest.mark.parametrize("test_takes", [(), ("hug-1", "hug-2")])
+def test_swapped_halves_change_places_and_nobody_learns_from_held_out_takes(
+    kind: str, test_takes: tuple[str, ...]
+) -> None:
+    keys = _keys(["hug-1", "hug-2", "judo-1", "waltz-1", "waltz-2", "waltz-3"])
+
+    def sides(name: str, held_out: tuple[str, ...]) -> tuple[set[str], set[str]]:
+        told = {"test_takes": test_takes, "held_out": held_out}
+        split = make_split(name, keys, np.random.default_rng(0), **told)
+        learned = {key.take_id for key in (*split.train, *split.validation)}
+        return learned, {key.take_id for key in split.test}
+
+    learned, tested = sides(kind, ())
+    assert {take.partition("-")[0] for take in learned}.isdisjoint({take.partition("-")[0] for take in tested})
+    assert sides(f"{kind}_swapped", ()) == (tested, learned)
+    for name in (kind, f"{kind}_swapped"):
+        learned, tested = sides(name, ("judo-1",))
+        assert "judo-1" in tested - learned
 
 
 @pytest.mark.parametrize("name", SPLIT_NAMES)
@@ -227,7 +272,7 @@ def test_no_variant_is_in_two_sets_and_validation_is_never_of_a_tested_take(name
     if not split.shares_takes:
         assert not {take for take, _ in sets[1]} & {take for take, _ in sets[2]}
         is_of_its_own = not {take for take, _ in sets[0]} & {take for take, _ in sets[1]}
-        assert is_of_its_own == (num_takes >= 7)
+        assert is_of_its_own == (num_takes >= (8 if name.endswith("swapped") else 7))
 
 
 @pytest.mark.parametrize("name", ["cross_interaction", "cross_scale_interaction"])
@@ -241,8 +286,8 @@ def test_splits_across_interactions_share_no_take(name: str) -> None:
 
 def test_the_random_split_tests_a_fifth_and_leaves_held_out_takes_out() -> None:
     split = make_split("random", _keys(["a", "b"]), np.random.default_rng(0), test_takes=["b"])
-    assert len(split.test) == 2
-    assert (len(split.train), len(split.validation)) == (7, 1)
+    assert len(split.test) == 4
+    assert (len(split.train), len(split.validation)) == (14, 2)
     assert split.train_takes == ["a"]
     names = {key.variant_id for key in split.train} & {key.variant_id for key in split.test}
     assert not names
@@ -258,8 +303,11 @@ def test_the_order_of_variants_does_not_change_a_split() -> None:
 def test_what_cannot_be_done_is_said() -> None:
     with pytest.raises(InputError, match="split 'diagonal' is not known"):
         make_split("diagonal", _keys(["a"]), np.random.default_rng(0))
-    with pytest.raises(InputError, match="at least two takes"):
-        make_split("cross_interaction", _keys(["a"]), np.random.default_rng(0))
+    for takes in (["a"], ["waltz-1", "waltz-2"]):
+        with pytest.raises(InputError, match="at least two takes that are not of one interaction"):
+            make_split("cross_interaction", _keys(takes), np.random.default_rng(0))
+    with pytest.raises(InputError, match="no training variant among 48 variants of 2 takes"):
+        make_split("cross_interaction_swapped", _keys(["a", "b"]), np.random.default_rng(0), held_out=["a"])
     with pytest.raises(InputError, match="model 'oracle' is not known"):
         load_model("oracle", {})
     with pytest.raises(InputError, match="array 'mix' is missing"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from storage_schema import ArtifactRef, Manifest, Store, TableData
 from tasks.stage import StageInputs
 
 __all__ = [
+    "PLACE_COLUMNS",
     "Place",
     "PlacedPairs",
     "annotated_pairs",
@@ -23,14 +25,26 @@ __all__ = [
     "gather_tracks",
     "pair_of",
     "pairs_by_place",
+    "place_columns",
+    "place_of",
     "read_people",
     "views_of",
 ]
 
-Place = tuple[str, int]
-"""Sequence and frame of an annotation."""
+
+class Place(NamedTuple):
+    """Which annotated pair: a sequence may show several couples in one frame."""
+
+    sequence_id: str
+    frame: int
+    person_id: int
+    """The smaller id of both people, person A."""
+    partner_id: int
+
+
+PLACE_COLUMNS = Place._fields
 People = dict[int, np.ndarray]
-"""Joints of the pair of a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
+"""Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
 
 @dataclass(frozen=True)
@@ -59,29 +73,42 @@ def views_of(annotated: Sequence[Manifest], inputs: StageInputs) -> list[Manifes
     return [manifest for manifest in inputs.of("views") if seen.intersection(manifest.inputs)]
 
 
-def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
-    """Return the rows of the pair of every sequence and frame by person id, of the wanted rows (row,) of `annotations`.
+def place_of(table: TableData, row: int) -> Place:
+    """Return which pair a row of `views` or `lifted_pairs` is about."""
+    sequence, frame, person, partner = (table[name][row] for name in PLACE_COLUMNS)
+    return Place(str(sequence), int(frame), int(person), int(partner))
 
-    Only one row where a partner is not there, none where nobody has a partner, and of several pairs in one frame that
-    with the smallest id.
+
+def place_columns(places: Iterable[Place]) -> dict[str, list[Any]]:
+    """Return the columns that say which pairs rows are about."""
+    listed = list(places)
+    return {name: [place[at] for place in listed] for at, name in enumerate(PLACE_COLUMNS)}
+
+
+def pairs_by_place(table: TableData, is_wanted: np.ndarray) -> dict[Place, dict[int, int]]:
+    """Return the rows of every pair by person id, of the wanted rows (row,) of `annotations`.
+
+    Only one row where a partner is not there; a frame where nobody has a partner is there once, without rows.
     """
     sequences, frames, persons = table["sequence_id"], table["frame"], table["person_id"]
     partners, is_alone = table["partner_id"], table.is_null("partner_id")
-    rows: dict[Place, dict[int, int]] = {}
+    pairs: dict[Place, dict[int, int]] = {}
+    alone: dict[tuple[str, int], Place] = {}
     for row in np.flatnonzero(is_wanted).tolist():
-        rows.setdefault((str(sequences[row]), int(frames[row])), {})[int(persons[row])] = row
-    pairs = {}
-    for place, people in rows.items():
-        first = min((person for person, row in people.items() if not is_alone[row]), default=None)
-        both = () if first is None else (first, int(partners[people[first]]))
-        pairs[place] = {person: people[person] for person in both if person in people}
-    return pairs
+        sequence, frame, person = str(sequences[row]), int(frames[row]), int(persons[row])
+        if is_alone[row]:
+            alone.setdefault((sequence, frame), Place(sequence, frame, person, person))
+        else:
+            first, second = sorted((person, int(partners[row])))
+            pairs.setdefault(Place(sequence, frame, first, second), {})[person] = row
+    with_pair = {(place.sequence_id, place.frame) for place in pairs}
+    return pairs | {place: {} for frame, place in alone.items() if frame not in with_pair}
 
 
 def read_people(
     store: Store, refs: Iterable[ArtifactRef], *, is_between: bool = False, with_held_out: bool = False
 ) -> dict[Place, People]:
-    """Return the joints (17, 2), pixels, of the pair of every sequence and frame by person id.
+    """Return the joints (17, 2), pixels, of every pair in every frame by person id.
 
     Args:
         store: Store.
@@ -134,11 +161,11 @@ def gather(
     for ref in views:
         if "views" not in store.manifest(ref).tables:
             continue
-        names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "trust", "metres_per_pixel"]
-        table = store.read(ref, "views", columns=names)
-        sequence, frame, hypothesis, direction, weight, trust, scale = (table[name] for name in names)
+        names = ["hypothesis", "direction", "weight", "trust", "metres_per_pixel"]
+        table = store.read(ref, "views", columns=[*PLACE_COLUMNS, *names])
+        hypothesis, direction, weight, trust, scale = (table[name] for name in names)
         for row in np.flatnonzero(np.asarray(hypothesis) < num_hypotheses).tolist():
-            place = (str(sequence[row]), int(frame[row]))
+            place = place_of(table, row)
             people = keypoints.get(place, {})
             if len(people) < 2:
                 continue
@@ -164,12 +191,11 @@ def gather_tracks(placed: PlacedPairs) -> np.ndarray:
     seen = placed.frames
     around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
     tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
-    for place, (sequence, frame) in enumerate(placed.places):
-        people = sorted(seen[sequence, frame])
+    for number, place in enumerate(placed.places):
         for column, offset in enumerate(around):
-            there = seen.get((sequence, frame + offset), {})
-            for person, name in enumerate(people):
+            there = seen.get(place._replace(frame=place.frame + offset), {})
+            for person, name in enumerate((place.person_id, place.partner_id)):
                 if name in there:
-                    tracks[place, column, person] = there[name]
+                    tracks[number, column, person] = there[name]
     own = tracks[placed.gathered.pairs.annotation_index]
     return pair_in_metres(own, placed.gathered.metres_per_pixel[:, None])

@@ -11,13 +11,13 @@ import numpy as np
 from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import pairs_by_place
+from tasks.annotated_pairs import Place, pairs_by_place, place_columns
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
 
-VERSION = 2
+VERSION = 3
 
 MAX_WITHOUT_VIEW = 0.25
 """Share of the annotated pairs without a view above which there is a warning."""
@@ -62,13 +62,12 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         pairs.px,
         read_torso_basis(store, shard.all_inputs),
         confidence=pairs.confidence,
-        camera_index=np.unique(pairs.sequence_id.astype(str), return_inverse=True)[1],
+        camera_index=np.unique([place.sequence_id for place in pairs.places], return_inverse=True)[1],
         options=shard.options(ViewsParameters),
     )
     psi, phi = estimates.angles()
     columns = {
-        "sequence_id": pairs.sequence_id[estimates.annotation].tolist(),
-        "frame": pairs.frame[estimates.annotation],
+        **place_columns(pairs.places[number] for number in estimates.annotation.tolist()),
         "hypothesis": estimates.hypothesis,
         "depth_rule": [DEPTH_RULES[rule] for rule in estimates.depth_rule],
         "flip": estimates.flip,
@@ -83,7 +82,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     without = np.flatnonzero(~estimates.is_lifted)
     skipped = list(pairs.skipped)
     if len(without):
-        frames = Counter(pairs.sequence_id[without].tolist())
+        frames = Counter(pairs.places[number].sequence_id for number in without.tolist())
         skipped += _in_words(frames, "fewer than 4 torso joints of one of the two people were seen")
     facts = {
         "kind": "views",
@@ -93,14 +92,14 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "sequence_ids": annotations.facts.get("sequence_ids", []),
         "purpose": annotations.facts.get("purpose"),
         "is_held_out": bool(annotations.facts.get("is_held_out", False)),
-        "num_annotations": len(pairs.frame),
+        "num_annotations": len(pairs.places),
         "num_without_view": len(without),
         "num_hypotheses": len(estimates.weight),
         "size_ratio": estimates.size_ratio,
         "skipped": skipped,
     }
     verdict = _verdict(
-        len(pairs.frame),
+        len(pairs.places),
         len(without),
         estimates.trust[estimates.is_lifted],
         int(annotations.facts.get("num_persons", 2)),
@@ -126,10 +125,9 @@ def _verdict(num_pairs: int, num_without: int, trust: np.ndarray, num_persons: i
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Annotated partners by sequence and frame, the smaller id first as person A, and what is no pair, in words."""
+    """Annotated partners in the order of their places, the smaller id first as person A; what is no pair, in words."""
 
-    sequence_id: np.ndarray
-    frame: np.ndarray
+    places: tuple[Place, ...]
     px: np.ndarray
     confidence: np.ndarray
     skipped: tuple[str, ...]
@@ -142,15 +140,14 @@ def _read_pairs(store: Store, ref: ArtifactRef) -> _Pairs:
         columns=["sequence_id", "frame", "person_id", "partner_id", "is_key", "pair17_px", "pair17_confidence"],
     )
     people = pairs_by_place(table, np.asarray(table["is_key"]))
-    places = sorted(place for place, rows in people.items() if len(rows) == 2)
+    places = tuple(sorted(place for place, rows in people.items() if len(rows) == 2))
     skipped: list[str] = []
     for number in sorted({len(rows) for rows in people.values()} - {2}):
-        others = Counter(sequence for (sequence, _), rows in people.items() if len(rows) == number)
+        others = Counter(place.sequence_id for place, rows in people.items() if len(rows) == number)
         skipped += _in_words(others, "one of the pair is annotated" if number else "nobody has a partner")
     rows = np.array([[row for _, row in sorted(people[place].items())] for place in places], dtype=int).reshape(-1, 2)
     return _Pairs(
-        sequence_id=np.array([sequence for sequence, _ in places], dtype=object),
-        frame=np.array([frame for _, frame in places], dtype=np.int64),
+        places=places,
         px=np.asarray(table["pair17_px"], dtype=np.float64)[rows],
         confidence=np.asarray(table["pair17_confidence"], dtype=np.float64)[rows],
         skipped=tuple(skipped),

@@ -13,6 +13,7 @@ __all__ = [
     "IMAGE_SIZE",
     "LOG_TERMS",
     "MODEL_ID",
+    "PAIR_PLACE",
     "PERSON",
     "PERSON_ID",
     "SEED_INDEX",
@@ -32,6 +33,12 @@ PERSON = integer("person", "Person of the take, from 0; 0 is person A")
 SEQUENCE_ID = text("sequence_id", "Sequence: what one camera saw")
 PERSON_ID = integer("person_id", "Person in the sequence, the same in all frames; of virtual video that of the take")
 FRAME = integer("frame", "Frame of the take or sequence, from 0")
+PAIR_PLACE = (
+    SEQUENCE_ID,
+    FRAME,
+    PERSON_ID.with_meaning("Person A of the pair: the smaller id of both"),
+    integer("partner_id", "Person B of the pair: the greater id"),
+)
 TIME_S = float64("time_s", "Time from the start of the take or sequence", unit="s")
 IMAGE_SIZE = (
     integer("image_width_px", "Width of the image", unit="px"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from storage_schema.columns import Table, float64, integer, text
-from storage_schema.tables.common import FRAME, SEQUENCE_ID, positions
+from storage_schema.tables.common import PAIR_PLACE, positions
 
 __all__ = ["IN_BETWEENS", "LIFTED_PAIRS"]
 
@@ -16,10 +16,9 @@ _PAIR = positions(
 LIFTED_PAIRS = Table(
     name="lifted_pairs",
     meaning="One row per annotated pair and method: the 3D pair it was lifted to.",
-    sorted_by=("sequence_id", "frame", "method"),
+    sorted_by=("sequence_id", "frame", "person_id", "method"),
     columns=(
-        SEQUENCE_ID,
-        FRAME,
+        *PAIR_PLACE,
         text(
             "method",
             "nearest (the nearest draw), neighbours (mean of near draws), fitted (that, fitted to the joints seen), "
@@ -37,10 +36,9 @@ LIFTED_PAIRS = Table(
 IN_BETWEENS = Table(
     name="in_betweens",
     meaning="One row per frame between two lifted annotations of a sequence and method.",
-    sorted_by=("sequence_id", "frame", "method"),
+    sorted_by=("sequence_id", "frame", "person_id", "method"),
     columns=(
-        SEQUENCE_ID,
-        FRAME,
+        *PAIR_PLACE,
         text("method", "draws (led past draws) or straight (the baseline)"),
         integer("first_frame", "Lifted frame before"),
         integer("last_frame", "Lifted frame after"),

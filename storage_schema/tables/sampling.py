@@ -7,8 +7,8 @@ import pyarrow as pa
 from storage_schema.columns import Table, array, float64, integer, text
 from storage_schema.tables.common import (
     CHAIN_ID,
-    FRAME,
     LOG_TERMS,
+    PAIR_PLACE,
     SEED_INDEX,
     SEQUENCE_ID,
     TAKE_FRAME,
@@ -62,10 +62,9 @@ POSE_PRIOR = Table(
 VIEWS = Table(
     name="views",
     meaning="One row per annotated frame of a pair and view hypothesis.",
-    sorted_by=("sequence_id", "frame", "hypothesis"),
+    sorted_by=("sequence_id", "frame", "person_id", "hypothesis"),
     columns=(
-        SEQUENCE_ID,
-        FRAME,
+        *PAIR_PLACE,
         integer("hypothesis", "Hypothesis of this annotation, from 0"),
         text("depth_rule", "How the relative depth of the roots was chosen"),
         integer("flip", "Depth flips of the two torsos: bit 0 for person A, bit 1 for person B"),
@@ -98,6 +97,7 @@ SEEDS = Table(
         TAKE_FRAME,
         SEQUENCE_ID.with_meaning("Annotated sequence it was lifted from, else null", is_nullable=True),
         integer("sequence_frame", "Annotated frame of that sequence, else null", is_nullable=True),
+        integer("sequence_person_id", "Person A of the annotated pair, else null", is_nullable=True),
         integer(
             "parent_seed_index", "Seed that a grown seed was lifted from, the nearest one; else null", is_nullable=True
         ),

@@ -20,9 +20,10 @@ from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, place_of
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
-from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC"]
@@ -72,7 +73,7 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
     found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
-    examples: dict[str, dict[tuple[str, int], dict[str, np.ndarray]]] = {}
+    examples: dict[str, dict[Place, dict[str, np.ndarray]]] = {}
     for ref in shard.refs("lifted"):
         facts = store.manifest(ref).facts
         if facts["is_held_out"]:
@@ -80,13 +81,14 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
         for table_name, sink in (("lifted_pairs", found), ("in_betweens", between)):
             if table_name not in store.manifest(ref).tables:
                 continue
-            table = store.read(ref, table_name, columns=["sequence_id", "frame", "method", "pair17_m"])
+            table = store.read(ref, table_name, columns=[*PLACE_COLUMNS, "method", "pair17_m"])
             for row in range(table.num_rows):
-                place = (str(table["sequence_id"][row]), int(table["frame"][row]))
-                if place not in frames or place[0] not in cameras:
+                place = place_of(table, row)
+                found_pair = true_pair(place, frames, takes)
+                if found_pair is None or place.sequence_id not in cameras:
                     continue
-                take_id, frame = frames[place]
-                truth = takes[take_id][frame] @ cameras[place[0]].camera_from_world_rotmat.T
+                take_id, pair_m = found_pair
+                truth = pair_m @ cameras[place.sequence_id].camera_from_world_rotmat.T
                 split = _split(facts, take_id in held_out)
                 method, pair = str(table["method"][row]), np.asarray(table["pair17_m"][row], dtype=np.float64)
                 sink.setdefault(split, {}).setdefault(method, []).append((pair, truth))

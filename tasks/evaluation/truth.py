@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from pasdedeux.cameras import PinholeCamera
 from storage_schema import ArtifactRef, Store
+from tasks.annotated_pairs import Place
 from tasks.evaluation.topic import read_people
 
-__all__ = ["rate_of", "read_cameras", "read_take_frames", "read_takes"]
+__all__ = ["TakeFrames", "rate_of", "read_cameras", "read_take_frames", "read_takes", "true_pair"]
+
+TakeFrames = dict[tuple[str, int], tuple[str, int]]
+"""The take and its frame behind every sequence and frame of virtual video."""
 
 
 def rate_of(times_s: np.ndarray) -> float:
@@ -42,9 +46,19 @@ def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[s
     return {store.manifest(ref).facts["take_id"]: read_people(store, ref, column) for ref in refs}
 
 
-def read_take_frames(
-    store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False
-) -> dict[tuple[str, int], tuple[str, int]]:
+def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:
+    """Return the take behind an annotated pair of virtual video, and both people as captured (2, joint, 3), metres.
+
+    None where it is not known: no virtual video, or somebody who is not of the take.
+    """
+    found = frames.get((place.sequence_id, place.frame))
+    if found is None or not 0 <= place.person_id < place.partner_id < takes[found[0]].shape[1]:
+        return None
+    take_id, frame = found
+    return take_id, takes[take_id][frame][[place.person_id, place.partner_id]]
+
+
+def read_take_frames(store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False) -> TakeFrames:
     """Return the take and its frame behind every (sequence, frame) of virtual video, or behind the annotated ones only.
 
     Frames that are not annotated are there for velocity.

@@ -12,8 +12,9 @@ from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.evaluation.views import view_robustness, view_scores
 from storage_schema import Store, TableData
+from tasks.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes
+from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.torso_bases import read_torso_basis, shares_takes
 from tasks.views import ViewsParameters
@@ -46,24 +47,22 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     annotation_facts = [store.manifest(ref).facts for ref in annotated]
     held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
     scores: list[Score] = []
-    known: list[tuple[str, tuple[str, int]]] = []
+    known: list[tuple[str, np.ndarray]] = []
     for split in ("annotated", "held_out"):
         rows = [
-            (table, start, stop, truth)
+            (table, start, stop, truth[1])
             for table in views
             for start, stop in _annotations(table)
-            if (truth := frames.get((table["sequence_id"][start], int(table["frame"][start])))) is not None
+            if (truth := true_pair(place_of(table, start), frames, takes)) is not None
             and (truth[0] in held_out) == (split == "held_out")
         ]
         if rows:
             estimated, weight = _hypotheses(rows)
-            true = np.stack(
-                [true_direction(takes[take][frame], cameras[t["sequence_id"][a]]) for t, a, _, (take, frame) in rows]
-            )
+            true = np.stack([true_direction(pair, cameras[t["sequence_id"][start]]) for t, start, _, pair in rows])
             scores += view_scores(estimated, weight, true, split=split)
-            known += [(str(table["sequence_id"][start]), place) for table, start, _, place in rows]
+            known += [(str(table["sequence_id"][start]), pair) for table, start, _, pair in rows]
     if known:
-        scores += _robustness(shard, store, known, cameras, takes)
+        scores += _robustness(shard, store, known, cameras)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
     skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
@@ -78,14 +77,13 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 def _robustness(
     shard: Shard,
     store: Store,
-    known: Sequence[tuple[str, tuple[str, int]]],
+    known: Sequence[tuple[str, np.ndarray]],
     cameras: dict[str, PinholeCamera],
-    takes: dict[str, np.ndarray],
 ) -> list[Score]:
     """Estimate the views of some annotated pairs again, from exact images with noise and occlusion of our own."""
     generator = stream(shard.seed, TOPIC.name, "robustness")
     chosen = [known[at] for at in np.sort(generator.permutation(len(known))[:_NUM_PROBED])]
-    pairs = np.stack([takes[take][frame] for _, (take, frame) in chosen])
+    pairs = np.stack([pair for _, pair in chosen])
     images = np.stack([cameras[name].project(pair).px for (name, _), pair in zip(chosen, pairs, strict=True)])
     truth = np.stack([true_direction(pair, cameras[name]) for (name, _), pair in zip(chosen, pairs, strict=True)])
     camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
@@ -99,12 +97,12 @@ def _annotations(table: TableData) -> list[tuple[int, int]]:
     """Return the row range of each annotation's hypotheses."""
     if not table.num_rows:
         return []
-    is_new = (table["sequence_id"][1:] != table["sequence_id"][:-1]) | (table["frame"][1:] != table["frame"][:-1])
+    is_new = np.any([table[name][1:] != table[name][:-1] for name in PLACE_COLUMNS], axis=0)
     starts = np.concatenate([[0], np.nonzero(is_new)[0] + 1])
     return list(zip(starts.tolist(), [*starts[1:].tolist(), table.num_rows], strict=True))
 
 
-def _hypotheses(rows: Sequence[tuple[TableData, int, int, tuple[str, int]]]) -> tuple[np.ndarray, np.ndarray]:
+def _hypotheses(rows: Sequence[tuple[TableData, int, int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return directions (annotation, hypothesis, 3), NaN where there are fewer, and weights, 0 there."""
     most = max(stop - start for _, start, stop, _ in rows)
     directions, weights = np.full((len(rows), most, 3), np.nan), np.zeros((len(rows), most))

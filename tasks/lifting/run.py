@@ -21,7 +21,7 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import Place, pair_of, read_people
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, pair_of, place_of, read_people
 from tasks.draw_sets import DrawSet, read_all_draws
 from tasks.lifting.parameters import LiftingShard
 from tasks.priors import read_limits
@@ -40,8 +40,7 @@ Row = dict[str, Any]
 class _Annotated:
     """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first."""
 
-    sequence_id: str
-    frame: int
+    place: Place
     image_m: np.ndarray
     directions: np.ndarray
     hypotheses: np.ndarray
@@ -119,37 +118,36 @@ def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet
 
 
 def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, _Annotated], int]:
-    """Return the annotated pairs with enough joints and a view, by sequence and frame, and how many had not."""
+    """Return the annotated pairs with enough joints and a view, and how many had not."""
     people = read_people(store, shard.refs("annotations"), with_held_out=True)
-    names = ["sequence_id", "frame", "hypothesis", "direction", "weight", "metres_per_pixel"]
-    views = store.read(shard.ref("views"), "views", columns=names)
-    sequences, frames, hypothesis, direction, weight, scale = (np.asarray(views[name]) for name in names)
+    names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
+    views = store.read(shard.ref("views"), "views", columns=[*PLACE_COLUMNS, *names])
+    hypothesis, direction, weight, scale = (np.asarray(views[name]) for name in names)
     likeliest: dict[Place, list[int]] = {}
     for row in np.lexsort((hypothesis, -weight)).tolist():
-        likeliest.setdefault((str(sequences[row]), int(frames[row])), []).append(row)
+        likeliest.setdefault(place_of(views, row), []).append(row)
     found: dict[Place, _Annotated] = {}
     for place in sorted(people):
         rows = likeliest.get(place, [])[:num_hypotheses]
         if len(people[place]) < 2 or not rows:
             continue
         image = pair_in_metres(pair_of(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
-        one = _Annotated(*place, image, np.asarray(direction, dtype=np.float64)[rows], hypothesis[rows])
+        one = _Annotated(place, image, np.asarray(direction, dtype=np.float64)[rows], hypothesis[rows])
         if one.is_seen.sum() >= MIN_SEEN:
             found[place] = one
     return found, len(people) - len(found)
 
 
 def _spans(every: dict[Place, _Annotated], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
-    """Return pairs of places of one sequence that are `gap` frames apart, spread over all, not overlapping."""
-    starts = [place for place in every if (place[0], place[1] + gap) in every]
+    """Return two places each of one pair that are `gap` frames apart, spread over all, not overlapping."""
+    starts = [place for place in every if place._replace(frame=place.frame + gap) in every]
     chosen = [starts[at] for at in evenly_spread(len(starts), num_spans)]
-    return [((sequence, first), (sequence, first + gap)) for sequence, first in chosen]
+    return [(place, place._replace(frame=place.frame + gap)) for place in chosen]
 
 
 def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     return {
-        "sequence_id": one.sequence_id,
-        "frame": one.frame,
+        **one.place._asdict(),
         "method": method,
         "num_joints_seen": int(one.is_seen.sum()),
         "residual_m": image_residual(pair_m, one.image_m),
@@ -208,7 +206,7 @@ def _baselines(
         if "lifting_ik" in options.baselines:
             rows.append(_row(one, "lifting_ik", by_ik))
         if "naive_sampling" in options.baselines:
-            rng = stream(shard.seed, "lifting", one.sequence_id, one.frame)
+            rng = stream(shard.seed, "lifting", *one.place)
             sampled = sample_naively(rng, one.image_m, by_ik, limits, num_samples=options.num_naive)
             rows.append(_row(one, "naive_sampling", sampled.pairs_m[sampled.nearest]))
     return rows
@@ -216,7 +214,7 @@ def _baselines(
 
 def _fill(span: tuple[Place, Place], fitted: dict[Place, np.ndarray], draws: DrawSet) -> list[Row]:
     """Return the rows between two lifted pairs of a sequence."""
-    (sequence_id, first), (_, last) = span
+    first, last = (end.frame for end in span)
     ends = [fitted[end] - fitted[end].reshape(-1, 3).mean(axis=0) for end in span]
     count = last - first - 1
     if count < 1:
@@ -227,8 +225,7 @@ def _fill(span: tuple[Place, Place], fitted: dict[Place, np.ndarray], draws: Dra
     }
     return [
         {
-            "sequence_id": sequence_id,
-            "frame": first + 1 + at,
+            **span[0]._replace(frame=first + 1 + at)._asdict(),
             "method": method,
             "first_frame": first,
             "last_frame": last,
@@ -241,5 +238,6 @@ def _fill(span: tuple[Place, Place], fitted: dict[Place, np.ndarray], draws: Dra
 
 def _columns(rows: list[Row]) -> dict[str, list[Any]]:
     """Return rows as columns, in the order of the table."""
-    ordered = sorted(rows, key=lambda row: (row["sequence_id"], row["frame"], row["method"], row.get("first_frame", 0)))
+    order = (*PLACE_COLUMNS, "method")
+    ordered = sorted(rows, key=lambda row: (*(row[name] for name in order), row.get("first_frame", 0)))
     return {name: [row[name] for row in ordered] for name in ordered[0]}

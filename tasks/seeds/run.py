@@ -101,6 +101,7 @@ def _columns(
         "take_frame",
         "sequence_id",
         "sequence_frame",
+        "sequence_person_id",
         "parent_seed_index",
         "made_from",
         "image_distance_m",
@@ -125,8 +126,9 @@ def _places(placed: PlacedPairs, entries: np.ndarray) -> dict[str, list[Any]]:
     """Return the columns that say which annotations these entries are."""
     places = [placed.places[index] for index in placed.gathered.pairs.annotation_index[entries].tolist()]
     return {
-        "sequence_id": [sequence for sequence, _ in places],
-        "sequence_frame": [frame for _, frame in places],
+        "sequence_id": [place.sequence_id for place in places],
+        "sequence_frame": [place.frame for place in places],
+        "sequence_person_id": [place.person_id for place in places],
     }
 
 

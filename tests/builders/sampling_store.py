@@ -124,6 +124,8 @@ def put_annotations(
     views = {
         "sequence_id": sequence,
         "frame": np.zeros(NUM_FRAMES, dtype=int),
+        "person_id": np.zeros(NUM_FRAMES, dtype=int),
+        "partner_id": np.ones(NUM_FRAMES, dtype=int),
         "hypothesis": np.zeros(NUM_FRAMES, dtype=int),
         "depth_rule": ["zero"] * NUM_FRAMES,
         "flip": np.zeros(NUM_FRAMES, dtype=int),

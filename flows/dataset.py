@@ -18,6 +18,7 @@ from flows.execution import Outcome, Partition, Run, begin, execute, outcome_of_
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
+from flows.publishing import CHANGES_FILE, Published, publish, refuse_failed_gates
 from flows.study import load_study
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
@@ -37,7 +38,7 @@ telemetry_off()
 
 # Telemetry is off first, so these imports come late.
 from prefect import flow, task  # noqa: E402
-from prefect.artifacts import create_table_artifact  # noqa: E402
+from prefect.artifacts import create_link_artifact, create_markdown_artifact, create_table_artifact  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
@@ -116,13 +117,15 @@ def dataset(
             with in_use(run.store), _workers(run, cluster) as found:
                 record = begin(run, plan)
                 outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
-    _publish(chosen.name, outcome)
+        published = publish(run, outcome)
+    _show(chosen.name, outcome, published)
     refuse_nothing(outcome.missing)
+    refuse_failed_gates(published)
     return {stage.name: stage.num_computed for stage in outcome.stages}
 
 
-def _publish(study: str, outcome: Outcome) -> None:
-    """Put what a build did, and where its report is, on the page of its flow run."""
+def _show(study: str, outcome: Outcome, published: Published | None) -> None:
+    """Put what a build did, where its report is and what it published on the page of its flow run."""
     rows = [
         {
             "stage": stage.name,
@@ -136,6 +139,12 @@ def _publish(study: str, outcome: Outcome) -> None:
     where = "" if outcome.report is None else f"; report: {outcome.report / 'report.html'}"
     key = "".join(letter if letter.isalnum() else "-" for letter in f"pasdedeux-{study}".lower())
     create_table_artifact(rows, key=key, description=f"run {outcome.run_id}{where}")
+    if published is not None and published.dataset is not None:
+        link = (published.dataset.path / CHANGES_FILE).as_uri()
+        create_link_artifact(link, published.dataset.label, key=f"{key}-dataset", description=published.words)
+    elif published is not None:
+        words = "\n- ".join([published.words, *published.failures])
+        create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
 
 
 def _graph_flow(run: Run, plan: Plan, workers: Workers) -> Outcome:

@@ -10,8 +10,9 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, field_validator
 
+from flows.gates import PublishSettings
 from flows.renamed import renamed_key
-from flows.study_files import HEAD, StudyError, StudyTree, read_study_tree, unknown
+from flows.study_files import HEAD, PUBLISH, StudyError, StudyTree, read_study_tree, unknown
 from pasdedeux.settings import Settings
 from tasks.graph import Graph
 from tasks.stage import Parameters
@@ -52,7 +53,8 @@ class Study(BaseModel):
     """A study with everything resolved: defaults filled in, overrides applied, paths absolute.
 
     `asked` are the stages that its files name, by a section or in `stages`: of those something must come.  `shared` are
-    the sections that several stages share; what they say is in the parameters of each of those too.
+    the sections that several stages share; what they say is in the parameters of each of those too.  `publish` says
+    what a finished run is published as; None where it is not.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -61,6 +63,7 @@ class Study(BaseModel):
     parameters: Mapping[str, SerializeAsAny[Parameters]]
     shared: Mapping[str, SerializeAsAny[Settings]] = {}
     asked: frozenset[str] = frozenset()
+    publish: PublishSettings | None = None
 
     @property
     def name(self) -> str:
@@ -72,7 +75,8 @@ class Study(BaseModel):
         sections = {name: section.model_dump(mode="json") for name, section in self.shared.items()}
         for name in self.parameters:
             sections |= self.sections_of(name)
-        return {HEAD: self.head.model_dump(mode="json"), **sections}
+        published = {} if self.publish is None else {PUBLISH: self.publish.model_dump(mode="json")}
+        return {HEAD: self.head.model_dump(mode="json"), **sections, **published}
 
     def sections_of(self, stage: str) -> dict[str, dict[str, Any]]:
         """Return what the study says of a stage as JSON values, by section: its own and those that it shares."""
@@ -128,7 +132,7 @@ def study_from_tree(
     """
     sections = tuple(tree.values)
     problems = tree.override(settings, os.environ if environment is None else environment, here)
-    known = (HEAD, *graph.shared, *graph.names)
+    known = (HEAD, PUBLISH, *graph.shared, *graph.names)
     for name in tree.values:
         if name not in known:
             renamed = renamed_key([name])
@@ -153,9 +157,14 @@ def study_from_tree(
         problems.extend(
             unknown(f"{HEAD}.stages: '{name}'", graph.names, name) for name in head.stages if name not in graph.names
         )
+    publish = _validate(PublishSettings, tree.values[PUBLISH], PUBLISH, problems) if PUBLISH in tree.values else None
+    if not problems and head is not None:
+        wanted = graph if head.stages is None else graph.only(head.stages)
+        for number, gate in enumerate(publish.parsed if publish is not None else ()):
+            if problem := gate.problem(wanted):
+                problems.append(f"{PUBLISH}.gates.{number}: {gate.text}: {problem}")
     if problems or head is None:
         raise StudyError([f"study {tree.label}: {problem}" for problem in problems])
-    wanted = graph if head.stages is None else graph.only(head.stages)
     asked = frozenset(wanted.names).intersection([*sections, *(head.stages or ())])
     return (
         Study(
@@ -163,13 +172,14 @@ def study_from_tree(
             parameters={name: parameters[name] for name in wanted.names},
             shared={name: said for name in wanted.shared if (said := shared[name]) is not None},
             asked=asked,
+            publish=publish,
         ),
         wanted,
     )
 
 
 def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph: Graph) -> tuple[Study, Graph]:
-    """Make the study of a record again, of these stages: nothing of the environment enters it, no stage is asked for.
+    """Make the study of a record again, of these stages: the environment is not asked, no stage is, nothing published.
 
     Args:
         sections: What `Study.resolved` gave.
@@ -180,7 +190,8 @@ def study_from_record(sections: Mapping[str, Any], stages: Sequence[str], graph:
         StudyError: This version of the program does not know what it says; lists every problem.
     """
     head = {**sections[HEAD], "stages": list(stages)}
-    tree = StudyTree(f"{head['name']} (as it is on record)", {**sections, HEAD: head}, {(): Path.cwd()})
+    values = {name: section for name, section in {**sections, HEAD: head}.items() if name != PUBLISH}
+    tree = StudyTree(f"{head['name']} (as it is on record)", values, {(): Path.cwd()})
     study, wanted = study_from_tree(tree, graph, here=Path.cwd(), environment={})
     return study.model_copy(update={"asked": frozenset()}), wanted
 

@@ -12,11 +12,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-__all__ = ["HEAD", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "study_text", "unknown"]
+__all__ = ["HEAD", "PUBLISH", "StudyError", "StudyTree", "read_study_tree", "shipped_studies", "study_text", "unknown"]
 
 ENVIRONMENT_PREFIX = "PASDEDEUX_SET__"
 HEAD = "study"
 """Section of a study that says what it is called, what it extends, and which stages it has."""
+PUBLISH = "publish"
+"""Section of a study that says as what a finished run is published, and what has to hold for that."""
 
 _NOT_INHERITED = ("name", "title")
 
@@ -97,7 +99,7 @@ def read_study_tree(name_or_path: str, here: Path) -> StudyTree:
     """Read a study that ships (by name) or a file (by path), with all that it extends.
 
     Relative paths start from the file that says them, those of a study that ships from `here`.  The name and the title
-    of a study are its own.
+    of a study are its own, and so is what it publishes.
 
     Raises:
         StudyError: There is no such study, it is not TOML, or it extends what does not exist or itself.
@@ -138,6 +140,8 @@ def _merge_study(tree: StudyTree, said: str, here: Path, folder: Path, children:
         parent = head.pop("extends", None)
         for name in _NOT_INHERITED if children else ():
             head.pop(name, None)
+        if children:
+            values.pop(PUBLISH, None)
         if isinstance(parent, str):
             _merge_study(tree, parent, here, folder, (*children, label))
         elif parent is not None:

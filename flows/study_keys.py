@@ -14,8 +14,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
 
+from flows.gates import PublishSettings
 from flows.study import StudyHead, shared_keys
-from flows.study_files import HEAD
+from flows.study_files import HEAD, PUBLISH
 from tasks.graph import Graph
 
 __all__ = ["StudyKey", "study_keys"]
@@ -43,7 +44,7 @@ class StudyKey:
 
 def study_keys(graph: Graph, section: str | None = None) -> list[StudyKey]:
     """Return the keys of a section, of all when None, in the order of the models; none for an unknown section."""
-    models: dict[str, type[BaseModel]] = {HEAD: StudyHead, **graph.shared}
+    models: dict[str, type[BaseModel]] = {HEAD: StudyHead, PUBLISH: PublishSettings, **graph.shared}
     elsewhere: set[str] = set()
     for stage in graph.stages:
         models[stage.name] = stage.parameters

@@ -21,7 +21,7 @@ from flows.machine import cluster_settings
 from flows.planning import PlanError, Selection
 from flows.records import last_sections, read_last_run
 from flows.study import study_from_tree
-from flows.study_files import StudyTree
+from flows.study_files import PUBLISH, StudyTree
 from storage_schema import Store, latest_studies
 
 if TYPE_CHECKING:
@@ -76,6 +76,7 @@ def restart(
     path = out / f"draw-{chosen.key[:12]}-{chosen.row}.json"
     name = f"{origin}-restart-{chosen.key[:12]}-{chosen.row}"
     tree = _restarted(sections, chosen, name, path.resolve())
+    tree.pop(PUBLISH, None)
     if num_draws is not None:
         tree["chains"]["num_draws"] = num_draws
     if num_chains is not None:

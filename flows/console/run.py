@@ -24,6 +24,7 @@ from flows.console.display import counted, make_listener, outcome_lines, plan_li
 from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
+from flows.publishing import publish, refuse_failed_gates
 from flows.study import Study, load_study
 from storage_schema import Store, in_use
 from tasks.graph import Graph
@@ -93,9 +94,13 @@ def build_and_report(
     started = time.perf_counter()
     outcome, made = build(chosen, graph, opened, selection, cluster, is_quiet=as_json)
     seconds = time.perf_counter() - started
+    with in_use(opened):
+        published = publish(Run(chosen, graph, opened), outcome)
     if as_json:
-        print_json({**outcome.to_json(), "seconds": round(seconds, 3)})
+        said = {} if published is None else {"published": published.to_json()}
+        print_json({**outcome.to_json(), "seconds": round(seconds, 3), **said})
         refuse_nothing(outcome.missing)
+        refuse_failed_gates(published)
         return
     for line in (*outcome_lines(outcome), *(f"warning: {w}" for w in made.warnings)):
         typer.echo(line)
@@ -106,7 +111,10 @@ def build_and_report(
         typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
+    if published is not None and not published.failures:
+        typer.echo(published.words)
     refuse_nothing(outcome.missing)
+    refuse_failed_gates(published)
 
 
 def build(

@@ -14,7 +14,7 @@ from flows.console import fetch
 from flows.console.context import JsonOption, SettingOption, graph_of, print_json
 from flows.console.display import print_table
 from flows.study import StudyError, load_study
-from flows.study_files import HEAD, read_study_tree, shipped_studies, study_text
+from flows.study_files import HEAD, PUBLISH, read_study_tree, shipped_studies, study_text
 from flows.study_keys import study_keys
 from tasks.graph import Graph
 
@@ -98,7 +98,7 @@ def keys(
     found = study_keys(graph, section)
     if not found:
         raise StudyError(
-            [f"there is no section '{section}'; sections: {', '.join((HEAD, *graph.shared, *graph.names))}"]
+            [f"there is no section '{section}'; sections: {', '.join((HEAD, PUBLISH, *graph.shared, *graph.names))}"]
         )
     if as_json:
         print_json([asdict(key) for key in found])

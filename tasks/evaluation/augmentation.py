@@ -146,6 +146,7 @@ TOPIC = Topic(
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
     run=_run,
+    metrics=("*_mean", "*_worst", "*_contact_drift_*", "variants_*"),
     yardsticks=(
         Yardstick(
             "hand_contact_drift_p95", "drift of hands and feet in contact (95 %)", ("naive_fk",), ("interaction_mesh",)

@@ -113,6 +113,7 @@ TOPIC = Topic(
     reads=("chain_info", "draws"),
     plan=_plan,
     run=_run,
+    metrics=("acceptance_rate_mean", "ess_min", "log_density_*", "log_prior_*", "rhat_max", "travelled_mean"),
     cautions=(
         (
             "draws",

@@ -177,6 +177,7 @@ TOPIC = Topic(
     reads=("draws", "seeds", "poses", "annotations"),
     plan=_plan,
     run=_run,
+    metrics=("coverage_*", "as_good_as_real_frames_*", "draw_to_nearest_real_*", "num_draws"),
     settings=CoverageSettings,
     yardsticks=(Yardstick("coverage_D_C", "distance from a real pair to the nearest draw", (PRIOR_ONLY,)),),
     tables=lambda scores: exploration_table(scores.get("coverage", ()), scores.get("chains", ())),

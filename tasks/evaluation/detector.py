@@ -70,6 +70,7 @@ TOPIC = Topic(
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
+    metrics=("median_error", "identity_switches_per_minute", "extra_people", "wrong_pairs"),
     yardsticks=(
         Yardstick(
             "identity_switches_per_minute",

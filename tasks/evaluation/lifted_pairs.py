@@ -175,6 +175,7 @@ TOPIC = Topic(
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "cameras", "draws", "seeds"),
     plan=_plan,
     run=_run,
+    metrics=("*_error_mean", "*_error_median", "*_error_p90", "lifted_D_C_*"),
     settings=LiftedPairsSettings,
     yardsticks=(
         Yardstick("occluded_joint_error_mean", "error of completed joints", ("mean_pair", "nearest_draw"), ("fitted",)),

@@ -72,6 +72,7 @@ TOPIC = Topic(
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,
+    metrics=("E_*", "JPD", "PWD"),
     yardsticks=(
         Yardstick("E_r", "joint error E_r", ("ridge_scale", *BASELINES)),
         Yardstick("E_r", "joint error E_r", BASELINES),

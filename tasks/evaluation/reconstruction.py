@@ -184,6 +184,7 @@ TOPIC = Topic(
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
+    metrics=("error_*", "jitter", "pair_*_error"),
     yardsticks=(
         Yardstick(
             "error_root_kept",

@@ -69,6 +69,7 @@ class Topic:
         plan: Gives the shards for these inputs and settings (an instance of `settings`), made by `shard`; none where
             there is nothing to score, or the settings do not ask for it.  Reads manifests, never data.
         run: Scores one of these shards.
+        metrics: Metrics of its scores, which gates of a study may name; `*` stands for any letters.
         settings: Its keys in the study's section `evaluation`.
         yardsticks: What says whether its result is good; the first whose figures a shard has gives the verdict.
         has_means_first: The page shows means over many items before the items.
@@ -82,6 +83,7 @@ class Topic:
     reads: tuple[str, ...]
     plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
     run: Callable[[Shard, Store], TopicResult] = field(repr=False)
+    metrics: tuple[str, ...] = ()
     settings: type[Parameters] = Parameters
     yardsticks: tuple[Yardstick, ...] = ()
     has_means_first: bool = False

@@ -119,5 +119,6 @@ TOPIC = Topic(
     reads=("views", "annotations", "cameras", "poses", "torso_basis"),
     plan=_plan,
     run=_run,
+    metrics=("view_error_*",),
     yardsticks=(Yardstick("view_error_median", "median error of the view", ("mean_view",), ("heaviest_hypothesis",)),),
 )

@@ -12,6 +12,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from flows.execution import Outcome, Run, StageRunner, begin, execute
 from flows.planning import Plan, Selection, make_plan
 from flows.study import load_study
@@ -50,6 +52,13 @@ def run_toys(
     run = Run(chosen, stages, Store(store), selection or Selection())
     plan = make_plan(chosen, stages, run.store, selection)
     return execute(run, begin(run, plan), plan, runner or serial)
+
+
+def build_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the command line build in this process, without Prefect and Dask."""
+    monkeypatch.setattr(
+        "flows.console.run._build", lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, serial)
+    )
 
 
 def serial(run: Run, plan: Any) -> None:

@@ -226,7 +226,10 @@ def run_aside(shard: Shard, store: Store) -> ArtifactRef:
 
 TOYS = Graph(
     (
-        Stage("judge", 1, ("models",), ("scores",), JudgeParameters, plan_judge, run_judge, "adds it all up"),
+        Stage(
+            *("judge", 1, ("models",), ("scores",), JudgeParameters, plan_judge, run_judge, "adds it all up"),
+            metrics={"models": ("total",)},
+        ),
         Stage("grow", 1, (), ("training_log",), GrowParameters, plan_grow, run_grow, "makes values"),
         Stage("bend", 1, ("training_log",), ("models",), BendParameters, plan_bend, run_bend, "rounds them"),
         Stage(

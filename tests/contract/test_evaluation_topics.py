@@ -6,6 +6,7 @@ import base64
 import html
 import tomllib
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,8 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
         if "scores" in part.tables:
             table = store.read(part.ref, "scores")
             assert set(table["topic"]) == {topic.name}
+            stray = [name for name in set(table["metric"]) if not any(fnmatch(name, known) for known in topic.metrics)]
+            assert not stray, f"the topic does not name these metrics, so no gate can: {stray}"
             for value, unit, at in zip(table["value"], table["unit"], table["at"], strict=True):
                 assert not np.isnan(at) or f"<td>{format_value(value, unit)}</td>" in section
             shown += table.num_rows

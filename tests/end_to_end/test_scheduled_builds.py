@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from flows.records import describe_runs
-from storage_schema import Store
+from storage_schema import Store, list_datasets
 from tests.builders.toy_runs import ROOT, wait_until
 
 pytestmark = pytest.mark.slow
@@ -81,7 +81,7 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
     store = tmp_path / "store"
-    settings = ["--set", 'study.stages=["ingest"]']
+    settings = ["--set", 'study.stages=["ingest"]', "--set", 'publish.gates=["verdict.ingest <= warn"]']
     command = ["deploy", "duets", "--store", str(store), "--every", str(EVERY_S), "--workers", "0", *settings]
     for _ in range(2):  # the second time changes it in place
         found = subprocess.run(
@@ -119,6 +119,9 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert all(row["computed"] == row["shards"] > 0 for row in tables[-1]), "the first builds"
     assert all(row["computed"] == 0 for row in tables[0]), "the next finds it fresh"
     assert [one["status"] for one in describe_runs(Store(store))] == ["finished"]
+    links = {one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"}
+    (version,) = list_datasets(Store(store))
+    assert links == {f"[{version.label}]({(version.path / 'CHANGES.md').as_uri()})"}
 
 
 def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) -> None:

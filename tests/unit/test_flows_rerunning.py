@@ -17,7 +17,7 @@ from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
 from tasks.stage import Shard, StageInputs, commit
 from tests.builders import toys
-from tests.builders.toy_runs import run_toys, write_study
+from tests.builders.toy_runs import build_here, run_toys, write_study
 from tests.builders.toys import TOYS
 
 STUDY = """
@@ -64,11 +64,7 @@ def built(tmp_path: Path) -> Store:
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Build without Prefect and Dask."""
-    from flows.console import run as console
-    from flows.execution import begin, execute
-    from tests.builders.toy_runs import serial
-
-    monkeypatch.setattr(console, "_build", lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, serial))
+    build_here(monkeypatch)
 
 
 def rerun(name: str, built: Store, *more: str, graph: Graph = TOYS) -> int:

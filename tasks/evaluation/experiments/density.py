@@ -184,6 +184,7 @@ TOPIC = Topic(
     reads=("poses", "seeds", "annotations", "views", "joint_limits"),
     plan=_plan,
     run=_run,
+    metrics=("auc_*", "paired_accuracy_*", RANK_METRIC),
     settings=DensitySettings,
     yardsticks=(
         Yardstick(

@@ -78,6 +78,7 @@ TOPIC = Topic(
     reads=("poses",),
     plan=_plan,
     run=_run,
+    metrics=("identity_switches*", "dropped_rows", "share_of_*"),
     settings=PeopleSettings,
     yardsticks=(
         Yardstick(

@@ -243,6 +243,7 @@ def _clip(
 
 
 _READS = ("poses", "projections", "codebook")
+_METRICS = ("error_*", "jitter", "foot_slide", "recall_at_*", "two_views_differ")
 _YARDSTICKS = (Yardstick("error_root_kept", "mean joint error", (Method.NEAREST.value,), (Method.FIT.value,)),)
 
 PARALLEL_VIEWS = Topic(
@@ -255,6 +256,7 @@ PARALLEL_VIEWS = Topic(
     reads=_READS,
     plan=partial(_plan_setting, Setting.PARALLEL),
     run=_run,
+    metrics=_METRICS,
     settings=UnseenViewsSettings,
     yardsticks=_YARDSTICKS,
 )
@@ -268,6 +270,7 @@ PINHOLE_VIEWS = Topic(
     reads=_READS,
     plan=partial(_plan_setting, Setting.PINHOLE),
     run=_run,
+    metrics=_METRICS,
     settings=UnseenViewsSettings,
     yardsticks=_YARDSTICKS,
 )
@@ -280,6 +283,7 @@ LEFT_OUT_CLIPS = Topic(
     reads=_READS,
     plan=_plan_left_out,
     run=_run_left_out,
+    metrics=_METRICS,
     settings=UnseenViewsSettings,
     yardsticks=_YARDSTICKS,
     has_means_first=True,

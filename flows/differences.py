@@ -1,0 +1,133 @@
+"""What two runs or versions of datasets differ by: parameters, environment, files from outside, artifacts, scores."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from flows.gates import figures_of
+from flows.reasons import changed_leaves, shorten
+from flows.recorded import Recorded, environment_changes
+from storage_schema import Store
+
+__all__ = ["Changes", "ScoreChange", "changelog", "differences"]
+
+_WHICH = ("same", "other", "only_a", "only_b")
+
+
+@dataclass(frozen=True)
+class ScoreChange:
+    """A score before and after; None where it is not there, or no number."""
+
+    topic: str
+    metric: str
+    method: str
+    split: str
+    item: str
+    at: float | None
+    unit: str
+    a: float | None
+    b: float | None
+
+    @property
+    def name(self) -> str:
+        """Return what it is of, in words."""
+        words = (self.topic, self.metric, self.method, self.split, self.item)
+        return " ".join(word for word in words if word not in ("", "all")) + (
+            "" if self.at is None else f" at {self.at:g}"
+        )
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """Return both figures and the unit as texts."""
+        a, b = ("-" if value is None else f"{value:.5g}" for value in (self.a, self.b))
+        return a, b, self.unit
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Two runs or versions side by side.
+
+    Args:
+        pairs: Of parameters, environment and files what differs, as texts by name.
+        artifacts: For each stage and partition how many artifacts are the same, hold other bytes (`other`), or are
+            in one alone.
+        scores: Those that differ, the greatest change for its size first.
+        num_scores: How many there are in either.
+    """
+
+    pairs: Mapping[str, Mapping[str, tuple[str, str]]]
+    artifacts: Mapping[tuple[str, str], Mapping[str, int]]
+    scores: Sequence[ScoreChange]
+    num_scores: int
+
+    @property
+    def by_stage(self) -> dict[str, dict[str, int]]:
+        """Return the numbers of artifacts by stage."""
+        found: dict[str, dict[str, int]] = {}
+        for (stage, _), counts in self.artifacts.items():
+            mine = found.setdefault(stage, dict.fromkeys(_WHICH, 0))
+            for which in _WHICH:
+                mine[which] += counts[which]
+        return found
+
+
+def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
+    """Put two runs or versions side by side; raises what reading their scores raises."""
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    for place in {**one.artifacts, **other.artifacts}:
+        mine, theirs = one.artifacts.get(place), other.artifacts.get(place)
+        if mine is None or theirs is None:
+            which = "only_b" if mine is None else "only_a"
+        else:
+            which = "same" if mine.ref.content_digest == theirs.ref.content_digest else "other"
+        counts.setdefault(place[:2], Counter())[which] += 1
+    before, after = (figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
+    names = {**before, **after}
+    scores = [
+        ScoreChange(*name, names[name][1], a, b)
+        for name in names
+        for a, b in [(before.get(name, (None, ""))[0], after.get(name, (None, ""))[0])]
+        if a != b
+    ]
+    return Changes(
+        pairs={
+            "parameters": changed_leaves(one.sections, other.sections),
+            "environment": environment_changes(one.environment, other.environment),
+            "files": changed_leaves(one.sources, other.sources),
+        },
+        artifacts={place: {which: found[which] for which in _WHICH} for place, found in counts.items()},
+        scores=sorted(scores, key=lambda score: -_size(score)),
+        num_scores=len(names),
+    )
+
+
+def changelog(changes: Changes) -> str:
+    """Return as Markdown what is different in a newer version: what came, went and changed, scores before and after."""
+    lines: list[str] = []
+    for heading, found in changes.pairs.items():
+        rows = [(name, shorten(a), shorten(b)) for name, (a, b) in found.items()]
+        lines += _section(heading, ("", "before", "after"), rows)
+    rows_of = [
+        (stage, partition, *(str(counts[which] or "") for which in ("only_b", "only_a", "other", "same")))
+        for (stage, partition), counts in changes.artifacts.items()
+        if counts["same"] < sum(counts.values())
+    ]
+    lines += _section("artifacts", ("stage", "partition", "came", "went", "changed", "same"), rows_of)
+    scores = [(score.name, *score.cells) for score in changes.scores]
+    return "\n".join(lines + _section("scores", ("", "before", "after", "unit"), scores)) + "\n"
+
+
+def _section(heading: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    if not rows:
+        return [f"## {heading.capitalize()}", "", "As before.", ""]
+    table = [header, ["---"] * len(header), *rows]
+    cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in table]
+    return [f"## {heading.capitalize()}", "", *(f"| {' | '.join(row)} |" for row in cells), ""]
+
+
+def _size(score: ScoreChange) -> float:
+    a, b = score.a, score.b
+    return math.inf if a is None or b is None else abs(a - b) / max(abs(a), abs(b))

@@ -1,0 +1,129 @@
+"""Publishing: a finished run of a whole study becomes a version of a dataset, where its gates hold and it is new."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from flows.differences import changelog, differences
+from flows.execution import Outcome, Run
+from flows.gates import figures_of
+from flows.planning import PlanError
+from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
+from flows.records import ENVIRONMENT_FILE, STUDY_FILE
+from storage_schema import ArtifactRef, Dataset, StorageError, Store, canonical_json, create_dataset, list_datasets
+from storage_schema.errors import DatasetExists
+
+__all__ = ["CHANGES_FILE", "GateError", "Published", "publish", "refuse_failed_gates"]
+
+CHANGES_FILE = "CHANGES.md"
+"""File of a dataset that says what is different from the version before."""
+
+
+class GateError(Exception):
+    """A run is not published because a quality gate does not hold; says which, with the figure."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """What became of a run: a new version, one that was there with the same content, or none.
+
+    Args:
+        name: Name of the dataset.
+        words: What happened, in one line.
+        dataset: The version that holds what the run made; None where nothing is published.
+        failures: The gates that do not hold, with the figure.
+    """
+
+    name: str
+    words: str
+    dataset: Dataset | None = None
+    failures: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        label = None if self.dataset is None else self.dataset.label
+        return {"name": self.name, "dataset": label, "words": self.words, "failures": list(self.failures)}
+
+
+def publish(run: Run, outcome: Outcome) -> Published | None:
+    """Publish what a run made or found fresh, as its study says; None where the study does not ask for it.
+
+    The version names exactly the artifacts of this run, whatever other runs do meanwhile; it appears whole, with the
+    study, the environment, the card and what is different from the version before.  A run of a part of a study, one
+    whose gates fail and one that made nothing new are not published.
+
+    Raises:
+        MissingArtifact, CorruptArtifact: An artifact of the run is no longer whole in the store.
+        FullDisk: There is no room left.
+    """
+    settings, store = run.study.publish, run.store
+    if settings is None:
+        return None
+    name = settings.name or run.study.name
+    built = {stage.name for stage in outcome.stages}
+    if built != set(run.graph.names) or outcome.missing:
+        return Published(name, f"{name} is not published: this is not the whole of the study")
+    refs = [ref for stage in outcome.stages for ref in stage.artifacts]
+    manifests = [store.manifest(ref) for ref in refs]
+    gates, figures = settings.parsed, figures_of(store, manifests)
+    failures = tuple(failure for gate in gates if (failure := gate.failure(manifests, figures)))
+    if failures:
+        words = f"{name} is not published: {len(failures)} of {len(gates)} gates do not hold"
+        return Published(name, words, failures=failures)
+    while True:
+        before = _newest(store, name)
+        if before is not None and _content(before.refs) == _content(refs):
+            return Published(name, f"{before.label} stays: nothing has changed since", before)
+        version = str(int(before.version) + 1) if before is not None else "1"
+        files = _files(run, outcome, refs, f"{name}@{version}", before)
+        note = f"run {outcome.run_id}"
+        try:
+            made = create_dataset(store, name, refs, version=version, note=note, attachments=files)
+        except DatasetExists:  # another run was first: what it published is what to compare with
+            continue
+        return Published(name, f"{made.label} is published; what is new: {made.path / CHANGES_FILE}", made)
+
+
+def refuse_failed_gates(published: Published | None) -> None:
+    """Fail where a gate does not hold.
+
+    Raises:
+        GateError: Says which, with the figure.
+    """
+    if published is not None and published.failures:
+        raise GateError("\n       ".join([published.words, *published.failures]))
+
+
+def _newest(store: Store, name: str) -> Dataset | None:
+    return next((one for one in list_datasets(store)[::-1] if one.name == name and one.version.isdecimal()), None)
+
+
+def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:
+    return Counter((ref.stage, ref.content_digest) for ref in refs)
+
+
+def _files(
+    run: Run, outcome: Outcome, refs: Sequence[ArtifactRef], label: str, before: Dataset | None
+) -> dict[str, bytes]:
+    """Return what goes with the artifacts: the study, the environment, the card, what is different."""
+    environment = read_environment(run.store, outcome.run_id)
+    new = Recorded(label, run.study.resolved(), environment, artifacts_by_place(run.store, refs), frozenset())
+    lines = [f"# {label}", "", f"Run {outcome.run_id} of the study {run.study.name}, {len(refs)} artifacts.", ""]
+    if before is None:
+        lines.append("The first version.\n")
+    else:
+        try:
+            changes = changelog(differences(run.store, read_recorded(run.store, before.label), new))
+        except (PlanError, StorageError) as error:
+            changes = f"What was before cannot be read: {error}\n"
+        lines += [f"Beside {before.label}:", "", changes]
+    card = None if outcome.report is None else outcome.report / "card.md"
+    return {
+        STUDY_FILE: canonical_json(new.sections),
+        ENVIRONMENT_FILE: canonical_json(environment),
+        CHANGES_FILE: "\n".join(lines).encode(),
+        **({card.name: card.read_bytes()} if card is not None and card.is_file() else {}),
+    }

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.annotations import run_annotations
 from tasks.ingest.parameters import (
     AnnotationParameters,
     DuetParameters,
     IngestParameters,
+    LeftOutParameters,
     TakeParameters,
     VideoParameters,
 )
 from tasks.ingest.plan import VERSION, plan
 from tasks.ingest.takes import run_duet, run_take
 from tasks.ingest.virtual_video import run_virtual_video
-from tasks.stage import Shard, Stage
+from tasks.stage import Shard, Stage, commit
 
 __all__ = ["STAGE", "VERSION", "IngestParameters", "plan", "run_shard"]
 
@@ -30,6 +32,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             return run_virtual_video(shard, store, parameters)
         case AnnotationParameters() as parameters:
             return run_annotations(shard, store, parameters)
+        case LeftOutParameters(left_out=left_out):
+            words = f"{', '.join(left_out)} left out: {next(iter(left_out.values()))}"
+            facts = {"kind": "left_out", "takes": [], "skipped": list(left_out.values())}
+            return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, words))
         case other:
             raise AssertionError(f"ingest has no shards of {type(other).__name__}")
 

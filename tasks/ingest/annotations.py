@@ -20,7 +20,7 @@ from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
-from tasks.ingest.cameras import find_cameras, read_header, video_beside
+from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_beside
 from tasks.ingest.parameters import AnnotationOptions, AnnotationParameters
 from tasks.ingest.sources import load_file, read_again
 from tasks.stage import Shard, SourceFile, commit
@@ -94,8 +94,15 @@ class FoundAnnotations:
         return f"{told.id}: {', '.join(words)}"
 
 
-def find_annotations(options: AnnotationOptions, *, is_held_out: bool = False) -> list[FoundAnnotations]:
+def find_annotations(
+    options: AnnotationOptions, *, is_held_out: bool = False, left_out: dict[str, str] | None = None
+) -> list[FoundAnnotations]:
     """Find a source's files, a camera at a time, and read them once, so that bad input is refused before any work.
+
+    Args:
+        options: The source.
+        is_held_out: Whether it shows a take that is held out.
+        left_out: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
 
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
@@ -104,27 +111,18 @@ def find_annotations(options: AnnotationOptions, *, is_held_out: bool = False) -
     known: set[str] = set()
     try:
         decisions = [] if options.people_file is None else _read_people(options.people_file)
-        cameras = find_cameras(options.path, options.format)
-        for camera in cameras:
-            video = video_beside(options.path, camera)
-            header = UNKNOWN if video is None else read_header(video)
-            name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
-            parameters = AnnotationParameters(
-                **options.model_dump(exclude={"id", "path", "format", "people_file"}),
-                id=f"{options.id}.{name}" if name else options.id,
-                format=camera.format,
-                is_held_out=is_held_out,
-                frames=tuple(ANNOTATION_FORMATS[camera.format].frame_numbers([path.name for path in camera.paths])),
-                video_rate_hz=header.rate_hz,
-                video_size_px=header.image_size_px,
-                people=(),
-            )
-            files = tuple(load_file(path).file for path in camera.paths)
-            one = FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
-            sequences = set(one.read().sequence_id)
+        for camera in find_cameras(options.path, options.format, left_out=left_out):
+            try:
+                one = _find_camera(options, camera, is_held_out=is_held_out)
+                sequences = set(one.read().sequence_id)
+            except InputError as error:
+                if left_out is None:
+                    raise
+                left_out[camera.name] = str(error)
+                continue
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(one, parameters=parameters.model_copy(update={"people": rows})))
+            found.append(replace(one, parameters=one.parameters.model_copy(update={"people": rows})))
         for row in decisions:
             if row.sequence_id not in known:
                 raise InputError(
@@ -134,6 +132,24 @@ def find_annotations(options: AnnotationOptions, *, is_held_out: bool = False) -
     except InputError as error:
         raise type(error)(f"annotations {options.id}: {error}") from None
     return found
+
+
+def _find_camera(options: AnnotationOptions, camera: CameraFiles, *, is_held_out: bool) -> FoundAnnotations:
+    video = video_beside(options.path, camera)
+    header = UNKNOWN if video is None else read_header(video)
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
+    parameters = AnnotationParameters(
+        **options.model_dump(exclude={"id", "path", "format", "people_file", "is_watched"}),
+        id=f"{options.id}.{name}" if name else options.id,
+        format=camera.format,
+        is_held_out=is_held_out,
+        frames=tuple(ANNOTATION_FORMATS[camera.format].frame_numbers([path.name for path in camera.paths])),
+        video_rate_hz=header.rate_hz,
+        video_size_px=header.image_size_px,
+        people=(),
+    )
+    files = tuple(load_file(path).file for path in camera.paths)
+    return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
 
 
 def _read_people(path: Path) -> list[Decision]:

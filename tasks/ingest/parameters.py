@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from glob import escape
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -26,6 +27,7 @@ __all__ = [
     "DuetOptions",
     "DuetParameters",
     "IngestParameters",
+    "LeftOutParameters",
     "PairOptions",
     "PersonOptions",
     "PersonParameters",
@@ -149,7 +151,12 @@ class PairOptions(CommonOptions):
         description="File name with {subject} and {take}; auto takes {subject}_{take}.bvh, else {subject}_{take}.amc",
     )
     subjects: tuple[str, ...] = Field(min_length=1, max_length=26, description="Subjects: person A, then B, ...")
-    takes: tuple[str, ...] = Field(min_length=1, description="Takes, as they stand in the file names")
+    takes: tuple[str, ...] | None = Field(
+        default=None,
+        min_length=1,
+        description="Takes, as they stand in the file names; by default every take of the folder, also those that come "
+        "later, and one that cannot be read, or not yet, is left out with a warning",
+    )
     id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
 
     @field_validator("pattern", "id")
@@ -158,6 +165,26 @@ class PairOptions(CommonOptions):
         if text != "auto" and "{take}" not in text:
             raise ValueError("it must contain {take}")
         return text
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Names that a file may have."""
+        return ("{subject}_{take}.bvh", "{subject}_{take}.amc") if self.pattern == "auto" else (self.pattern,)
+
+    def take_names(self) -> tuple[str, ...]:
+        """Return the takes: those that are named, else all of which there is a file of a subject, sorted."""
+        if self.takes is not None:
+            return self.takes
+        found = set()
+        for name in (pattern.format(subject=who, take="*") for pattern in self.patterns for who in self.subjects):
+            before, after = name.split("*", 1)
+            paths = self.folder.glob(f"{escape(before)}*{escape(after)}")
+            found |= {path.relative_to(self.folder).as_posix()[len(before) : -len(after) or None] for path in paths}
+        return tuple(sorted(found))
+
+    def take_id(self, take: str) -> str:
+        """Return the name that a take has in the study."""
+        return self.id.format(subject=self.subjects[0], take=take)
 
 
 class DuetOptions(DuetStyle, Parameters):
@@ -302,6 +329,11 @@ class AnnotationOptions(_AnnotationCommon):
         "person, is): the attachment people.csv of an earlier run, changed",
     )
     path: Path = Field(description="File, folder of files of frames, or folder of several cameras' files or folders")
+    is_watched: bool = Field(
+        default=False,
+        description="More will come into the folder: each file or folder in it is a source `<id>.<its name>`, also the "
+        "only one, and one that cannot be read, or not yet, is left out with a warning",
+    )
 
 
 class IngestParameters(Parameters):
@@ -330,6 +362,17 @@ class IngestParameters(Parameters):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        # What lies in a folder is looked up when its path is known, while planning.
+        if all(family.takes is not None for family in self.pairs.values()):
+            self.check_names()
+        return self
+
+    def check_names(self) -> None:
+        """Refuse names of takes that are used twice, or are none.
+
+        Raises:
+            ValueError: Says which, and what is there.
+        """
         ids = self.take_ids()
         for kind, names in (
             ("take", ids),
@@ -351,7 +394,6 @@ class IngestParameters(Parameters):
         both = sorted(set(self.held_out) & set(self.prior or ()))
         if both:
             raise ValueError(f"take '{both[0]}' is held out and cannot be a prior take")
-        return self
 
     def resolved_duets(self) -> tuple[DuetOptions, ...]:
         """Return the duets: those named, or the default ones when nothing else comes in."""
@@ -374,9 +416,9 @@ class IngestParameters(Parameters):
             *((duet.take_id, duet.style_model.num_people) for duet in self.resolved_duets()),
             *((take.id, len(take.files)) for take in self.takes),
             *(
-                (family.id.format(subject=family.subjects[0], take=take), len(family.subjects))
+                (family.take_id(take), len(family.subjects))
                 for family in self.pairs.values()
-                for take in family.takes
+                for take in family.take_names()
             ),
         ]
 
@@ -400,6 +442,12 @@ class DuetParameters(_OfTake):
     """The shard of a take that is a built-in duet."""
 
     duet: DuetOptions
+
+
+class LeftOutParameters(Parameters):
+    """What of a folder cannot be read, or not yet: why, by the name of the take or of the file."""
+
+    left_out: dict[str, str]
 
 
 class PersonParameters(Parameters):

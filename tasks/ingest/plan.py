@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from pasdedeux.choreography import DUETS, style_of
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.known_contacts import check_contacts, read_contacts
@@ -16,6 +18,7 @@ from tasks.ingest.parameters import (
     DuetOptions,
     DuetParameters,
     IngestParameters,
+    LeftOutParameters,
     PairOptions,
     PersonOptions,
     PersonParameters,
@@ -41,18 +44,31 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         InputError: A file is missing or mangled, the files of a pair do not fit, or something must be said in the
             study and is not; names the take and the file.
     """
+    try:
+        parameters.check_names()
+    except ValueError as error:
+        raise InputError(f"ingest: {error}") from None
     takes = [
         *(_duet_shard(inputs.seed, parameters, duet) for duet in parameters.resolved_duets()),
-        *(_take_shard(inputs.seed, parameters, take) for take in _all_takes(parameters)),
+        *(_take_shard(inputs.seed, parameters, take) for take in parameters.takes),
     ]
-    _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
     shards: list[Shard] = []
+    for name, family in parameters.pairs.items():
+        found, left_out = _family_shards(inputs.seed, parameters, name, family)
+        takes += found
+        if left_out:
+            shards.append(_shard(inputs.seed, name, "left out", LeftOutParameters(left_out=left_out)))
+    _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
     for take in takes:
         shards.append(take)
         shards.extend(_virtual_video_shards(parameters, take))
     for options in parameters.annotations:
-        for found in find_annotations(options, is_held_out=options.take_id in parameters.held_out):
-            shards.append(_shard(inputs.seed, found.parameters.id, "annotations", found.parameters, found.files))
+        waiting: dict[str, str] | None = {} if options.is_watched else None
+        is_held_out = options.take_id in parameters.held_out
+        for one in find_annotations(options, is_held_out=is_held_out, left_out=waiting):
+            shards.append(_shard(inputs.seed, one.parameters.id, "annotations", one.parameters, one.files))
+        if waiting:
+            shards.append(_shard(inputs.seed, options.id, "left out", LeftOutParameters(left_out=waiting)))
     return shards
 
 
@@ -111,19 +127,35 @@ def _seconds(take: TakeParameters, person: PersonParameters) -> tuple[float, flo
     return start, start + take.num_frames / person.rate_hz
 
 
-def _all_takes(parameters: IngestParameters) -> Iterator[TakeOptions]:
-    """Return the takes named one by one, then those of each family, spelled out."""
-    yield from parameters.takes
-    for family in parameters.pairs.values():
-        for take in family.takes:
+def _family_shards(
+    seed: int, parameters: IngestParameters, name: str, family: PairOptions
+) -> tuple[list[Shard], dict[str, str]]:
+    """Return a shard for each take of a family; of one whose takes are not named also what is left out, and why.
+
+    Raises:
+        InputError: A take that is named cannot be used, or there is none.
+    """
+    shards, left_out = [], {}
+    takes = family.take_names()
+    if not takes:
+        raise InputError(f"ingest.pairs.{name}: no file {' or '.join(family.patterns)} is in {family.folder}")
+    common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id"})
+    for take in takes:
+        take_id = family.take_id(take)
+        try:
             files = tuple(_family_file(family, subject, take) for subject in family.subjects)
-            common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id"})
-            yield TakeOptions(id=family.id.format(subject=family.subjects[0], take=take), files=files, **common)
+            shards.append(_take_shard(seed, parameters, TakeOptions(id=take_id, files=files, **common)))
+        except (InputError, ValidationError) as error:
+            if family.takes is not None:
+                raise
+            left_out[take_id] = (
+                str(error) if isinstance(error, InputError) else f"'{take_id}' cannot be the name of a take"
+            )
+    return shards, left_out
 
 
 def _family_file(family: PairOptions, subject: str, take: str) -> Path:
-    patterns = ["{subject}_{take}.bvh", "{subject}_{take}.amc"] if family.pattern == "auto" else [family.pattern]
-    paths = [family.folder / pattern.format(subject=subject, take=take) for pattern in patterns]
+    paths = [family.folder / pattern.format(subject=subject, take=take) for pattern in family.patterns]
     found = [path for path in paths if path.is_file()]
     if not found:
         names = " or ".join(path.name for path in paths)

@@ -1,0 +1,103 @@
+"""A watched folder: what is dropped into it extends the dataset, only that is computed, what is not whole waits."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flows.execution import Outcome
+from pasdedeux.errors import InputError
+from storage_schema import Store, open_table, read_latest
+from tasks.stage import verdict_of
+from tests.builders.ingest_runs import planned, write_figure_pair
+from tests.builders.real_study import graph
+from tests.builders.source_samples import csv_text
+from tests.builders.toy_runs import run_toys, write_study
+
+STUDY = """
+[study]
+name = "nightly"
+stages = ["ingest", "augmentation"]
+
+[ingest]
+rate_hz = 15.0
+virtual_video = { num_videos = 0, num_random_views = 0 }
+annotations = [{ id = "films", path = "films", is_watched = true }]
+
+[ingest.pairs.inbox]
+folder = "inbox"
+pattern = "{take}/{subject}.bvh"
+subjects = ["A", "B"]
+id = "{take}"
+
+[augmentation]
+scales = [0.9]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    (tmp_path / "films").mkdir()
+    return write_study(tmp_path, STUDY)
+
+
+def drop_take(study: Path, name: str, subjects: str = "AB") -> None:
+    folder = study.parent / "inbox" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    for source, subject in zip(write_figure_pair(study.parent), "AB", strict=True):
+        if subject in subjects:
+            shutil.move(source, folder / f"{subject}.bvh")
+
+
+def drop_film(study: Path, name: str, text: str | None = None) -> None:
+    (study.parent / "films" / f"{name}.csv").write_text(csv_text() if text is None else text)
+
+
+def build(study: Path) -> Outcome:
+    return run_toys(study, study.parent / "store", graph=graph())
+
+
+def computed(outcome: Outcome) -> dict[str, tuple[int, int]]:
+    """Return for each stage how many shards there are, and how many of them were computed."""
+    return {stage.name: (stage.num_shards, stage.num_computed) for stage in outcome.stages}
+
+
+def test_what_is_dropped_into_a_folder_is_all_that_is_computed(study: Path) -> None:
+    drop_take(study, "waltz")
+    drop_film(study, "monday")
+    assert computed(build(study)) == {"ingest": (2, 2), "augmentation": (1, 1)}
+    drop_take(study, "tango")
+    drop_take(study, "late", "A")
+    drop_film(study, "tuesday")
+    drop_film(study, "half", "sequence_id,frame")
+    outcome = build(study)
+    assert computed(outcome) == {"ingest": (6, 4), "augmentation": (2, 1)}
+    store = Store(study.parent / "store")
+    assert set(open_table("variants:nightly", store, columns=["take_id"])["take_id"]) == {"waltz", "tango"}
+    latest = read_latest(store, "nightly")
+    assert latest is not None
+    assert {"films.monday", "films.tuesday"} <= {shard.partition for shard in latest.stages["ingest"]}
+    left_out = {
+        manifest.partition: verdict.reason
+        for ref in latest.refs("ingest")
+        if (manifest := store.manifest(ref)).name == "left out" and (verdict := verdict_of(manifest)) is not None
+    }
+    assert "late left out: file B.bvh does not exist" in left_out["inbox"].replace("late/", "")
+    assert "half left out: " in left_out["films"]
+
+    drop_take(study, "late", "B")
+    (study.parent / "films" / "half.csv").unlink()
+    assert computed(build(study)) == {"ingest": (5, 1), "augmentation": (3, 1)}
+    assert build(study).num_computed == 0
+
+
+def test_a_folder_in_which_nothing_fits_and_a_take_that_is_not_there_are_refused(tmp_path: Path) -> None:
+    write_figure_pair(tmp_path)
+    family = {"folder": tmp_path, "subjects": ["60", "61"]}
+    assert [shard.partition for shard in planned(pairs={"all": family})][:1] == ["60_01"]
+    with pytest.raises(InputError, match=r"ingest.pairs.all: no file \{take\}.bvh is in "):
+        planned(pairs={"all": {**family, "folder": tmp_path / "inbox", "pattern": "{take}.bvh"}})
+    with pytest.raises(InputError, match="'60_02' is not a take of this study; did you mean '60_01'"):
+        planned(pairs={"all": family}, held_out=["60_02"])

@@ -43,17 +43,23 @@ class Place(NamedTuple):
 
 
 PLACE_COLUMNS = Place._fields
+_BLOCK_FRAMES = 30
+"""Frames of a video that are left out together: their neighbours show nearly the same pose."""
 People = dict[int, np.ndarray]
 """Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
 
 @dataclass(frozen=True)
 class PlacedPairs:
-    """Annotated pairs, the place of each by `annotation_index`, and the pair in every frame that was read."""
+    """Annotated pairs, the place of each by `annotation_index`, and the pair in every frame that was read.
+
+    `stills` are the sequences whose frames do not follow each other in time, whatever their numbers say.
+    """
 
     gathered: GatheredPairs
     places: tuple[Place, ...]
     frames: Mapping[Place, People]
+    stills: frozenset[str] = frozenset()
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
@@ -180,20 +186,32 @@ def gather(
         np.array(pairs), np.array(scales), np.array(directions), np.array(weights), np.array(which, dtype=np.int64)
     )
     num_skipped = gathered.num_skipped + sum(1 for place in keypoints if place not in index)
-    return PlacedPairs(gathered=replace(gathered, num_skipped=num_skipped), places=tuple(index), frames=frames)
+    stills = frozenset(name for ref in annotations for name in store.manifest(ref).facts.get("why_no_video", {}))
+    moments = (
+        (one.sequence_id, one.frame if one.sequence_id in stills else one.frame // _BLOCK_FRAMES) for one in index
+    )
+    blocks: dict[tuple[str, int], int] = {}
+    block = [blocks.setdefault(moment, len(blocks)) for moment in moments]
+    return PlacedPairs(
+        gathered=replace(gathered, num_skipped=num_skipped, block=np.array(block, dtype=np.int64)),
+        places=tuple(index),
+        frames=frames,
+        stills=stills,
+    )
 
 
 def gather_tracks(placed: PlacedPairs) -> np.ndarray:
     """Return the frames round every entry in metres, (entry, frame, 2, 17, 2), as `annotation_speeds` takes them.
 
-    Frames without either of the two people are NaN.
+    Frames without either of the two people are NaN, and so are those beside an annotation that is a still.
     """
     seen = placed.frames
     around = range(-NEIGHBOUR_FRAMES, NEIGHBOUR_FRAMES + 1)
     tracks = np.full((len(placed.places), len(around), 2, PAIR17.num_joints, 2), np.nan)
     for number, place in enumerate(placed.places):
         for column, offset in enumerate(around):
-            there = seen.get(place._replace(frame=place.frame + offset), {})
+            is_still = bool(offset) and place.sequence_id in placed.stills
+            there = {} if is_still else seen.get(place._replace(frame=place.frame + offset), {})
             for person, name in enumerate((place.person_id, place.partner_id)):
                 if name in there:
                     tracks[number, column, person] = there[name]

@@ -21,8 +21,9 @@ from pasdedeux.experiments.measured_kernels import best_cartesian, best_shape, f
 from pasdedeux.interaction import align_plane, interaction_dissimilarity, plane_residual, plane_shape_dissimilarity
 from pasdedeux.interaction.shape_context import NUM_SECTORS, NUM_SHELLS
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
-from pasdedeux.sampling.density import ImageKind, ImageSettings
-from pasdedeux.sampling.likelihood import Match, log_mean
+from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
+from pasdedeux.sampling.density import ImageKind, ImageSettings, Match
+from pasdedeux.sampling.likelihood import log_mean
 from pasdedeux.spread import evenly_spread
 
 __all__ = [
@@ -102,7 +103,7 @@ class MeasuredLikelihood:
         bank: ViewBank,
         measure: ImageMeasure,
         *,
-        sigma_l: float = 0.01,
+        sigma_l: float = PUBLISHED_SIGMA_L,
         num_ranked: int = 64,
         is_exact: bool = False,
     ) -> None:
@@ -115,7 +116,8 @@ class MeasuredLikelihood:
         self._margin = float(np.log(len(bank.directions) * 1e14)) / self._exponent
         self._num_ranked = num_ranked
         self._is_exact = is_exact
-        self._pairs, self._bank, self._sigma_l = pairs, bank, sigma_l
+        self._pairs, self._bank, self.sigma_l = pairs, bank, sigma_l
+        self.directions = bank.directions
         used = np.unique(bank.candidates[bank.candidates >= 0])
         points = pairs.points_m[used].reshape(len(used), -1, 2)
         self._used = used
@@ -162,7 +164,7 @@ class MeasuredLikelihood:
             own = self._bank.candidates[view, : self._bank.counts[view]]
             fixed = self._pairs.points_m[own].reshape(len(own), -1, 2)
             best[view] = image_dissimilarity(image, fixed, self.measure).min(initial=np.inf)
-        return log_mean(best * self.scale, self._sigma_l)
+        return log_mean(best * self.scale, self.sigma_l)
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
@@ -193,9 +195,11 @@ class CartesianKind(ImageKind[ImageSettings]):
     needs_all_joints = True
     settings = ImageSettings
 
-    def compare(self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:
-        """Return the likelihood over a bank of views."""
-        return MeasuredLikelihood(pairs, bank, ImageMeasure.CARTESIAN, sigma_l=settings.sigma_l)
+    def compare(
+        self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
+    ) -> MeasuredLikelihood:
+        """Return the likelihood of a bandwidth over a bank of views."""
+        return MeasuredLikelihood(pairs, bank, ImageMeasure.CARTESIAN, sigma_l=sigma_l)
 
 
 class ShapeContextSettings(ImageSettings):
@@ -214,8 +218,10 @@ class ShapeContextKind(ImageKind[ShapeContextSettings]):
     needs_all_joints = True
     settings = ShapeContextSettings
 
-    def compare(self, settings: ShapeContextSettings, pairs: AnnotatedPairs, bank: ViewBank) -> MeasuredLikelihood:
-        """Return the likelihood over a bank of views."""
+    def compare(
+        self, settings: ShapeContextSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
+    ) -> MeasuredLikelihood:
+        """Return the likelihood of a bandwidth over a bank of views."""
         return MeasuredLikelihood(
-            pairs, bank, ImageMeasure.SHAPE_CONTEXT, sigma_l=settings.sigma_l, num_ranked=settings.num_ranked
+            pairs, bank, ImageMeasure.SHAPE_CONTEXT, sigma_l=sigma_l, num_ranked=settings.num_ranked
         )

@@ -1,4 +1,4 @@
-"""The density that chains sample: prior times likelihood, truncated round the seed (Yin et al. 2018, eqs. 1 and 11)."""
+"""The density that chains sample: prior times likelihood (Yin et al. 2018, eq. 1), as it is or truncated (eq. 11)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, ClassVar, Final, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
 __all__ = [
+    "LEFT_OUT",
     "PRIOR_ONLY",
     "DensityInputs",
     "DensityKind",
@@ -29,6 +30,7 @@ __all__ = [
     "ImageLikelihood",
     "ImageSettings",
     "Likelihood",
+    "Match",
     "PairDensity",
     "PriorOnlyKind",
     "Reads",
@@ -37,6 +39,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
+LEFT_OUT: Final = "left_out"
+"""The bandwidth that annotations left out in turn ask for (`pasdedeux.sampling.bandwidth`)."""
 PRIOR_ONLY = "prior_only"
 """The density that knows no annotation: what others are compared with."""
 
@@ -53,9 +57,33 @@ class Likelihood(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Match:
+    """How well a pair agrees with the annotations.
+
+    Args:
+        log_likelihood: Log of eq. 6, -inf when it was found to lie below the floor asked for.
+        dissimilarity_m: Least d_I of each view, (m,), metres; inf where it cannot matter to the result.
+        entry: Entry that reached it, (m,); -1 where none did.
+    """
+
+    log_likelihood: float
+    dissimilarity_m: Array
+    entry: npt.NDArray[np.int64]
+
+
 @runtime_checkable
 class ImageLikelihood(Likelihood, Protocol):
     """A likelihood that compares projections of the pair with annotations."""
+
+    sigma_l: float
+    """Its bandwidth (eq. 9)."""
+    directions: Array
+    """Its views in the pair's local frame, (view, 3)."""
+
+    def match(self, pair_m: Array, *, at_least: float = -np.inf) -> Match:
+        """Return the log likelihood of a pair (2, 17, 3), metres, with what is nearest to it under the views."""
+        ...
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest to the pair (2, 17, 3) under every view, (view,); -1 for a view without any."""
@@ -65,8 +93,10 @@ class ImageLikelihood(Likelihood, Protocol):
 class TargetSettings(PriorSettings):
     """What every density is made with: the physical prior, and how far round the seed it reaches."""
 
-    truncation: float = Field(
-        default=100.0, gt=1, description="c of eq. 11: the density is cut below f0 / c and above c f0"
+    truncation: Annotated[float, Field(gt=1)] | Literal["none"] = Field(
+        default="none",
+        description="c of eq. 11: the density is cut below f0 / c and above c f0, f0 the seed's (published: 100); "
+        "none: it is sampled as it is",
     )
     max_apart_m: float = Field(
         default=2.0,
@@ -99,11 +129,13 @@ class Evaluation:
 
 
 class PairDensity:
-    """The truncated density round one seed.
+    """The density round one seed.
 
     With f0 the seed's density and c the truncation, the target is 0 below f0 / c, f between, and c f0 above (eq. 11).
-    It is a density over poses, flat in the directions of bones where nothing is known; `PairChart.log_measure` makes
-    it one over the parameters.  The target does not change when the pair moves rigidly.
+    A window round one pose cuts off what a density of so many dimensions has its mass in: log f of its draws varies by
+    tens, and a seed may lie anywhere in that.  It is a density over poses, flat in the directions of bones where
+    nothing is known; `PairChart.log_measure` makes it one over the parameters.  The target does not change when the
+    pair moves rigidly.
 
     Args:
         chart: Parameters round the seed.
@@ -261,7 +293,8 @@ class DensityKind(ABC, Generic[S]):
             InputError: The seed has density 0, with the term that made it so.
         """
         prior = PhysicalPrior(chart, limits, self.prior(settings))
-        return PairDensity(chart, prior, likelihood, truncation=settings.truncation, max_apart_m=settings.max_apart_m)
+        truncation = math.inf if isinstance(settings.truncation, str) else settings.truncation
+        return PairDensity(chart, prior, likelihood, truncation=truncation, max_apart_m=settings.max_apart_m)
 
 
 class PriorOnlyKind(DensityKind[Settings]):
@@ -282,8 +315,10 @@ class ImageSettings(Settings):
     num_views: int = Field(default=20, ge=1, le=1000, description="Views of the fixed bank of each seed (m of eq. 6)")
     num_candidates: int = Field(default=500, ge=1, description="Annotations compared with each view, nearest by view")
     num_hypotheses: int = Field(default=4, ge=1, description="Likeliest view hypotheses of an annotation that are used")
-    sigma_l: float = Field(
-        default=0.01, gt=0, description="Bandwidth of the likelihood; 2 sigma_l^2 is in metres (eq. 9)"
+    sigma_l: Annotated[float, Field(gt=0)] | Literal["left_out"] = Field(
+        default=LEFT_OUT,
+        description="Bandwidth of the likelihood, 2 sigma_l^2 in metres (eq. 9; published: 0.01); left_out: where "
+        "annotations that are left out in turn are likeliest",
     )
     sigma_v_rad: float = Field(default=0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
 
@@ -319,8 +354,9 @@ class ImageKind(DensityKind[I]):
             view_bandwidth_rad=settings.sigma_v_rad,
             is_wanted=is_whole if self.needs_all_joints else None,
         )
-        return self.compare(settings, inputs.annotated.pairs, bank)
+        sigma_l = inputs.annotated.left_out.sigma_l if isinstance(settings.sigma_l, str) else settings.sigma_l
+        return self.compare(settings, inputs.annotated.pairs, bank, sigma_l)
 
     @abstractmethod
-    def compare(self, settings: I, pairs: AnnotatedPairs, bank: ViewBank) -> ImageLikelihood:
-        """Return the likelihood over a bank of views."""
+    def compare(self, settings: I, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float) -> ImageLikelihood:
+        """Return the likelihood of a bandwidth over a bank of views."""

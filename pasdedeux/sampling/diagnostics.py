@@ -46,8 +46,10 @@ MAX_RHAT = 1.1
 """R-hat above which chains do not mix (Gelman et al. 2013, section 11.5)."""
 MIN_ESS = 100.0
 """Effective sample size of a chain below which it does not mix (Vehtari et al. 2021); of few draws half will do."""
-MAX_AT_CEILING = 0.5
+MAX_AT_CEILING = 0.1
 """Share of draws in the flat top of the truncated density above which a chain counts as having left its range."""
+MIN_TRAVELLED_M = 0.01
+"""Distance between the first and the last draw below which a chain stays where it starts, metres."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ class ChainReport:
         ess_min: Least effective sample size over the invariants of this chain; NaN when one never moved.
         rhat_max: Greatest R-hat over the invariants and the chains of this seed; NaN when one never moved.
         log_density_mean: Mean log of the target.
-        travelled_m: D_C between the seed and the last draw, metres.
-        verdict: What is thought of the chain: stuck, not mixing, or beyond the range of its seed's density.
+        ceiling_share: Share of the draws in the flat top of a truncated density.
+        travelled_m: D_C between the first draw and the last, metres.
+        verdict: What is thought of the chain: stuck, not mixed, or mixed.
     """
 
     num_draws: int
@@ -69,6 +72,7 @@ class ChainReport:
     ess_min: float
     rhat_max: float
     log_density_mean: float
+    ceiling_share: float
     travelled_m: float
     verdict: Verdict
 
@@ -134,7 +138,6 @@ def diagnose(
     num_accepted: Array,
     *,
     thin: int,
-    seed_m: Array,
     log_ceiling: float,
 ) -> list[ChainReport]:
     """Return a report for each chain of one seed.
@@ -144,7 +147,6 @@ def diagnose(
         log_density: Log of the target, (chain, draw).
         num_accepted: Accepted proposals since the draw before, (chain, draw).
         thin: Steps per draw.
-        seed_m: The seed (2, 17, 3), metres.
         log_ceiling: Log density above which the target is flat.
 
     Raises:
@@ -159,11 +161,8 @@ def diagnose(
     for chain in range(num_chains):
         acceptance = float(num_accepted[chain].sum() / (num_draws * thin))
         at_ceiling = float(np.mean(log_density[chain] >= log_ceiling))
-        travelled = float(
-            cartesian_dissimilarity(
-                np.asarray(pair_m[chain, -1], dtype=np.float64).reshape(-1, 3), seed_m.reshape(-1, 3)
-            )
-        )
+        first, last = (np.asarray(pair_m[chain, at], dtype=np.float64).reshape(-1, 3) for at in (0, -1))
+        travelled = float(cartesian_dissimilarity(last, first))
         ess = _worst(effective_sample_size(values[chain : chain + 1]), largest=False)
         reports.append(
             ChainReport(
@@ -172,23 +171,28 @@ def diagnose(
                 ess_min=ess,
                 rhat_max=worst_rhat,
                 log_density_mean=float(log_density[chain].mean()),
+                ceiling_share=at_ceiling,
                 travelled_m=travelled,
-                verdict=_judge(num_draws, acceptance, at_ceiling, ess, worst_rhat),
+                verdict=_judge(num_draws, acceptance, at_ceiling, travelled, ess, worst_rhat),
             )
         )
     return reports
 
 
-def _judge(num_draws: int, acceptance: float, at_ceiling: float, ess: float, worst_rhat: float) -> Verdict:
-    """Say what is thought of a chain; figures that could not be had count as not mixing."""
+def _judge(
+    num_draws: int, acceptance: float, at_ceiling: float, travelled_m: float, ess: float, worst_rhat: float
+) -> Verdict:
+    """Say what is thought of a chain; figures that could not be had count as not mixed."""
     level, reasons = Level.PASS, []
     if acceptance < MIN_ACCEPTANCE:
         level = Level.FAIL
         reasons.append(f"stuck: {acceptance:.2%} of the proposals were accepted, fewer than {MIN_ACCEPTANCE:.1%}")
-    elif not (ess >= min(MIN_ESS, num_draws / 2) and worst_rhat <= MAX_RHAT):
+    elif not (ess >= min(MIN_ESS, num_draws / 2) and worst_rhat <= MAX_RHAT and travelled_m >= MIN_TRAVELLED_M):
         level = Level.WARN
         size = "none can be had" if np.isnan(ess) else f"{ess:.0f} of {num_draws}"
-        reasons.append(f"chains do not mix: effective sample size {size}, R-hat {worst_rhat:.2f}")
+        reasons.append(
+            f"not mixed: effective sample size {size}, R-hat {worst_rhat:.2f}, {100 * travelled_m:.1f} cm travelled"
+        )
     if at_ceiling > MAX_AT_CEILING:
         level = max(level, Level.WARN, key=list(Level).index)
         reasons.append(f"{at_ceiling:.0%} of the draws lie above the seed's density range, where the target is flat")

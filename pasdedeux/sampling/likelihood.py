@@ -8,7 +8,6 @@ fixed function.  An annotation that lacks joints is compared over those that it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,14 +21,14 @@ from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import jitter
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
-from pasdedeux.sampling.density import ImageKind, ImageSettings
+from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
+from pasdedeux.sampling.density import ImageKind, ImageSettings, Match
 from pasdedeux.sampling.kernels import BankTables, best_per_view
 
 __all__ = [
     "InteractionKind",
     "InteractionLikelihood",
     "InteractionSettings",
-    "Match",
     "log_mean",
     "plain_log_likelihood",
 ]
@@ -46,28 +45,13 @@ _NUM_SPRUNG = 160
 """Annotations, evenly spread, whose nearest neighbours say how far the ends of each edge mostly move apart."""
 
 
-@dataclass(frozen=True)
-class Match:
-    """How well a pair agrees with the annotations.
-
-    Args:
-        log_likelihood: Log of eq. 6, -inf when it was found to lie below the floor asked for.
-        dissimilarity_m: Least d_I of each view, (m,), metres; inf where it cannot matter to the result.
-        entry: Entry that reached it, (m,); -1 where none did.
-    """
-
-    log_likelihood: float
-    dissimilarity_m: Array
-    entry: npt.NDArray[np.int64]
-
-
 def plain_log_likelihood(
     pair_m: Array,
     pairs: AnnotatedPairs,
     bank: ViewBank,
     *,
     table: EdgeTable | None = None,
-    sigma_l: float = 0.01,
+    sigma_l: float = PUBLISHED_SIGMA_L,
     beta_m: float = BETA_M,
 ) -> Match:
     """Return the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
@@ -134,7 +118,7 @@ class InteractionLikelihood:
         pairs: AnnotatedPairs,
         bank: ViewBank,
         *,
-        sigma_l: float = 0.01,
+        sigma_l: float = PUBLISHED_SIGMA_L,
         beta_m: float = BETA_M,
         min_ratio: float = MIN_RATIO,
         min_own_ratio: float = MIN_OWN_RATIO,
@@ -142,7 +126,8 @@ class InteractionLikelihood:
     ) -> None:
         if not sigma_l > 0.0:
             raise InputError(f"sigma_l must be positive, found {sigma_l}")
-        self._pairs, self._bank, self._sigma_l, self._beta_m = pairs, bank, sigma_l, beta_m
+        self._pairs, self._bank, self.sigma_l, self._beta_m = pairs, bank, sigma_l, beta_m
+        self.directions = bank.directions
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
@@ -206,7 +191,7 @@ class InteractionLikelihood:
         """Return the log likelihood by its definition."""
         table = self._plain_table
         match = plain_log_likelihood(
-            pair_m, self._pairs, self._bank, table=table, sigma_l=self._sigma_l, beta_m=self._beta_m
+            pair_m, self._pairs, self._bank, table=table, sigma_l=self.sigma_l, beta_m=self._beta_m
         )
         return match.log_likelihood
 
@@ -245,9 +230,11 @@ class InteractionKind(ImageKind[InteractionSettings]):
     meaning = "interaction coordinates"
     settings = InteractionSettings
 
-    def compare(self, settings: InteractionSettings, pairs: AnnotatedPairs, bank: ViewBank) -> InteractionLikelihood:
-        """Return the likelihood over a bank of views."""
-        return InteractionLikelihood(pairs, bank, sigma_l=settings.sigma_l, beta_m=settings.beta_m)
+    def compare(
+        self, settings: InteractionSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
+    ) -> InteractionLikelihood:
+        """Return the likelihood of a bandwidth over a bank of views."""
+        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, beta_m=settings.beta_m)
 
 
 def _springs(

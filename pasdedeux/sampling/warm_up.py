@@ -8,16 +8,20 @@ are dropped and the scales frozen, so the chain that is kept has one proposal th
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.chain import ChainState, Gauge, LogDensity, step
+from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.proposals.proposal import Context, Proposal, Scales
 
-__all__ = ["proposal_from_json", "proposal_to_json", "warm_up"]
+__all__ = ["disperse", "proposal_from_json", "proposal_to_json", "warm_up"]
 
+Array = npt.NDArray[np.float64]
 P = TypeVar("P", bound=Proposal)
 
 TARGET_ACCEPTANCE = 0.234
@@ -26,6 +30,8 @@ GAIN_EXPONENT = 0.6
 """The n-th update of a scale has the gain n^-0.6: its sum diverges, that of its square does not."""
 MAX_LOG = float(np.log(20.0))
 """A scale never becomes more than 20 times larger or smaller than it was set."""
+DISPERSING_TEMPERATURE = 2.0
+"""Starts are drawn from the square root of the density: about twice as far from its mode as draws will be."""
 
 
 def warm_up(
@@ -73,6 +79,43 @@ def warm_up(
     if gauge is not None and num_steps:
         state = ChainState(gauge(state.parameters), state.evaluation, state.context)
     return state, propose
+
+
+@dataclass(frozen=True)
+class _Tempered:
+    """A density with its logarithm divided by the temperature of dispersed starts; its bounds stay."""
+
+    target: PairDensity
+
+    def __call__(self, parameters: Array, at_least: float = -np.inf) -> Evaluation:
+        log_measure = self.target.chart.log_measure(parameters)
+        level = DISPERSING_TEMPERATURE * (at_least - log_measure) + log_measure if np.isfinite(log_measure) else np.inf
+        found = self.target(parameters, level)
+        return replace(found, log_density=found.log_density / DISPERSING_TEMPERATURE)
+
+
+def disperse(
+    rng: np.random.Generator, parameters: Array, target: PairDensity, propose: P, *, num_steps: int
+) -> tuple[ChainState, P]:
+    """Return a start of its own for a chain, drawn from a wider density than its target, and the scales on the way.
+
+    R-hat compares chains within and between: chains that all start at one point agree before they have seen anything
+    (Gelman and Rubin 1992, section 2.1).
+
+    Args:
+        rng: Source of randomness; it moves on.
+        parameters: Where the seed is, (108,).
+        target: The density that will be sampled.
+        propose: Proposal with the scales to begin with.
+        num_steps: Steps on the wider density; 0 starts at the seed.
+    """
+    context = propose.prepare(parameters)
+    if num_steps:
+        wider = _Tempered(target)
+        state = ChainState(parameters, wider(parameters), context)
+        state, propose = warm_up(rng, state, wider, propose, num_steps=num_steps, gauge=target.chart.gauge_fixed)
+        parameters, context = state.parameters, state.context
+    return ChainState(parameters, target(parameters), context), propose
 
 
 def proposal_to_json(scales: Scales, context: Context | None) -> str:

@@ -39,6 +39,12 @@ class RunSettings(Settings):
 
     thin: int = Field(default=10, ge=1, description="Steps per kept draw")
     segment_draws: int = Field(default=250, ge=4, description="Draws of a segment, the unit that is stored and resumed")
+    num_dispersing: int = Field(
+        default=40,
+        ge=0,
+        description="Draws' worth of steps, on a density wider than the target, that give each chain a start of its "
+        "own; 0 starts all chains at the seed",
+    )
     num_warm_up: int = Field(
         default=50,
         ge=0,

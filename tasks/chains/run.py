@@ -10,7 +10,7 @@ import numpy as np
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import MIN_CANDIDATES
-from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment
+from pasdedeux.sampling.chain import ChainState, Segment, generator_from_json, generator_to_json, run_segment
 from pasdedeux.sampling.density import (
     DensityInputs,
     Evaluation,
@@ -24,11 +24,11 @@ from pasdedeux.sampling.diagnostics import diagnose
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.proposals import PROPOSALS, Proposal, ProposalInputs, Scales
 from pasdedeux.sampling.speeds import Speeds, annotation_speeds, undo_swaps
-from pasdedeux.sampling.warm_up import proposal_from_json, proposal_to_json, warm_up
+from pasdedeux.sampling.warm_up import disperse, proposal_from_json, proposal_to_json, warm_up
 from pasdedeux.settings import Settings
 from pasdedeux.verdict import summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.annotated_pairs import gather, gather_tracks
+from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
 from tasks.draw_sets import read_grown
@@ -57,10 +57,12 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
     chart, target, propose = problem.chart, problem.target, problem.propose
     if options.segment == 0:
         rng = stream(shard.seed, "chains", options.name, options.seed_index, options.chain)
-        start = chart.seed_parameters()
+        state, propose = disperse(
+            rng, chart.seed_parameters(), target, propose, num_steps=options.run.num_dispersing * options.run.thin
+        )
         state, propose = warm_up(
             rng,
-            ChainState(start, target.seed_evaluation, propose.prepare(start)),
+            state,
             target,
             propose,
             num_steps=options.run.num_warm_up * options.run.thin,
@@ -89,6 +91,7 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
             "log_prior": draws.log_prior,
             "log_likelihood": draws.log_likelihood,
             "num_accepted": draws.num_accepted,
+            **_nearest(problem, draws),
             "take_id": [problem.seed.take_id] * count,
         },
         "chain_states": {
@@ -111,12 +114,46 @@ def _run_segment(shard: Shard, options: SegmentParameters, store: Store) -> Arti
         "segment": options.segment,
         "num_draws": count,
         "log_seed": target.log_seed,
-        "log_ceiling": target.log_ceiling,
+        "log_ceiling": target.log_ceiling if np.isfinite(target.log_ceiling) else None,
+        "sigma_l": problem.evidence.sigma_l,
         "num_annotations_skipped": problem.evidence.num_skipped,
         "note": problem.evidence.note(),
         "takes": merge_takes(*(store.manifest(ref) for ref in shard.all_inputs)),
     }
     return commit(shard, store, tables=tables, facts=facts)
+
+
+def _nearest(problem: ChainProblem, draws: Segment) -> dict[str, Any]:
+    """Return the annotation that each draw is nearest to, the view, and how near, as columns."""
+    count, likelihood = len(draws.parameters), problem.evidence.likelihood
+    if not isinstance(likelihood, ImageLikelihood):
+        return {
+            "sequence_id": [None] * count,
+            "sequence_frame": [None] * count,
+            "sequence_person_id": [None] * count,
+            "view": np.full((count, 3), np.nan),
+            "dissimilarity_m": np.full(count, np.nan),
+        }
+    places: list[Place] = []
+    views, distances = [], []
+    for draw, parameters in enumerate(draws.parameters):
+        if draws.num_accepted[draw] or not places:
+            # A little below what is known: rounding of the gauge must not hide it.
+            found = likelihood.match(
+                problem.chart.positions_fast(parameters), at_least=draws.log_likelihood[draw] - 1.0
+            )
+            view = int(np.argmin(found.dissimilarity_m))
+            place = problem.evidence.places[int(found.entry[view])]
+        places.append(place)
+        views.append(likelihood.directions[view])
+        distances.append(float(found.dissimilarity_m[view]))
+    return {
+        "sequence_id": [place.sequence_id for place in places],
+        "sequence_frame": [place.frame for place in places],
+        "sequence_person_id": [place.person_id for place in places],
+        "view": np.array(views),
+        "dissimilarity_m": np.array(distances),
+    }
 
 
 @dataclass(frozen=True)
@@ -168,13 +205,22 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the annotations say about pairs near one seed; nothing for a density that does not read them."""
+    """What the annotations say about pairs near one seed; nothing for a density that does not read them.
+
+    `places` are sequence and frame of each entry of the annotations.
+    """
 
     likelihood: Likelihood | None = None
+    places: tuple[Place, ...] = ()
     speeds: Speeds | None = None
     num_annotations: int = 0
     num_skipped: int = 0
     num_swapped: int = 0
+
+    @property
+    def sigma_l(self) -> float | None:
+        """Bandwidth of the likelihood; None for a density that reads no annotations."""
+        return self.likelihood.sigma_l if isinstance(self.likelihood, ImageLikelihood) else None
 
     def note(self) -> str:
         """Say what is unusual about the annotations; nothing when all is well."""
@@ -215,7 +261,7 @@ def _image_evidence(
     This reads every annotation; the segments that one worker runs in a row mostly share it.
     """
     assert isinstance(settings, ImageSettings)
-    placed = gather(store, annotations=annotations, views=views, num_hypotheses=settings.num_hypotheses)
+    placed = _gathered(store, annotations, views, settings.num_hypotheses)
     pairs = placed.gathered.pairs
     rng = stream(study_seed, "chains", "views", seed_index)
     inputs = DensityInputs(read_seed_row(store, seed, seed_index).pair_m, rng, annotated=placed.gathered)
@@ -226,11 +272,18 @@ def _image_evidence(
         num_swapped = len(np.unique(pairs.annotation_index[was_swapped]))
     return Evidence(
         likelihood=DENSITIES[density].likelihood(settings, inputs),
+        places=tuple(placed.places[one] for one in pairs.annotation_index),
         speeds=speeds,
         num_annotations=len(np.unique(pairs.annotation_index)),
         num_skipped=placed.gathered.num_skipped,
         num_swapped=num_swapped,
     )
+
+
+@lru_cache(maxsize=1)
+def _gathered(store: Store, annotations: Refs, views: Refs, num_hypotheses: int) -> PlacedPairs:
+    """Return the annotated pairs: the same for all seeds, and with what is found out about them once."""
+    return gather(store, annotations=annotations, views=views, num_hypotheses=num_hypotheses)
 
 
 @dataclass(frozen=True)
@@ -301,8 +354,7 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
         stacked["log_density"],
         stacked["num_accepted"],
         thin=options.thin,
-        seed_m=read_seed_row(store, shard.ref("seed"), options.seed_index).pair_m,
-        log_ceiling=float(facts["log_ceiling"]),
+        log_ceiling=np.inf if facts["log_ceiling"] is None else float(facts["log_ceiling"]),
     )
     count = options.num_chains
     info = {
@@ -315,6 +367,8 @@ def _summarise(shard: Shard, options: SummaryParameters, store: Store) -> Artifa
         "rhat_max": [report.rhat_max for report in reports],
         "log_density_first": [float(facts["log_seed"])] * count,
         "log_density_mean": [report.log_density_mean for report in reports],
+        "ceiling_share": [report.ceiling_share for report in reports],
+        "sigma_l": [np.nan if facts["sigma_l"] is None else float(facts["sigma_l"])] * count,
         "travelled_m": [report.travelled_m for report in reports],
         "verdict": [report.verdict.level.value for report in reports],
         "reason": [report.verdict.reason for report in reports],

@@ -22,6 +22,8 @@ _FIGURES = {
     "ess_min": ("", "min"),
     "rhat_max": ("", "max"),
     "travelled_m": ("m", "mean"),
+    "ceiling_share": ("", "mean"),
+    "sigma_l": ("", "mean"),
     "log_density_first": ("", "mean"),
     "log_density_mean": ("", "mean"),
 }
@@ -93,6 +95,8 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
         for name, (unit, kind) in _FIGURES.items():
+            if name == "sigma_l" and np.isnan(table[name]).all():
+                continue
             figure = {f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
             more = {"is_baseline": density == PRIOR_ONLY, "item": f"seed {seed}", "count": table.num_rows}
             scores += scores_of(figure, density, unit, **more)
@@ -109,7 +113,8 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
 TOPIC = Topic(
     name="chains",
     heading="Chains",
-    introduction="How the Markov chains went: acceptance, effective sample size, R-hat per seed.",
+    introduction="How the Markov chains went: acceptance, effective sample size, R-hat per seed over chains that start "
+    "apart, and the bandwidth of the likelihood: unless it is given, what annotations left out in turn ask for.",
     reads=("chain_info", "draws"),
     plan=_plan,
     run=_run,

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 27
+VERSION = 28
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

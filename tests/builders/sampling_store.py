@@ -163,7 +163,7 @@ def with_seeds(store: Store, tables: dict[str, list[Manifest]], **parameters: An
     return StageInputs({**tables, "seeds": run(planned, seeds, store)}, seed=1)
 
 
-QUICK = {"num_draws": 8, "segment_draws": 4, "thin": 3, "num_views": 4, "num_warm_up": 2}
+QUICK = {"num_draws": 8, "segment_draws": 4, "thin": 3, "num_views": 4, "num_dispersing": 2, "num_warm_up": 2}
 
 
 def draws_of(manifests: list[Manifest], store: Store) -> dict[tuple[str, int, int, int], np.ndarray]:

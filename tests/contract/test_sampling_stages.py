@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pasdedeux.cameras import project_pair
 from pasdedeux.errors import InputError
+from pasdedeux.interaction import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.density import PairDensity
 from pasdedeux.sampling.parameters import PairChart
@@ -18,6 +21,7 @@ from pasdedeux.sampling.warm_up import proposal_from_json
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks import chains
+from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains import ChainsParameters, SegmentParameters
 from tasks.chains.run import chain_problem
 from tasks.evaluation import STAGE
@@ -111,10 +115,52 @@ def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:
         assert list(info["num_draws"]) == [8, 8]
         assert ((np.asarray(info["acceptance_rate"]) > 0) & (np.asarray(info["acceptance_rate"]) <= 1)).all()
         assert set(info["verdict"]) == {"warn"}
-        assert all("chains do not mix" in reason for reason in info["reason"])
+        assert all("not mixed: " in reason for reason in info["reason"])
         verdict = verdict_of(manifest)
         assert verdict is not None
         assert (verdict.level, verdict.figure, verdict.count) == (Level.WARN, "effective sample size", 2)
+
+
+def test_every_draw_keeps_the_annotation_it_is_nearest_to(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    planned = [one for one in chains.plan(given, ChainsParameters(**QUICK)) if one.name == "chain1-segment0"]
+    for shard in planned:
+        options = shard.options(SegmentParameters)
+        table = store.read(chains.run_shard(shard, store), "draws")
+        likelihood = chain_problem(shard, options, store).evidence.likelihood
+        if likelihood is None:
+            assert table.is_null("sequence_id").all()
+            assert np.isnan(np.asarray(table["dissimilarity_m"])).all()
+            continue
+        chart = PairChart(np.asarray(store.read(shard.ref("seed"), "seeds")["pair17_m"][0]))
+        placed = gather(store, annotations=shard.refs("annotations"), views=shard.refs("views"), num_hypotheses=4)
+        for row in range(table.num_rows):
+            pair = chart.positions(np.asarray(table["parameters"][row]))
+            place = (str(table["sequence_id"][row]), int(table["sequence_frame"][row]))
+            index = next(at for at, one in enumerate(placed.places) if (one.sequence_id, one.frame) == place)
+            is_it = placed.gathered.pairs.annotation_index == index
+            shown = placed.gathered.pairs.points_m[is_it][0].reshape(-1, 2)
+            seen = np.isfinite(shown).all(axis=1)
+            image = project_pair(pair, np.asarray(table["view"][row])[None]).reshape(-1, 2)
+            distance = table["dissimilarity_m"][row]
+            if seen.all():
+                assert interaction_dissimilarity(image, shown) == pytest.approx(distance, rel=1e-6)
+            # Eq. 6 is a mean over views of which this one is the greatest.
+            least = -distance / (2.0 * likelihood.sigma_l**2)
+            assert least - np.log(len(likelihood.directions)) - 1e-6 <= table["log_likelihood"][row] <= least + 1e-6
+
+
+def test_chains_of_a_seed_start_apart_unless_they_are_told_not_to(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1)
+    apart = {}
+    for count in (0, 30):
+        quick = {**QUICK, "num_warm_up": 0, "densities": ("ic",), "num_dispersing": count}
+        planned = [one for one in chains.plan(given, ChainsParameters(**quick)) if one.name.endswith("segment0")]
+        first, second = (store.read(chains.run_shard(one, store), "draws")["pair17_m"][0] for one in planned)
+        apart[count] = cartesian_dissimilarity(first.reshape(-1, 3), second.reshape(-1, 3))
+    assert apart[30] > 2.0 * apart[0]
 
 
 def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
@@ -126,6 +172,20 @@ def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
     made = run(planned[:1], chains, store)
     assert made[0].facts["takes"] == ["one", "two"]
     assert made[0].facts["num_annotations_skipped"] == 0
+
+
+def test_stills_numbered_like_a_video_have_no_speed(inputs: Any) -> None:
+    store, tables = inputs
+    refs = {name: [tables[name][0].ref] for name in ("annotations", "views")}
+    placed = gather(store, **refs, num_hypotheses=1)
+    name = placed.places[7].sequence_id
+    stills = gather_tracks(replace(placed, stills=frozenset([name])))
+    moving = gather_tracks(placed)
+    of_stills = np.array([placed.places[one].sequence_id == name for one in placed.gathered.pairs.annotation_index])
+    assert np.isnan(stills[of_stills][:, [0, 1, 3, 4]]).all()
+    np.testing.assert_array_equal(stills[of_stills][:, 2], moving[of_stills][:, 2])
+    np.testing.assert_array_equal(stills[~of_stills], moving[~of_stills])
+    assert np.isfinite(moving[of_stills][:, [1, 3]]).all()
 
 
 def test_more_draws_and_chains_extend_and_never_recompute(inputs: Any) -> None:

@@ -1,0 +1,92 @@
+"""The bandwidth of the likelihood by its data: annotations left out in turn (what Yin et al. 2018 leave open).
+
+Eq. 9's exp(-d_I / s), s = 2 sigma_l^2, is a density of images round one annotation.  d_I is homogeneous in the
+displacement, so over the D = 2 n - 3 numbers in which an image of n joints may differ from another (turns and shifts in
+the plane are none) its integral is proportional to s^D.  An annotation that is left out then has, by its nearest other
+one at distance d, the log likelihood -d / s - D log s up to a constant, and over many s = sum d / sum D is the
+likeliest.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.cameras import angle_between_directions
+from pasdedeux.interaction import interaction_dissimilarity, plane_residual
+from pasdedeux.spread import evenly_spread
+
+__all__ = ["PUBLISHED_SIGMA_L", "LeftOut", "left_out"]
+
+Array = npt.NDArray[np.float64]
+
+PUBLISHED_SIGMA_L = 0.01
+"""Bandwidth of Yin et al. 2018, eq. 9, read in metres: 2 sigma_l^2 is 0.2 mm of d_I."""
+
+_NUM_LEFT_OUT = 100
+_NUM_COMPARED = 10
+"""Others with the least rigid residual that d_I is computed for: its nearest is among the first few."""
+_SAME_M = 1e-6
+"""d_I, for each number in which they may differ, below which images are taken for copies, metres."""
+_MIN_SHARED = 10
+"""Joints that two annotations must both show to be compared."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Annotations left out in turn.
+
+    Args:
+        nearest_m: d_I to the nearest other annotation with a similar view, (annotation,), metres.
+        freedom: Numbers in which the image of each may differ, (annotation,).
+    """
+
+    nearest_m: Array
+    freedom: Array
+
+    @property
+    def sigma_l(self) -> float:
+        """The likeliest bandwidth; the published one where nothing could be left out, or all are the same image."""
+        total, freedom = float(self.nearest_m.sum()), float(self.freedom.sum())
+        return math.sqrt(0.5 * total / freedom) if total > _SAME_M * freedom else PUBLISHED_SIGMA_L
+
+    def log_likelihood(self, sigma_l: float) -> float:
+        """Return the mean log likelihood of an annotation that is left out, up to a constant; NaN without any."""
+        if not len(self.nearest_m):
+            return math.nan
+        scale = 2.0 * sigma_l**2
+        return float(np.mean(-self.nearest_m / scale - self.freedom * math.log(scale)))
+
+
+def left_out(
+    points_m: Array,
+    directions: Array,
+    block: npt.NDArray[np.int64],
+    *,
+    view_bandwidth_rad: float = 0.5,
+) -> LeftOut:
+    """Leave out up to 100 annotations in turn, evenly spread, each with all of its block.
+
+    Args:
+        points_m: Annotations (annotation, person=2, joint=17, 2), metres; NaN where a joint is not seen.
+        directions: View of each, unit, (annotation, 3).
+        block: Annotations of one block are left out together: those that a video shows at nearly the same time.
+        view_bandwidth_rad: Views as near as this are similar.
+    """
+    points = points_m.reshape(len(points_m), -1, 2)
+    is_seen = np.asarray(np.isfinite(points).all(axis=-1))
+    nearest, freedom = [], []
+    for row in evenly_spread(len(points), _NUM_LEFT_OUT):
+        is_similar = angle_between_directions(directions[row], directions) < view_bandwidth_rad
+        num_shared = (is_seen & is_seen[row]).sum(axis=1)
+        others = np.flatnonzero(is_similar & (block != block[row]) & (num_shared >= _MIN_SHARED))
+        if not len(others):
+            continue
+        residual = plane_residual(points[row], points[others]) / num_shared[others]
+        tried = others[np.argsort(residual, kind="stable")[:_NUM_COMPARED]]
+        nearest.append(min(interaction_dissimilarity(points[row], points[one]) for one in tried))
+        freedom.append(2.0 * is_seen[row].sum() - 3.0)
+    return LeftOut(np.array(nearest), np.array(freedom))

@@ -1,0 +1,76 @@
+"""The bandwidth that annotations left out in turn ask for."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs
+from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, LeftOut, left_out
+
+
+def annotated(spread_rad: float, count: int = 120) -> AnnotatedPairs:
+    rng = np.random.default_rng(4)
+    return random_annotations(rng, random_pairs(rng, count, spread_rad=spread_rad), count)
+
+
+def gathered(pairs: AnnotatedPairs, block: np.ndarray | None = None) -> GatheredPairs:
+    count = len(pairs.points_m)
+    more = {} if block is None else {"block": block}
+    return GatheredPairs(pairs, np.ones(count), 0, np.ones((count, 2)), **more)
+
+
+@given(
+    st.lists(st.tuples(st.floats(1e-3, 0.5), st.integers(20, 34)), min_size=1, max_size=20),
+    st.floats(0.2, 5.0).filter(lambda factor: abs(factor - 1.0) > 0.01),
+)
+def test_no_other_bandwidth_makes_left_out_annotations_likelier(found: list[tuple[float, int]], factor: float) -> None:
+    distance, joints = np.array(found).T
+    own = LeftOut(distance, 2.0 * joints - 3.0)
+    assert own.log_likelihood(own.sigma_l) > own.log_likelihood(factor * own.sigma_l)
+
+
+def test_the_bandwidth_is_that_of_annotations_with_such_neighbours() -> None:
+    """Points round centres by eq. 9's own kernel (a length of Gamma(D), any direction), as d_I in D numbers."""
+    rng, freedom, sigma_l = np.random.default_rng(2), 65.0, 0.03
+    lengths = rng.gamma(freedom, 2.0 * sigma_l**2, size=400)
+    assert abs(LeftOut(lengths, np.full(400, freedom)).sigma_l / sigma_l - 1.0) < 0.02
+
+
+def test_annotations_that_lie_closer_together_ask_for_a_smaller_bandwidth() -> None:
+    near, far = (gathered(annotated(spread)).left_out for spread in (0.05, 0.3))
+    assert 0.0 < near.sigma_l < 0.7 * far.sigma_l
+    # Far apart as these are, the published bandwidth finds them hardly possible.
+    assert far.log_likelihood(far.sigma_l) > far.log_likelihood(PUBLISHED_SIGMA_L) + 50.0
+
+
+def test_annotations_of_one_moment_are_left_out_together() -> None:
+    once = annotated(0.2)
+    twice = AnnotatedPairs(
+        np.repeat(once.points_m, 2, axis=0), np.repeat(once.directions, 2, axis=0), np.arange(2 * len(once.points_m))
+    )
+    apart = gathered(twice).left_out
+    assert apart.nearest_m.max() < 1e-9
+    together = gathered(twice, np.arange(len(twice.points_m)) // 2).left_out
+    assert abs(together.sigma_l / gathered(once).left_out.sigma_l - 1.0) < 0.1
+
+
+def test_where_nothing_can_be_left_out_the_published_bandwidth_stays() -> None:
+    pairs = annotated(0.2, 3)
+    one = gathered(AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))).left_out
+    assert one.sigma_l == PUBLISHED_SIGMA_L
+    assert np.isnan(one.log_likelihood(0.01))
+    alike = left_out(np.repeat(pairs.points_m[:1], 4, axis=0), np.repeat(pairs.directions[:1], 4, axis=0), np.arange(4))
+    assert len(alike.nearest_m) == 4
+    assert alike.sigma_l == PUBLISHED_SIGMA_L
+
+
+def test_joints_that_are_not_seen_do_not_count() -> None:
+    pairs = annotated(0.2)
+    points = pairs.points_m.copy()
+    points[::2, 1, 14:] = np.nan
+    found = left_out(points, pairs.directions, np.arange(len(points)))
+    assert set(found.freedom) == {65.0, 59.0}
+    assert np.isfinite(found.sigma_l)

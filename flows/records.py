@@ -35,6 +35,7 @@ __all__ = [
     "describe_runs",
     "end_record",
     "environment",
+    "last_manifests",
     "last_sections",
     "mixture",
     "read_last_run",
@@ -58,6 +59,14 @@ def read_last_run(store: Store, study: str) -> LatestRun | None:
         return read_latest(store, study)
     except CorruptArtifact:
         return None
+
+
+def last_manifests(store: Store, last: LatestRun) -> dict[str, list[Manifest]]:
+    """Return what the last run made and what is still there of it, by stage."""
+    return {
+        stage: [found for record in records if (found := store.find(stage, record.key)) is not None]
+        for stage, records in last.stages.items()
+    }
 
 
 def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:

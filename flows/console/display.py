@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
@@ -14,8 +13,12 @@ import typer
 from flows.execution import Outcome
 from flows.listener import Listener
 from flows.planning import Plan, StagePlan, State
+from flows.records import last_manifests, read_last_run
+from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
+from storage_schema import Store
 from tasks.shards import ShardDone
+from tasks.summary import summary_of
 
 __all__ = [
     "BarListener",
@@ -26,7 +29,7 @@ __all__ = [
     "outcome_lines",
     "plan_lines",
     "print_table",
-    "verdict_text",
+    "summary_lines",
 ]
 
 _BETWEEN_LINES_S = 5.0
@@ -79,7 +82,7 @@ class LineListener(Listener):
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
         """Say that the stage is done, and whether it is good."""
         done = f"done in {seconds:.1f} s" if plan.todo else f"{counted(len(plan.shards), 'shard')}, all fresh"
-        words = [plan.empty_reason or done, *([verdict_text(verdict)] if verdict else [])]
+        words = [plan.empty_reason or done, *([verdict_words(verdict)] if verdict else [])]
         self._say(f"{plan.stage.name}: {'; '.join(words)}")
 
     def _say(self, text: str) -> None:
@@ -119,7 +122,7 @@ class BarListener(Listener):
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
         """Let the finished bar stand, with whether the stage is good."""
-        words = verdict_text(verdict) if verdict else plan.empty_reason or ("" if plan.todo else "fresh")
+        words = verdict_words(verdict) if verdict else plan.empty_reason or ("" if plan.todo else "fresh")
         self._progress.update(self._bar, last=words)
         self._progress.stop_task(self._bar)
 
@@ -166,25 +169,18 @@ def outcome_lines(outcome: Outcome) -> list[str]:
             str(stage.num_shards - stage.num_computed),
             str(stage.num_computed),
             f"{stage.seconds:.1f}",
-            stage.empty_reason or verdict_text(stage.verdict),
+            stage.empty_reason,
         )
         for stage in outcome.stages
     ]
-    return format_table(("stage", "shards", "fresh", "computed", "seconds", "verdict"), rows, text_columns=(0, 5))
+    return format_table(("stage", "shards", "fresh", "computed", "seconds", ""), rows, text_columns=(0, 5))
 
 
-def verdict_text(verdict: Verdict | None) -> str:
-    """Return a verdict in one line: `warn: 2 of 8: hands drift; contact drift 0.012 m (forward kinematics 0.03 m)`."""
-    if verdict is None:
-        return ""
-    text = f"{verdict.level.value}: {verdict.reason}" if verdict.reason else verdict.level.value
-    if not verdict.figure or math.isnan(verdict.value):
-        return text
-    unit = f" {verdict.unit}" if verdict.unit else ""
-    figure = f"{verdict.figure} {verdict.value:.3g}{unit}"
-    if not math.isnan(verdict.baseline):
-        figure += f" ({verdict.baseline_name or 'baseline'} {verdict.baseline:.3g}{unit})"
-    return f"{text}; {figure}"
+def summary_lines(store: Store, study: str) -> list[str]:
+    """Return what the last run of a study built, from what, and whether it is good, as the report and the card do."""
+    last = read_last_run(store, study)
+    found = {} if last is None else last_manifests(store, last)
+    return summary_of([one for manifests in found.values() for one in manifests]).lines() if found else []
 
 
 def format_table(
@@ -216,7 +212,7 @@ def _stage_words(stage: StagePlan) -> str:
     if stage.empty_reason:
         return f"{stage.empty_reason}{suffix}"
     if stage.is_fresh:
-        verdict = f"; {verdict_text(stage.verdict)}" if stage.verdict else ""
+        verdict = f"; {verdict_words(stage.verdict)}" if stage.verdict else ""
         return f"fresh, {counted(len(stage.shards), 'shard')}{suffix}{verdict}"
     counts = [f"{stage.count(state)} {state.value}" for state in State if stage.count(state)]
     return f"{', '.join(counts)} of {counted(len(stage.shards), 'shard')}{suffix}"

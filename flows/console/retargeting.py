@@ -14,12 +14,13 @@ import numpy as np
 import typer
 
 from flows.console.context import open_store
-from flows.console.display import print_table, verdict_text
+from flows.console.display import print_table
 from flows.exports import RestPose, Units, write_credits
 from flows.exports.own_skeletons import Person, RigFiles, people_of_take
 from pasdedeux.augmentation import Augmenter
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.formats.asf_amc import read_asf
 from pasdedeux.formats.file_format import FileStart
 from pasdedeux.formats.guess import guess_unit
@@ -201,8 +202,8 @@ def _retarget(
         )
     captured = verdict_of(manifest)
     if captured is not None and captured.level is not Level.PASS:
-        typer.echo(f"take {take_id}: {verdict_text(captured)}", err=True)
-    typer.echo(verdict_text(variant.verdict))
+        typer.echo(f"take {take_id}: {verdict_words(captured)}", err=True)
+    typer.echo(verdict_words(variant.verdict))
 
 
 def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:

@@ -9,10 +9,9 @@ from typing import Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import print_table, verdict_text
+from flows.console.display import print_table, summary_lines
 from flows.planning import stage_verdict
-from flows.records import describe_runs, read_last_run
-from pasdedeux.verdict import Verdict
+from flows.records import describe_runs, last_manifests, read_last_run
 from storage_schema import Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 
@@ -42,12 +41,12 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
                 str(s["num_shards"]),
                 str(s["num_there"]),
                 f"{s['bytes'] / 1e6:.1f} MB",
-                verdict_text(s["verdict"] and Verdict.from_json(s["verdict"])),
             )
             for s in study["stages"]
         ]
-        header = ("  stage", "shards", "there", "size", "verdict")
-        print_table(header, rows, text_columns=(0, 4))
+        print_table(("  stage", "shards", "there", "size"), rows)
+        for line in summary_lines(opened, study["study"]):
+            typer.echo(f"  {line}")
     for record in described["runs"][-5:]:
         typer.echo(f"run {record['run_id']}: {record['status']}")
 
@@ -77,13 +76,12 @@ def _describe(store: Store) -> dict[str, Any]:
         if last is None:
             continue
         stages = []
-        for stage, records in last.stages.items():
-            found = [manifest for record in records if (manifest := store.find(stage, record.key)) is not None]
+        for stage, found in last_manifests(store, last).items():
             verdict = stage_verdict(found)
             stages.append(
                 {
                     "stage": stage,
-                    "num_shards": len(records),
+                    "num_shards": len(last.stages[stage]),
                     "num_there": len(found),
                     "bytes": sum(manifest.num_bytes for manifest in found),
                     "verdict": None if verdict is None else verdict.to_json(),

@@ -5,18 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pasdedeux.evaluation.report import TextTable
+from pasdedeux.evaluation.score_tables import TextTable
+from pasdedeux.evaluation.summary import Summary
 
-__all__ = ["CardSource", "DatasetCard", "card_tables", "render_card"]
-
-
-@dataclass(frozen=True)
-class CardSource:
-    """A source that the dataset was made from."""
-
-    name: str
-    licence: str
-    credit: str
+__all__ = ["DatasetCard", "card_tables", "render_card"]
 
 
 @dataclass(frozen=True)
@@ -26,37 +18,37 @@ class DatasetCard:
     Args:
         title: Title of the study.
         description: What the study makes.
+        summary: What was built, from which sources, and how good it is.
         rows: Rows by table.
         takes: Takes shown or learned from.
         held_out: Takes kept for evaluation.
-        sources: Sources with licence and credit line.
         skipped: What was left out and why, a sentence each.
         cautions: Known limits, a sentence each.
-        verdicts: How good it is, a line for each stage and topic.
     """
 
     title: str
     description: str
+    summary: Summary
     rows: Mapping[str, int]
     takes: Sequence[str]
     held_out: Sequence[str]
-    sources: Sequence[CardSource]
     skipped: Sequence[str]
     cautions: Sequence[str]
-    verdicts: Sequence[str] = ()
 
 
 def render_card(card: DatasetCard) -> str:
     """Return the card as Markdown; the same card always gives the same text."""
     lines = [f"# {card.title}", "", card.description]
-    if card.verdicts:
-        lines += ["", "## Is it good?", "", *(f"- {line}" for line in card.verdicts)]
+    built, origin, _, *verdicts = card.summary.lines()
+    lines += ["", f"- {built}", f"- {origin}"]
+    if verdicts:
+        lines += ["", "## Is it good?", "", *(f"- {line}" for line in verdicts)]
     lines += ["", "## Contents", "", "| table | rows |", "|---|---|"]
     lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
     lines += ["", "## Takes", ""]
     lines += [f"- {take}{' (held out for evaluation)' if take in card.held_out else ''}" for take in card.takes]
     lines += ["", "## Sources, licences and credits", ""]
-    lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.sources]
+    lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.summary.sources]
     lines += ["", "## Left out", ""]
     lines += [f"- {sentence}" for sentence in card.skipped] or ["- Nothing."]
     lines += ["", "## Know before you use it", ""]
@@ -70,7 +62,7 @@ def card_tables(card: DatasetCard) -> tuple[TextTable, ...]:
         TextTable(
             caption="Dataset card: sources, licences and credits",
             headings=("source", "licence", "credit"),
-            rows=tuple((source.name, source.licence, source.credit) for source in card.sources),
+            rows=tuple((source.name, source.licence, source.credit) for source in card.summary.sources),
         ),
         TextTable(
             caption="Dataset card: takes",

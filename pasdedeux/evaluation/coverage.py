@@ -153,7 +153,7 @@ def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
 
 
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> bytes:
-    """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, Fig. 9); PNG bytes.
+    """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, Fig. 9); SVG bytes.
 
     Real frames are levels, in D_C and D_S as in D_I.
     """

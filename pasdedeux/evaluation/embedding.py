@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.drawing import figure_png, new_figure
+from pasdedeux.evaluation.figures import figure_svg, new_figure
 from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
 
@@ -76,7 +76,7 @@ class PairMap:
 
 
 def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: Array | None, title: str) -> bytes:
-    """Draw sets of draws over the real pairs, a panel for each; give PNG bytes.
+    """Draw sets of draws over the real pairs, a panel for each; give SVG bytes.
 
     Args:
         real: Places of the real pairs (n, 2).
@@ -104,4 +104,4 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         axis.tick_params(labelsize=6)
         axis.set_aspect("equal")
     axes[0].legend(fontsize=6)
-    return figure_png(figure, title=title)
+    return figure_svg(figure, title=title)

@@ -1,17 +1,29 @@
-"""Curves, grids and scatter pictures of scores, as PNG bytes."""
+"""Curves, grids and scatter pictures of scores, as SVG: text stays text, and every figure can go into a paper."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.drawing import figure_png, new_figure
+if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
+    from matplotlib.figure import Figure
 
-__all__ = ["Curve", "CurvePanel", "curve_figure", "grid_figure", "panel_figure", "view_figure"]
+__all__ = [
+    "Curve",
+    "CurvePanel",
+    "compared_figure",
+    "curve_figure",
+    "figure_svg",
+    "grid_figure",
+    "new_figure",
+    "panel_figure",
+    "view_figure",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,8 +49,31 @@ class CurvePanel:
     levels: Mapping[str, float]
 
 
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, has_common_axes: bool = False
+) -> tuple[Figure, Any]:
+    """Return an empty figure of this size in inches and its axes (row, column), all with the same ranges if wished."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots(rows, columns, squeeze=False, sharex=has_common_axes, sharey=has_common_axes)
+
+
+def figure_svg(figure: Figure, *, title: str = "") -> bytes:
+    """Lay out a figure, with a title over all of it, and render it to SVG bytes that depend on the picture alone."""
+    from matplotlib import rc_context
+
+    if title:
+        figure.suptitle(title, fontsize=9)
+    figure.tight_layout()
+    buffer = io.BytesIO()
+    with rc_context({"svg.hashsalt": "pasdedeux", "svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
 def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> bytes:
-    """Draw panels side by side over a logarithmic x of one meaning; give PNG bytes."""
+    """Draw panels side by side over a logarithmic x of one meaning; give SVG bytes."""
     columns = max(len(panels), 1)
     figure, ((*axes,),) = new_figure(3.6 * columns, 3.2, columns=columns)
     for axis, panel in zip(axes, panels, strict=False):
@@ -46,7 +81,7 @@ def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> b
         _draw_panel(axis, panel, x_label)
     if panels and panels[0].curves:
         axes[0].legend(fontsize=6)
-    return figure_png(figure, title=title)
+    return figure_svg(figure, title=title)
 
 
 def curve_figure(
@@ -56,13 +91,13 @@ def curve_figure(
     x_label: str,
     y_label: str,
 ) -> bytes:
-    """Draw curves over a common x; give PNG bytes."""
+    """Draw curves over a common x; give SVG bytes."""
     figure, ((axis,),) = new_figure(6.0, 3.4)
     _draw_panel(axis, CurvePanel(curves, y_label, {}), x_label)
     axis.set_title(title, fontsize=9)
     if curves:
         axis.legend(fontsize=7)
-    return figure_png(figure)
+    return figure_svg(figure)
 
 
 def _draw_panel(axis: Any, panel: CurvePanel, x_label: str) -> None:
@@ -88,27 +123,43 @@ def _label(axis: Any, x_label: str = "", y_label: str = "") -> None:
 
 
 def grid_figure(values: Array, *, rows: Sequence[str], columns: Sequence[str], title: str) -> bytes:
-    """Draw figures between 0 and 1 (row, column) as a coloured grid with each figure in its cell; give PNG bytes.
+    """Draw figures between 0 and 1 (row, column) as a coloured grid with each figure in its cell; give SVG bytes.
 
     A figure that is not finite leaves its cell empty.
     """
     figure, ((axis,),) = new_figure(2.6 + 0.62 * len(columns), 1.6 + 0.24 * len(rows))
-    axis.imshow(np.asarray(values, dtype=np.float64), vmin=0.0, vmax=1.0, cmap="RdYlGn", aspect="auto", alpha=0.8)
+    axis.imshow(np.asarray(values, dtype=np.float64), vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto", alpha=0.8)
     for row, column in np.argwhere(np.isfinite(values)).tolist():
         axis.text(column, row, f"{values[row, column]:.2f}", fontsize=7, ha="center", va="center")
     axis.set_xticks(np.arange(len(columns)), columns, rotation=45, ha="right")
     axis.set_yticks(np.arange(len(rows)), rows)
     axis.set_title(title, fontsize=9)
     _label(axis)
-    return figure_png(figure)
+    return figure_svg(figure)
+
+
+def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, goal: float, x_label: str) -> bytes:
+    """Draw a bar for each method, hatched for baselines, and a line at what has to be beaten; give SVG bytes."""
+    figure, ((axis,),) = new_figure(6.0, 0.9 + 0.28 * len(values))
+    for row, (name, value) in enumerate(values.items()):
+        is_plain = name in baselines
+        axis.barh(row, value, color="#c9ced6" if is_plain else "#1f5fa8", hatch="//" if is_plain else None)
+        axis.annotate(f"{value:.3g}", (value, row), xytext=(3, 0), textcoords="offset points", fontsize=7, va="center")
+    axis.set_yticks(np.arange(len(values)), list(values))
+    axis.invert_yaxis()
+    axis.margins(x=0.12)
+    if np.isfinite(goal):
+        axis.axvline(goal, color="#a3123a", linestyle="--", linewidth=1.2)
+    _label(axis, x_label)
+    return figure_svg(figure)
 
 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array, *, title: str) -> bytes:
-    """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give PNG bytes."""
+    """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give SVG bytes."""
     figure, ((axis,),) = new_figure(5.6, 3.2)
     axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, linewidths=0, color="#1f5fa8")
     axis.set_xlim(-np.pi, np.pi)
     axis.set_ylim(np.pi, 0)
     _label(axis, "psi (rad)", "phi (rad)")
     axis.set_title(title, fontsize=9)
-    return figure_png(figure)
+    return figure_svg(figure)

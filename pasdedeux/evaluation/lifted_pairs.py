@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
-from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
+from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics import align_rigid
@@ -22,8 +22,8 @@ __all__ = [
     "completion_scores",
     "in_between_scores",
     "lifted_errors",
+    "lifted_player",
     "lifted_scores",
-    "lifted_sheet",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -129,19 +129,19 @@ def in_between_scores(
     ]
 
 
-def lifted_sheet(examples: Sequence[Mapping[str, Array]], *, title: str) -> bytes:
-    """Draw examples side by side, a column for each method of each example, from the camera and from its left; PNG.
+def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
+    """Show examples one after another, a panel for each method that any of them has.
 
     Args:
-        examples: For each example the pairs (2, 17, 3) by method, camera axes, metres; the first is the truth.
-        title: Title of the sheet.
+        examples: For each example the pairs (2, 17, 3) by method, camera axes, metres; each is shown about its middle.
     """
-    panels: list[Panel] = []
-    for example in examples:
-        for method, pair in example.items():
-            standing = pair - pair.reshape(-1, 3).mean(axis=0) + [0.0, 0.95, 0.0]
-            panels.append(pair_panel(method.replace("_", " "), PAIR17, standing))
-    return skeleton_sheet(panels, title=title)
+    panels = []
+    for method in dict.fromkeys(name for example in examples for name in example):
+        pairs = [example.get(method, np.full((2, PAIR17.num_joints, 3), np.nan)) for example in examples]
+        people = np.stack([pair - pair.reshape(-1, 3).mean(axis=0) for pair in pairs])
+        panels.append(people_panel(method.replace("_", " "), PAIR17, people))
+    labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
+    return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
 
 
 def _summary(values: Array, metric: str, method: str, split: str, *, item: str = "all") -> list[Score]:

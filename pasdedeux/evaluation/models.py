@@ -119,7 +119,7 @@ def model_figure(
     baselines: Sequence[str],
     split: str,
 ) -> bytes:
-    """Draw E_r of each model against the test variants' scale furthest from 1 (means of steps of 0.05); PNG bytes."""
+    """Draw E_r of each model against the test variants' scale furthest from 1 (means of steps of 0.05); SVG bytes."""
     at = np.round(np.array(scales) / _SCALE_STEP) * _SCALE_STEP
     known = np.unique(np.round(at, 6))
     curves = []

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.drawing import PERSON_COLOURS, TRUTH_COLOUR, Panel, Pose, skeleton_sheet
+from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.reconstruction_metrics import (
     jitter_m,
     root_centred_error_m,
@@ -16,14 +16,21 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     scale_free_error_m,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.kinematics.rotations import rotate, swing_between
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
-from pasdedeux.spread import evenly_spread
 
-__all__ = ["Reconstructed", "motion_sheet", "pair_scores", "reconstruction_scores", "reconstruction_sheet"]
+__all__ = [
+    "Reconstructed",
+    "pair_scores",
+    "reconstruction_player",
+    "reconstruction_scores",
+    "turn_to_camera",
+]
 
 Array = npt.NDArray[np.float64]
 _BASELINE = "nearest"
+_MIN_DISTANCE_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -98,39 +105,75 @@ def pair_scores(first: Reconstructed, second: Reconstructed, *, split: str, item
     return scores
 
 
-def motion_sheet(title: str, people: Sequence[Mapping[int, Array]], *, num_moments: int = 7) -> bytes:
-    """Draw moments of a sequence whose truth nobody knows, everybody in place; PNG bytes.
+def reconstruction_player(
+    found_m: Array, *, rate_hz: float, keypoints_px: Array | None = None, truth_m: Array | None = None
+) -> bytes:
+    """Show people as they were reconstructed over the thin grey truth, and the image that they were found in.
+
+    The middle of all people stays in the middle, so their places to each other show.
 
     Args:
-        title: Heading of the picture.
-        people: For each person the op14 positions (14, 3) by frame, camera axes, metres; of at least one frame.
-        num_moments: Moments drawn, evenly spread over the frames that have anybody.
+        found_m: The reconstruction (frame, person, 14, 3), camera axes, metres; NaN where a person is not there.
+        rate_hz: Frames per second.
+        keypoints_px: The image (frame, person, 14, 2), pixels, y down; NaN where not seen.
+        truth_m: The true motion (frame, person, 14, 3), camera axes, where it is known.
     """
-    frames = sorted({frame for person in people for frame in person})
-    chosen = evenly_spread(len(frames), num_moments)
-    panels = []
-    for frame in (frames[index] for index in chosen):
-        seen = [(index, person[frame]) for index, person in enumerate(people) if frame in person]
-        middle = np.mean([mid_hip(pose) for _, pose in seen], axis=0)
-        poses = tuple(
-            Pose(OP14, pose - middle + [0.0, 1.0, 0.0], PERSON_COLOURS[index % len(PERSON_COLOURS)])
-            for index, pose in seen
-        )
-        panels.append(Panel(title=f"frame {frame}", poses=poses))
-    return skeleton_sheet(panels, title=f"{title}; as the camera sees it (top), from its side (bottom)")
+    frames, shown_hz = shown_frames(len(found_m), rate_hz)
+    found = about_hips(found_m[frames])
+    panels, labels = [], []
+    if keypoints_px is not None:
+        seen = keypoints_px[frames] * [1.0, -1.0]
+        size = _height(found) / max(_height(seen), 1e-9)
+        middle = np.stack([_middle(points.reshape(-1, 2)) for points in seen])[:, None, None]
+        panels.append(replace(people_panel("image", OP14, np.insert((seen - middle) * size, 2, 0.0, -1)), is_flat=True))
+    solid = people_panel("reconstruction", OP14, found)
+    if truth_m is not None:
+        truth = about_hips(truth_m[frames])
+        solid = replace(solid, title="reconstruction, truth in grey")
+        grey = [Figure(OP14, truth[:, person], TRUTH_COLOUR, is_thin=True) for person in range(truth.shape[1])]
+        solid = replace(solid, figures=(*grey, *solid.figures))
+        errors = 100.0 * np.linalg.norm(found - truth, axis=-1)
+        for frame, error in zip(frames, errors, strict=True):
+            known = error[np.isfinite(error)]
+            labels.append(f"{frame / rate_hz:.1f} s" + (f", {known.mean():.1f} cm" if len(known) else ""))
+    return pack_player([*panels, solid], rate_hz=shown_hz, labels=labels, has_floor=False)
 
 
-def reconstruction_sheet(person: Reconstructed, method: str, *, num_moments: int = 7) -> bytes:
-    """Draw moments of a reconstruction over the grey truth, both centred on the mid-hip; PNG bytes."""
-    frames = evenly_spread(len(person.truth_m), num_moments)
-    panels = []
-    for frame in frames:
-        truth, found = (
-            pose - mid_hip(pose) + [0.0, 1.0, 0.0] for pose in (person.truth_m[frame], person.found_m[method][frame])
-        )
-        error = float(root_centred_error_m(found, truth)) * 100
-        poses = (Pose(OP14, truth, TRUTH_COLOUR), Pose(OP14, found, PERSON_COLOURS[0]))
-        panels.append(Panel(title=f"frame {frame}: {error:.1f} cm", poses=poses))
-    return skeleton_sheet(
-        panels, title=f"{person.item}, {method}: truth in grey; as the camera sees it (top), from its side (bottom)"
-    )
+def about_hips(positions_m: Array) -> Array:
+    """Return positions (frame, person, 14, 3) about the mean mid-hip of the people who are there."""
+    hips = mid_hip(positions_m)
+    is_there = np.isfinite(hips).all(axis=-1, keepdims=True)
+    total = np.where(is_there, hips, 0.0).sum(axis=1, keepdims=True)
+    return np.asarray(positions_m - (total / np.maximum(is_there.sum(axis=1, keepdims=True), 1))[:, :, None])
+
+
+def turn_to_camera(motion_m: Array, place_m: Array) -> Array:
+    """Turn a motion in camera axes so that it is seen along the ray to where people are, as their image shows them.
+
+    A camera sees somebody at the edge of its image from another side than somebody in the middle.
+
+    Args:
+        motion_m: What is turned (frame, person, 14, 3), camera axes, metres.
+        place_m: People in their place (frame, person, 14, 3), the camera at the origin; frames in which their middle
+            is nearer than half a metre, as without a known place, are left as they are.
+    """
+    places = place_m.reshape(len(place_m), -1, 3)
+    is_there = np.isfinite(places).all(axis=-1, keepdims=True)
+    middle = np.where(is_there, places, 0.0).sum(axis=1) / np.maximum(is_there.sum(axis=1), 1)
+    distance = np.linalg.norm(middle, axis=-1, keepdims=True)
+    to_camera = np.where(distance > _MIN_DISTANCE_M, -middle / np.maximum(distance, 1e-9), [0.0, 0.0, 1.0])
+    turn = swing_between(to_camera, np.broadcast_to([0.0, 0.0, 1.0], to_camera.shape))
+    return np.asarray(rotate(turn[:, None, None], motion_m))
+
+
+def _height(points: Array) -> float:
+    """Return the height that all people of a frame take, its median over the frames with anybody; 1 without any."""
+    height = points[..., 1].reshape(len(points), -1)
+    known = [row[np.isfinite(row)] for row in height if np.isfinite(row).any()]
+    return float(np.median([np.ptp(row) for row in known])) if known else 1.0
+
+
+def _middle(points: Array) -> Array:
+    """Return the middle (2,) of those points (n, 2) that are there."""
+    known = points[np.isfinite(points).all(axis=-1)]
+    return np.median(known, axis=0) if len(known) else np.zeros(2)

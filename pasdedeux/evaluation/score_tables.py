@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pasdedeux.evaluation.report import TextTable
+from pasdedeux.evaluation.names import better_sign, in_words, is_bound
 from pasdedeux.evaluation.scores import Score
 
-__all__ = ["format_value", "mean_table", "score_table"]
+__all__ = ["TextTable", "format_value", "mean_table", "score_table", "shown_as"]
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
@@ -19,19 +19,34 @@ _MIN_LENGTH_M = 1e-9
 """Lengths below are rounding, and shown as 0."""
 
 
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text: a caption, column headings and rows."""
+
+    caption: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
 def format_value(value: float, unit: str) -> str:
     """Return a figure with its unit, three significant digits, lengths in cm."""
-    shown_unit, factor = _HUNDREDTHS.get(unit, (unit, 1.0))
+    shown_unit, factor = shown_as(unit)
     scaled = 0.0 if unit == "m" and abs(value) < _MIN_LENGTH_M else value * factor
     text = f"{scaled:.3g}" if abs(scaled) < 1000 else f"{scaled:,.0f}"
     return f"{text} {shown_unit}".strip() if np.isfinite(value) else "-"
 
 
-def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
+def shown_as(unit: str) -> tuple[str, float]:
+    """Return the unit that figures of a unit are shown in, and what they are multiplied by."""
+    return _HUNDREDTHS.get(unit, (unit, 1.0))
+
+
+def score_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
     Several methods stand in columns of their own beside each other, baselines marked as such; of a single method the
-    figures stand in columns and the items in rows.
+    figures stand in columns and the items in rows.  With marks the best value of a row has a star, where it is known
+    what is better; what nobody can know has none.
     """
     single = [score for score in scores if np.isnan(score.at)]
     if len({score.method for score in single}) == 1:
@@ -39,18 +54,27 @@ def score_table(scores: Sequence[Score], *, caption: str) -> TextTable:
     methods = sorted({(score.is_baseline, score.method) for score in single})
     keys = sorted({(score.metric, score.split, score.item) for score in single}, key=_all_first)
     cells = {(s.metric, s.split, s.item, s.method): format_value(s.value, s.unit) for s in single}
-    headings = tuple(f"{method} (baseline)" if is_baseline else method for is_baseline, method in methods)
+    for key in keys if has_marks else ():
+        found = [s for s in single if (s.metric, s.split, s.item) == key and np.isfinite(s.value)]
+        own = {score.method: score.value for score in found if not is_bound(score.method)}
+        sign = better_sign(key[0])
+        best = max((sign * value for value in own.values()), default=0.0)
+        if sign and len(own) > 1:
+            cells |= {(*key, name): f"{cells[*key, name]} *" for name, value in own.items() if sign * value == best}
+    headings = tuple(
+        f"{in_words(method)} (baseline)" if is_baseline else in_words(method) for is_baseline, method in methods
+    )
     return TextTable(
         caption=caption,
         headings=("figure", "part", "item", *headings),
         rows=tuple(
-            (_words(metric), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
+            (in_words(metric), split, item, *(cells.get((metric, split, item, m), "") for _, m in methods))
             for metric, split, item in keys
         ),
     )
 
 
-def mean_table(scores: Sequence[Score], *, caption: str) -> TextTable | None:
+def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable | None:
     """Lay out means over the items of each figure, methods in columns; None where no figure has several items.
 
     Where views of an item have their mean as an item of its own (named with "mean of"), those means are taken, so that
@@ -73,7 +97,7 @@ def mean_table(scores: Sequence[Score], *, caption: str) -> TextTable | None:
             if len(found) == count:
                 value = float(np.mean([score.value for score in found]))
                 rows.append(replace(found[0], metric=metric, split=split, item=f"mean of {count}", value=value))
-    return score_table(rows, caption=caption) if counts and max(counts) > 1 else None
+    return score_table(rows, caption=caption, has_marks=has_marks) if counts and max(counts) > 1 else None
 
 
 def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
@@ -83,14 +107,9 @@ def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
     cells = {(score.split, score.item, score.metric): format_value(score.value, score.unit) for score in scores}
     return TextTable(
         caption=caption,
-        headings=("part", "item", *(_words(metric) for metric in metrics)),
+        headings=("part", "item", *(in_words(metric) for metric in metrics)),
         rows=tuple((split, item, *(cells.get((split, item, m), "") for m in metrics)) for split, item in rows),
     )
-
-
-def _words(metric: str) -> str:
-    """Return a metric's name as words; symbols such as E_r and D_C stay as they are."""
-    return re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", metric)
 
 
 def _all_first(key: tuple[str, str, str]) -> tuple[str, bool, str, bool, list[tuple[int, str]]]:

@@ -1,17 +1,15 @@
-"""What a take looks like: closeness of the two people, floor and foot contact, and a sheet of moments."""
+"""What a take looks like: closeness of the two people, floor and foot contact."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.skeletons import BODY22
-from pasdedeux.spread import evenly_spread
 
-__all__ = ["take_scores", "take_sheet"]
+__all__ = ["take_scores"]
 
 Array = npt.NDArray[np.float64]
 _CLOSE_M = 0.15
@@ -43,10 +41,3 @@ def take_scores(take_id: str, people_m: Array, rate_hz: float) -> list[Score]:
         Score(metric=name, method="capture", value=value, unit=unit, item=take_id, count=len(people_m))
         for name, value, unit in figures
     ]
-
-
-def take_sheet(take_id: str, people_m: Array, rate_hz: float, *, num_moments: int = 7) -> bytes:
-    """Draw evenly spaced moments of a take, (frame, person, 22, 3), seen along -Z and from the side; PNG bytes."""
-    frames = evenly_spread(len(people_m), num_moments)
-    panels = [pair_panel(f"{frame / rate_hz:.1f} s", BODY22, people_m[frame]) for frame in frames]
-    return skeleton_sheet(panels, title=f"take {take_id}: front (top) and side (bottom)")

@@ -12,8 +12,8 @@ from pasdedeux.augmentation.augment import Augmenter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Girths, Source, points_of, reference_motion, widened_m
 from pasdedeux.augmentation.variations import Variation
-from pasdedeux.evaluation.drawing import Panel, pair_panel, skeleton_sheet
 from pasdedeux.evaluation.figures import Curve, curve_figure
+from pasdedeux.evaluation.players import pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.interaction.known_contacts import UserContact
@@ -27,13 +27,15 @@ __all__ = [
     "drift_figure",
     "gap_scores",
     "quality_scores",
-    "variant_sheet",
+    "variant_player",
     "verdict_scores",
     "worst_variants",
 ]
 
 Array = npt.NDArray[np.float64]
 
+_MAX_LINKS = 10
+"""Contacts drawn in a frame, at most."""
 QUALITY_COLUMNS = {
     "estimated_gap_m": "m",
     "bone_error_m": "m",
@@ -195,7 +197,7 @@ def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:
 
 
 def drift_figure(qualities: VariantQualities) -> bytes:
-    """Draw contact drift against the scale, ours beside plain forward kinematics; PNG bytes."""
+    """Draw contact drift against the scale, ours beside plain forward kinematics; SVG bytes."""
     order = np.argsort(qualities.scale)
     order = order[np.isfinite(qualities.scale[order])]
     scale = qualities.scale[order]
@@ -210,24 +212,25 @@ def drift_figure(qualities: VariantQualities) -> bytes:
     )
 
 
-def variant_sheet(take_id: str, source: Source, variants_m: Mapping[str, Array], *, num_moments: int = 4) -> bytes:
-    """Draw moments of the source and of variants side by side with the source's contacts as green lines; PNG bytes.
+def variant_player(source: Source, variants_m: Mapping[str, Array]) -> bytes:
+    """Show the source and variants side by side with the source's contacts as black lines.
 
     Args:
-        take_id: Name of the take.
         source: The take.
         variants_m: Variants by name, each (frame, P, 22, 3), metres.
-        num_moments: Moments drawn, evenly spread.
     """
-    frames = evenly_spread(source.num_frames, num_moments, has_ends=False)
-    panels: list[Panel] = []
-    for frame in map(int, frames):
-        found = source.take_frames(slice(frame, frame + 1)).contacts()
-        held = found.is_held[0]
-        ends, shares = found.points[0, held].reshape(-1, 2, 2), np.abs(found.shares[0, held].reshape(-1, 2, 2, 1))
-        for name, motion in {"source": source.positions_m, **variants_m}.items():
-            links = (shares * motion[frame].reshape(-1, 3)[ends]).sum(axis=2)
-            links[:, 1] += found.places_m[0, held]
-            objects = source.objects.ends_m[frame] if source.objects else None
-            panels.append(pair_panel(f"{name}\nframe {frame}", BODY22, motion[frame], links, objects))
-    return skeleton_sheet(panels, title=f"{take_id}: source beside variants, contacts in green")
+    frames, rate_hz = shown_frames(source.num_frames, source.rate_hz)
+    contacts = source.contacts()
+    held, ends = contacts.is_held[frames], contacts.points[frames].reshape(len(frames), -1, 2, 2)
+    shares = np.abs(contacts.shares[frames].reshape(*ends.shape, 1))
+    strongest = np.argsort(~held, axis=1, kind="stable")[:, : min(_MAX_LINKS, int(held.sum(axis=1).max(initial=0)))]
+    objects = source.objects.ends_m[frames] if source.objects else None
+    panels = []
+    for name, motion in {"source": source.positions_m, **variants_m}.items():
+        joints = motion[frames].reshape(len(frames), -1, 3)
+        links = (shares * joints[np.arange(len(frames))[:, None, None, None], ends]).sum(axis=3)
+        links[:, :, 1] += contacts.places_m[frames]
+        links[~held] = np.nan
+        links = np.take_along_axis(links, strongest[:, :, None, None], axis=1)
+        panels.append(people_panel(name, BODY22, motion[frames], links, objects))
+    return pack_player(panels, rate_hz=rate_hz)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.evaluation.report import TextTable
-from pasdedeux.evaluation.score_tables import format_value
+from pasdedeux.evaluation.figures import compared_figure
+from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.score_tables import format_value, shown_as
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 
-__all__ = ["Judged", "Yardstick", "by_stage", "verdict_columns", "verdict_line", "verdict_table"]
+__all__ = ["Judged", "Yardstick", "by_stage", "figure_words", "verdict_columns", "verdict_words"]
 
 _CLEARLY = 0.05
 """A method is better or worse than a baseline where it differs by more than this share of the baseline's figure."""
@@ -48,24 +49,16 @@ class Yardstick:
         Figures are means over the parts and items that both have.  None where the metric, a method or a baseline is
         not among the scores.
         """
-        found: dict[str, dict[tuple[str, str], float]] = {}
-        unit, plain = "", set(self.baselines)
-        for score in scores:
-            if score.metric == self.metric and math.isnan(score.at) and math.isfinite(score.value):
-                found.setdefault(score.method, {})[score.split, score.item] = score.value
-                unit = score.unit
-                plain |= {score.method} if score.is_baseline else set()
+        found, unit, plain = self._found(scores)
         named = [method for method in self.methods if method in found][:1]
         methods = named if self.methods else [method for method in found if method not in plain]
         baselines = [name for name in self.baselines if name in found]
         if not methods or not (baselines or math.isfinite(self.chance)):
             return None
-        # Sorted: the mean of a set would depend on the order of its hashes.
-        places = sorted(set.intersection(*(set(found[name]) for name in [*methods, *baselines])))
-        if not places:
+        mean = _means(found, [*methods, *baselines])
+        if not mean:
             return None
         sign = -1.0 if self.is_larger_better else 1.0
-        mean = {name: float(np.mean([found[name][place] for place in places])) for name in [*methods, *baselines]}
         method = min(methods, key=lambda name: sign * mean[name])
         name = min(baselines, key=lambda name: sign * mean[name]) if baselines else self.chance_name
         value, baseline = mean[method], mean.get(name, self.chance)
@@ -82,8 +75,54 @@ class Yardstick:
             Level.WARN: "about as good as",
             Level.FAIL: "worse than",
         }[level]
-        reason = f"{_words(method)} is {how} {_words(name)}"
-        return Verdict(level, reason, self.figure, value, unit, baseline, _words(name))
+        reason = f"{in_words(method)} is {how} {in_words(name)}"
+        return Verdict(level, reason, self.figure, value, unit, baseline, in_words(name))
+
+    def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
+        """Draw the mean figure of every method that was scored wherever most were, best first, as SVG with a caption.
+
+        The goal is what has to be beaten: the best trivial way, or chance.  None where there is nothing to compare.
+        """
+        found, unit, plain = self._found(scores)
+        most = max(map(len, found.values()), default=0)
+        means = _means(found, [method for method, own in found.items() if len(own) == most])
+        if len(means) < (1 if math.isfinite(self.chance) else 2):
+            return None
+        sign = -1.0 if self.is_larger_better else 1.0
+        ranked = sorted(means, key=lambda name: (sign * means[name], name))
+        trivial = ((means[one], in_words(one)) for one in ranked if one in self.baselines)
+        goal, name = next(trivial, (self.chance, self.chance_name))
+        shown_unit, factor = shown_as(unit)
+        drawn = compared_figure(
+            {in_words(method): factor * means[method] for method in ranked},
+            {in_words(method) for method in plain},
+            goal=factor * goal,
+            x_label=f"{self.figure} ({shown_unit})" if shown_unit else self.figure,
+        )
+        better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
+        beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
+        what = f"{self.figure[:1].upper()}{self.figure[1:]}, mean over {most} parts and items"
+        return drawn, f"{what}: {better}, hatched are trivial ways{beaten}."
+
+    def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
+        """Return the figures by method and place, their unit, and which methods are baselines."""
+        found: dict[str, dict[tuple[str, str], float]] = {}
+        unit, plain = "", set(self.baselines)
+        for score in scores:
+            if score.metric == self.metric and math.isnan(score.at) and math.isfinite(score.value):
+                found.setdefault(score.method, {})[score.split, score.item] = score.value
+                unit = score.unit
+                plain |= {score.method} if score.is_baseline else set()
+        return found, unit, plain
+
+
+def _means(found: dict[str, dict[tuple[str, str], float]], methods: Sequence[str]) -> dict[str, float]:
+    """Return the means of methods over the places that all of them have; nothing where there is none."""
+    if not methods:
+        return {}
+    # Sorted: the mean of a set would depend on the order of its hashes.
+    places = sorted(set.intersection(*(set(found[name]) for name in methods)))
+    return {name: float(np.mean([found[name][place] for place in places])) for name in methods} if places else {}
 
 
 @dataclass(frozen=True)
@@ -110,45 +149,31 @@ def by_stage(judged: Sequence[Judged], *, apart: str) -> dict[str, Verdict]:
     """Return one verdict for each stage in order of appearance; partitions of stage `apart` each have their own."""
     groups: dict[str, list[Verdict]] = {}
     for one in judged:
-        name = f"{one.stage}: {_words(one.partition)}" if one.stage == apart else one.stage
+        name = f"{one.stage}: {in_words(one.partition)}" if one.stage == apart else one.stage
         groups.setdefault(name, []).append(one.verdict)
     return {name: verdict for name, found in groups.items() if (verdict := summarise_verdicts(found)) is not None}
 
 
-def verdict_table(verdicts: dict[str, Verdict]) -> TextTable:
-    """Lay out verdicts by name: how good, why, and the figure beside that of the trivial way."""
-    return TextTable(
-        caption="Verdicts: the figure that matters beside that of the trivial way to do it",
-        headings=("of", "verdict", "why", "figure", "here", "trivial way", "which is"),
-        rows=tuple(
-            (
-                name,
-                verdict.level.value,
-                verdict.reason,
-                verdict.figure,
-                _shown(verdict.value, verdict.unit),
-                _shown(verdict.baseline, verdict.unit),
-                verdict.baseline_name,
-            )
-            for name, verdict in verdicts.items()
-        ),
-        levels=tuple(verdict.level.value for verdict in verdicts.values()),
-    )
+def verdict_words(verdict: Verdict | None) -> str:
+    """Return a verdict in one line: the level, why, and the figure that matters beside that of the trivial way.
+
+    >>> verdict_words(Verdict(Level.WARN, "hands drift", "contact drift", 0.012, "m", 0.03, "plain kinematics"))
+    'warn: hands drift; contact drift 1.2 cm against 3 cm (plain kinematics)'
+    """
+    return "" if verdict is None else "; ".join(filter(None, (_judged(verdict), figure_words(verdict))))
 
 
-def verdict_line(name: str, verdict: Verdict) -> str:
-    """Return a verdict as a line of text."""
-    line = f"{name}: {verdict.level.value}" + (f", {verdict.reason}" if verdict.reason else "")
-    if verdict.figure and math.isfinite(verdict.value):
-        line += f"; {verdict.figure} {_shown(verdict.value, verdict.unit)}"
-        if math.isfinite(verdict.baseline):
-            line += f" against {_shown(verdict.baseline, verdict.unit)} ({verdict.baseline_name})"
+def figure_words(verdict: Verdict) -> str:
+    """Return the figure that matters beside that of the trivial way; empty without one."""
+    if not verdict.figure or not math.isfinite(verdict.value):
+        return ""
+    line = f"{verdict.figure} {format_value(verdict.value, verdict.unit)}"
+    if math.isfinite(verdict.baseline):
+        line += (
+            f" against {format_value(verdict.baseline, verdict.unit)} ({in_words(verdict.baseline_name) or 'baseline'})"
+        )
     return line
 
 
-def _shown(value: float, unit: str) -> str:
-    return format_value(value, unit) if math.isfinite(value) else ""
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def _judged(verdict: Verdict) -> str:
+    return f"{verdict.level.value}: {verdict.reason}" if verdict.reason else verdict.level.value

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.evaluation.report import TextTable
-from pasdedeux.evaluation.score_tables import format_value
+from pasdedeux.evaluation.score_tables import TextTable, format_value
 from pasdedeux.evaluation.scores import Score
 
 __all__ = ["exploration_table"]

@@ -13,7 +13,7 @@ from pasdedeux.evaluation.variants import (
     drift_figure,
     gap_scores,
     quality_scores,
-    variant_sheet,
+    variant_player,
     verdict_scores,
     worst_variants,
 )
@@ -82,18 +82,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     def read(chosen: Iterable[int]) -> dict[str, np.ndarray]:
         return {names[i]: _read_variant(store, homes[i], names[i], source.num_people) for i in chosen}
 
-    sheet = variant_sheet(take_id, source, read(drawn))
-    worst = worst_variants(qualities)
-    pictures = {f"variants-{take_id}.png": sheet}
+    pictures = {f"variants-{take_id}.player.json": variant_player(source, read(drawn))}
     if has_contacts:
-        pictures[f"drift-{take_id}.png"] = drift_figure(qualities)
-    if worst:
-        pictures[f"worst-{take_id}.png"] = variant_sheet(take_id, source, read(worst), num_moments=1)
-    listed = "; ".join(f"{names[i]}: {', '.join(columns)}" for i, columns in worst.items())
+        pictures[f"drift-{take_id}.svg"] = drift_figure(qualities)
+    worst = "; ".join(f"{names[i]}: {', '.join(columns)}" for i, columns in worst_variants(qualities).items())
     captions = {
-        f"variants-{take_id}.png": f"{take_id}: source, the smallest and greatest scale, and the worst contact drift.",
-        f"worst-{take_id}.png": f"{take_id}: the worst variant by each figure. {listed}.",
-        f"drift-{take_id}.png": f"{take_id}: how far contacts moved apart or together against the source.",
+        f"variants-{take_id}.player.json": f"{take_id}: source, the smallest and greatest scale, and the worst contact "
+        f"drift; contacts of the source are black. {f'The worst by each figure: {worst}.' if worst else ''}",
+        f"drift-{take_id}.svg": f"{take_id}: how far contacts moved apart or together against the source; nearer to 0 "
+        "is better, plain forward kinematics is the trivial way.",
     }
     return TopicResult(
         scores=[*kept, *quality_scores(qualities), *gaps, *verdict_scores(qualities)],

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from pasdedeux.evaluation.drawing import pair_panel, skeleton_sheet
+from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
+from pasdedeux.spread import evenly_spread
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
@@ -29,7 +30,8 @@ _FIGURES = {
 }
 
 
-_NUM_SHOWN = 4
+_NUM_SHOWN = 50
+_DRAWS_PER_S = 5.0
 _STANDING_M = 0.95
 """Height at which the middle of a pair is drawn."""
 
@@ -61,7 +63,7 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
 
 
 def _shown(shard: Shard, store: Store) -> TopicResult:
-    """Draw four draws of each density, evenly spaced, as in Yin et al. 2018, figs. 6 and 7; score their prior."""
+    """Show a chain of each density from its seed on, as in Yin et al. 2018, figs. 6 and 7; score the draws' prior."""
     chains: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for ref in shard.refs("chains"):
         table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
@@ -70,13 +72,15 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
     scores, pictures, captions = [], {}, {}
     for density, parts_of in sorted(chains.items()):
         pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
-        at = np.arange(1, _NUM_SHOWN + 1) * len(pairs) // _NUM_SHOWN - 1
-        panels = [
-            pair_panel(f"draw {index + 1}", PAIR17, pairs[index] + np.array([0.0, _STANDING_M, 0.0])) for index in at
-        ]
-        name = f"draws-{density}.png"
-        pictures[name] = skeleton_sheet(panels, title=density.replace("_", " "))
-        captions[name] = f"Draws of one chain of {density} from the first seed, as in Yin et al. 2018, figs. 6 and 7."
+        at = evenly_spread(len(pairs), _NUM_SHOWN)
+        panel = people_panel(density.replace("_", " "), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
+        name = f"draws-{density}.player.json"
+        labels = [f"draw {index + 1} of {len(pairs)}" for index in at]
+        pictures[name] = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
+        captions[name] = (
+            f"One chain of {density.replace('_', ' ')} from the first seed on, as in Yin et al. 2018, figs. 6 and 7. A "
+            "chain that mixes leaves its seed and comes back to poses alike; one that hardly moves does not."
+        )
         scores += summarise(
             log_prior,
             metric="log_prior",

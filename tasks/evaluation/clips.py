@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.evaluation import players
 from pasdedeux.skeletons import OP14
 from storage_schema import Store, TableData
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.evaluation.truth import rate_of, read_cameras
+from tasks.evaluation.truth import rate_of
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC"]
@@ -41,8 +42,6 @@ def _plan(inputs: StageInputs, settings: ClipSettings) -> list[Shard]:
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Draw the first seconds of one sequence."""
-    from pasdedeux.evaluation.overlay import floor_grid, overlay_clip  # here: planning does not need OpenCV
-
     options = shard.options(ClipParameters)
     sequence_id, annotations = options.sequence_id, shard.ref("annotations")
     columns = ["sequence_id", "frame", "person_id", "time_s", "op14_px", "image_width_px", "image_height_px"]
@@ -52,15 +51,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     keypoints, times = _by_frame(data, is_here)
     step = max(1, round(rate_of(times) / options.clip_rate_hz))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
-    camera = read_cameras(store, [annotations]).get(sequence_id)
-    name = f"clip-{sequence_id.replace('/', '-')}.webp"
-    clip = overlay_clip(
-        OP14,
-        keypoints,
-        image_size_px=size,
-        rate_hz=min(options.clip_rate_hz, rate_of(times)),
-        floor_px=None if camera is None else floor_grid(camera),
-        labels=[f"{time:.1f} s" for time in times[::step]],
+    name = f"clip-{sequence_id.replace('/', '-')}.player.json"
+    shown = players.image_panel(sequence_id, OP14, keypoints, size)
+    clip = players.pack_player(
+        [shown], rate_hz=rate_of(times) / step, labels=[f"{time:.1f} s" for time in times[::step]]
     )
     return TopicResult(pictures={name: clip}, captions={name: f"Sequence {sequence_id}: the 2D poses that were given."})
 

@@ -97,12 +97,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     scores = coverage_scores(curves, levels, split=split, num_truth=len(truth))
     scores += union_scores(curves, levels, GROWN, split=split)
     scores += realism_scores(draws, np.concatenate([truth, others]), generator, split=split)
-    name = f"coverage-{split}.png"
+    name = f"coverage-{split}.svg"
     pictures = {name: coverage_figure(curves, levels, split=split)}
     captions = {name: f"Coverage of {words} frames by the draws of each density and by grown seeds."}
     shown = _map(truth, {name: draws[name] for name in mapped}, _seed(store, shard.refs("first_seed")), split)
     if shown is not None:
-        name = f"coverage-map-{split}.png"
+        name = f"coverage-map-{split}.svg"
         pictures[name] = shown
         captions[name] = (
             f"Draws among {words} frames as their number grows, as in Yin et al. 2018, fig. 8: multi-dimensional "

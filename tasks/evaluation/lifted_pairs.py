@@ -11,8 +11,8 @@ from pasdedeux.evaluation.lifted_pairs import (
     completion_scores,
     in_between_scores,
     lifted_errors,
+    lifted_player,
     lifted_scores,
-    lifted_sheet,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Yardstick
@@ -31,7 +31,7 @@ __all__ = ["TOPIC"]
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
-_NUM_EXAMPLES = 2
+_NUM_EXAMPLES = 6
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
 
@@ -114,11 +114,12 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
             {name: chosen[at][name] for name in ("truth", *_SHEET_METHODS) if name in chosen[at]} for at in spread
         ]
         if rows_shown:
-            name = f"lifted-{split}.png"
-            pictures[name] = lifted_sheet(rows_shown, title=f"{split.replace('_', ' ')}: lifted pairs")
+            name = f"lifted-{split}.player.json"
+            pictures[name] = lifted_player(rows_shown)
             captions[name] = (
-                "Truth and what it was lifted to, from the camera (above) and from the side (below), as in Yin et al. "
-                "2018, figs. 2 and 10."
+                f"{split.replace('_', ' ').capitalize()} frames: the truth and what each method lifted its image to, "
+                "first from the camera, as in Yin et al. 2018, figs. 2 and 10. Turn them: from the side differences in "
+                "depth show."
             )
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
 

@@ -55,7 +55,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             for name, found in errors.items()
         }
         scores += model_scores(mine, baselines=BASELINES, split=split, item=take_id)
-    name = f"models-{facts['split']}.png"
+    name = f"models-{facts['split']}.svg"
     shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
     return TopicResult(
         scores=scores,

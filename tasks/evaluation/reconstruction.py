@@ -10,10 +10,10 @@ import numpy as np
 
 from pasdedeux.evaluation.reconstruction import (
     Reconstructed,
-    motion_sheet,
     pair_scores,
+    reconstruction_player,
     reconstruction_scores,
-    reconstruction_sheet,
+    turn_to_camera,
 )
 from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Store, TableData
@@ -22,9 +22,6 @@ from tasks.evaluation.truth import rate_of, read_cameras, read_take_frames, read
 from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC", "read_reconstructed", "search_notes"]
-
-_CLIP_HZ = 12.0
-_CLIP_S = 4.0
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -53,23 +50,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     split = "held_out" if any(store.manifest(ref).facts["is_held_out"] for ref in annotations) else "annotated"
     table = _read_motions(store, motions)
     sequence_id = str(table["sequence_id"][0])
-    scores, pictures, captions = [], {}, {}
+    scores = []
     people = read_reconstructed(store, motions, annotations, shard.refs("takes"))
     for result in people:
         scores += reconstruction_scores(result, split=split)
-        best = list(result.found_m)[-1]
-        name = f"reconstruction-{sequence_id.replace('/', '-')}-{result.person_id}.png"
-        pictures[name] = reconstruction_sheet(result, best)
-        captions[name] = f"{result.item}: reconstructed by {best} in colour, truth in grey."
-    clip_name = f"reconstruction-{shard.name.replace('/', '-')}.webp"
     keypoints = _read_keypoints(store, annotations, shard.name)
     camera = cameras[sequence_id]
     camera_m = camera.camera_from_world_rotmat @ camera.position_m
-    pictures[clip_name] = _clip(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))
-    captions[clip_name] = (
-        f"{shard.name}: the image (left), what {list(people[0].found_m)[-1]} made of it as the camera sees it (middle) "
-        "and from its side (right), everybody in their place to each other; truth in grey."
-    )
+    name = _picture_name(shard.name)
+    pictures = {name: _shown(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))}
+    captions = {
+        name: f"{shard.name}: the image, and what {list(people[0].found_m)[-1]} made of it, first as the camera sees "
+        "it, everybody in their place to each other. Turn it: what one camera does not see is depth."
+    }
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=search_notes(shard.name, facts))
@@ -127,44 +120,43 @@ def _read_keypoints(store: Store, annotations: Sequence[ArtifactRef], sequence_i
     return keypoints
 
 
-def _clip(
+def _picture_name(sequence_id: str) -> str:
+    return f"reconstruction-{sequence_id.replace('/', '-')}.player.json"
+
+
+def _shown(
     people: Sequence[Reconstructed],
     keypoints: Mapping[tuple[int, int], Any],
     *,
     camera_m: np.ndarray,
     rate_hz: float,
 ) -> bytes:
-    """Draw some seconds of what the last method made of everybody beside the image; the truth's camera is at (3,)."""
-    # here: planning does not need OpenCV
-    from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
-
-    step = max(1, round(rate_hz / _CLIP_HZ))
-    frames = np.unique(np.concatenate([person.frames for person in people]))[::step][: round(_CLIP_S * rate_hz / step)]
+    """Show what the last method made of everybody beside the image; the truth's camera is at (3,)."""
+    frames = np.unique(np.concatenate([person.frames for person in people]))
     px = np.full((len(frames), len(people), 14, 2), np.nan)
     found, truth = np.full((2, len(frames), len(people), 14, 3), np.nan)
     for number, person in enumerate(people):
-        at = np.flatnonzero(np.isin(frames, person.frames))
-        rows = np.searchsorted(person.frames, frames[at])
-        found[at, number] = list(person.found_m.values())[-1][rows]
-        truth[at, number] = person.truth_m[rows]
+        at = np.searchsorted(frames, person.frames)
+        found[at, number] = list(person.found_m.values())[-1]
+        truth[at, number] = person.truth_m
         for index in at:
             px[index, number] = keypoints.get((person.person_id, int(frames[index])), np.nan)
     shown, true = (turn_to_camera(motion, truth - camera_m) for motion in (found, truth))
-    return side_by_side_clip(px, shown, rate_hz=rate_hz / step, truth_m=true)
+    return reconstruction_player(shown, rate_hz=rate_hz, keypoints_px=px, truth_m=true)
 
 
 def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
-    """Draw what the last method made of a sequence that cannot be scored."""
+    """Show what the last method made of a sequence that cannot be scored."""
     table = _read_motions(store, motions)
-    method = str(table["method"][-1])
-    sequence_id = str(table["sequence_id"][0])
-    people = []
-    for person in np.unique(table["person_id"]):
-        rows = np.flatnonzero((table["person_id"] == person) & (table["method"] == method))
-        people.append({int(table["frame"][row]): table["op14_m"][row].astype(np.float64) for row in rows})
-    name = f"reconstruction-{sequence_id.replace('/', '-')}.png"
+    method, sequence_id = str(table["method"][-1]), str(table["sequence_id"][0])
+    is_shown = table["method"] == method
+    frames, rows = np.unique(table["frame"][is_shown], return_inverse=True)
+    persons, columns = np.unique(table["person_id"][is_shown], return_inverse=True)
+    found = np.full((len(frames), len(persons), 14, 3), np.nan)
+    found[rows, columns] = table["op14_m"][is_shown]
+    name = _picture_name(sequence_id)
     return TopicResult(
-        pictures={name: motion_sheet(f"{sequence_id}, {method}", people)},
+        pictures={name: reconstruction_player(found, rate_hz=rate_of(table["time_s"]))},
         captions={name: f"{sequence_id}: reconstructed by {method}, a colour for each person."},
         notes=[note],
     )

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from pydantic import Field
 
-from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.report import Picture, Report, Section, render_report
-from pasdedeux.evaluation.score_tables import mean_table, score_table
+from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
+from pasdedeux.evaluation.names import meanings
+from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, render_report
+from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
-from pasdedeux.evaluation.verdicts import Judged, by_stage, verdict_columns, verdict_line, verdict_table
-from pasdedeux.verdict import summarise_verdicts
+from pasdedeux.evaluation.summary import Summary
+from pasdedeux.evaluation.verdicts import verdict_columns
+from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
-from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of, verdicts_of_parts
+from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
+from tasks.summary import judge, summary_of
 
 __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
@@ -27,6 +31,9 @@ class PageSettings(Parameters):
     """What the page says of the study."""
 
     title: str = Field("A dataset of close two-person motion", description="Title of the report and the card")
+    max_page_mb: float = Field(
+        4.5, gt=0, le=50, description="Size of the report's page; pictures that do not fit lie beside it, in megabytes"
+    )
     description: str = Field(
         "Made with pasdedeux from the takes and annotations named in the study.",
         description="What the study makes, a sentence or two for the report and the card",
@@ -56,28 +63,50 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     settings = shard.options(PageSettings)
     skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
     scores = {topic.name: _scores(store, found, topic) for topic in topics}
-    judged = _judged([*inputs, *found])
-    verdicts = by_stage(judged, apart=STAGE_NAME)
-    card = _card(settings, topics, inputs, skipped, [verdict_line(*one) for one in verdicts.items()])
+    judged, summary = judge([*inputs, *found]), summary_of([*inputs, *found])
+    card = _card(settings, topics, inputs, skipped, summary)
+    drawn = {topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name])) is not None}
+    every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
+    # A third of the page for tables; base64 makes four bytes of three.
+    room = int(settings.max_page_mb * 1e6 * 0.5)
+    sections, num_out = fit_pictures([section for section in every if section is not None], room)
+    if num_out:
+        skipped.append(
+            f"{num_out} pictures would make the page larger than {settings.max_page_mb:g} MB and lie beside it; "
+            "`evaluation.max_page_mb` says how large it may be."
+        )
+    skipped += [_unasked(topic) for topic, section in zip(topics, every, strict=True) if section is None]
     page = render_report(
         Report(
             title=settings.title,
-            summary=(settings.description,),
+            description=settings.description,
+            summary=summary,
             sections=[
-                *([Section(heading="Is it good?", tables=(verdict_table(verdicts),))] if verdicts else []),
-                *(section for topic in topics if (section := _section(store, found, topic, scores)) is not None),
+                *sections,
                 Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",)),
                 Section(heading="Sources and licences", tables=card_tables(card)),
             ],
         )
     )
+    figures = {f"{name}-compared.svg": content for name, (content, _) in drawn.items()}
     return commit(
         shard,
         store,
         tables={"verdicts": verdict_columns(judged)} if judged else {},
-        attachments={"report.html": page.encode(), "card.md": render_card(card).encode()},
+        attachments={**figures, "report.html": page.encode(), "card.md": render_card(card).encode()},
         facts={"takes": merge_takes(*inputs)},
     )
+
+
+def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None:
+    """Draw the figure that says whether a topic's result is good, method by method."""
+    return next((drawn for one in topic.yardsticks if (drawn := one.picture(scores)) is not None), None)
+
+
+def _unasked(topic: Topic) -> str:
+    """Say that a topic has no section, and which keys ask for it."""
+    keys = ", ".join(f"`evaluation.{name}`" for name in topic.settings.model_fields)
+    return f"{topic.heading}: there was nothing to show" + (f"; what is asked for is set by {keys}." if keys else ".")
 
 
 def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score]:
@@ -90,39 +119,51 @@ def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score
     return scores
 
 
-def _judged(manifests: Sequence[Manifest]) -> list[Judged]:
-    """Return one verdict for each part of a stage and partition, or for the whole of it, in order of appearance."""
-    groups: dict[tuple[str, str], list[Manifest]] = {}
-    for manifest in manifests:
-        groups.setdefault((manifest.ref.stage, manifest.partition), []).append(manifest)
-    judged = []
-    for (stage, partition), found in groups.items():
-        parts = {name: verdict for one in found for name, verdict in verdicts_of_parts(one).items()}
-        judged += [Judged(stage, f"{partition} {name}", verdict) for name, verdict in parts.items()]
-        whole = summarise_verdicts(verdict for one in found if (verdict := verdict_of(one)) is not None)
-        if whole is not None and not parts:
-            judged.append(Judged(stage, partition, whole))
-    return judged
-
-
-def _section(store: Store, found: Sequence[Manifest], topic: Topic, scores: ScoresOf) -> Section | None:
-    """Return a topic's section, with tables before its figures, or None when nothing was found."""
+def _section(
+    store: Store,
+    found: Sequence[Manifest],
+    topic: Topic,
+    scores: ScoresOf,
+    summary: Summary,
+    drawn: tuple[bytes, str] | None,
+) -> Section | None:
+    """Return a topic's section: what it compares first, then pictures of its worst part, its best, and the others."""
     parts = [manifest for manifest in found if manifest.partition == topic.name]
     if not parts:
         return None
     own = scores[topic.name]
     means = mean_table(own, caption=f"{topic.heading}: means") if topic.has_means_first else None
     figures = [score_table(own, caption=f"{topic.heading}: figures")] if own else []
+    known = meanings({name for score in own for name in (score.method, score.metric)})
+    names = (
+        [TextTable(f"{topic.heading}: what the names mean", ("name", "in words", "which is"), known)] if known else []
+    )
+    pictures = [Picture(f"{topic.name}-compared.svg", drawn[1], drawn[0])] if drawn else []
+    for part in _worst_and_best_first(parts):
+        pictures += [
+            Picture(name=name, caption=part.facts["captions"][name], content=store.attachment(part.ref, name))
+            for name in sorted(part.attachments, key=lambda name: (not name.endswith(PLAYER), name))
+        ]
     return Section(
         heading=topic.heading,
         paragraphs=(topic.introduction, *dict.fromkeys(note for part in parts for note in part.facts["notes"])),
-        tables=(*topic.tables(scores), *([] if means is None else [means]), *figures),
-        pictures=tuple(
-            Picture(name=name, caption=part.facts["captions"][name], content=store.attachment(part.ref, name))
-            for part in parts
-            for name in sorted(part.attachments)
-        ),
+        tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
+        pictures=tuple(pictures),
+        verdict=summary.verdicts.get(f"{STAGE_NAME}: {topic.name.replace('_', ' ')}"),
     )
+
+
+def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:
+    """Return the parts of a topic with the worst first and the best second, by how far each leads the trivial way."""
+    leads = {
+        number: abs(verdict.value - verdict.baseline) * (1.0 if verdict.level is Level.PASS else -1.0)
+        for number, part in enumerate(parts)
+        if (verdict := verdict_of(part)) is not None and math.isfinite(verdict.value + verdict.baseline)
+    }
+    if len(leads) < 3:
+        return list(parts)
+    ends = [min(leads, key=lambda number: leads[number]), max(leads, key=lambda number: leads[number])]
+    return [parts[number] for number in (*ends, *(other for other in range(len(parts)) if other not in ends))]
 
 
 def _skipped(manifest: Manifest) -> list[str]:
@@ -134,7 +175,10 @@ def _skipped(manifest: Manifest) -> list[str]:
         found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
     if facts.get("num_skipped_frames"):
         named = ", ".join(facts["skipped_files"])
-        found.append(f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}).")
+        found.append(
+            f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}); "
+            "`on_unreadable` of its source says whether they stop the run."
+        )
     if facts.get("num_annotations_skipped"):
         count = facts["num_annotations_skipped"]
         found.append(f"Chains: {count} annotations without all joints of two people, or without a view, were left out.")
@@ -146,22 +190,20 @@ def _card(
     topics: Sequence[Topic],
     inputs: Sequence[Manifest],
     skipped: Sequence[str],
-    verdicts: Sequence[str],
+    summary: Summary,
 ) -> DatasetCard:
     rows: dict[str, int] = {}
     for manifest in inputs:
         for table, part in manifest.tables.items():
             rows[table] = rows.get(table, 0) + part.rows
     takes = [manifest.facts for manifest in inputs if "poses" in manifest.tables]
-    sources = {(s.name, s.licence, s.credit) for manifest in inputs for s in manifest.sources}
     return DatasetCard(
         title=settings.title,
         description=settings.description,
+        summary=summary,
         rows=rows,
         takes=sorted(facts["take_id"] for facts in takes),
         held_out=sorted(facts["take_id"] for facts in takes if facts["is_held_out"]),
-        sources=[CardSource(*source) for source in sorted(sources)],
         skipped=skipped,
         cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
-        verdicts=verdicts,
     )

@@ -5,8 +5,9 @@ from __future__ import annotations
 from itertools import cycle
 from string import ascii_uppercase
 
-from pasdedeux.evaluation.drawing import COLOUR_NAMES
-from pasdedeux.evaluation.takes import take_scores, take_sheet
+from pasdedeux.evaluation.players import COLOUR_NAMES, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.takes import take_scores
+from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import Store
 from tasks.evaluation.topic import Topic, TopicResult, read_people
@@ -28,13 +29,15 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if verdict is not None and verdict.level is not Level.PASS:
         notes = [f"Take {facts['take_id']}: {verdict.level}: {verdict.reason}."]
     people = read_people(store, shard.ref("take"), "body22_m")
-    name = f"take-{facts['take_id']}.png"
+    name = f"take-{facts['take_id']}.player.json"
+    frames, rate_hz = shown_frames(len(people), facts["rate_hz"])
+    shown = people_panel(facts["take_id"], BODY22, people[frames])
     held_out = ", held out" if facts["is_held_out"] else ""
     coloured = zip(ascii_uppercase[: people.shape[1]], cycle(COLOUR_NAMES), strict=False)
     who = "".join(f"person {letter} {colour}, " for letter, colour in coloured) if people.shape[1] > 1 else ""
     return TopicResult(
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
-        pictures={name: take_sheet(facts["take_id"], people, facts["rate_hz"])},
+        pictures={name: pack_player([shown], rate_hz=rate_hz)},
         notes=notes,
         captions={name: f"Take {facts['take_id']}{held_out}: {who}left limbs darker."},
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.report import TextTable
+from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
 from pasdedeux.evaluation.verdicts import Yardstick
 from storage_schema import ArtifactRef, Manifest, Store
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 28
+VERSION = 29
 
 ScoresOf = Mapping[str, Sequence[Score]]
 
@@ -39,7 +39,7 @@ class TopicResult:
 
     Args:
         scores: The figures.
-        pictures: Files by name (.png or .webp).
+        pictures: Figures (.svg) and moving people (.player.json) by file name.
         captions: A caption for each picture.
         notes: Sentences for the reader: what was measured, what was skipped and why.
     """

@@ -68,8 +68,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
     return TopicResult(
         scores=scores,
-        pictures={"views.png": picture},
-        captions={"views.png": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
+        pictures={"views.svg": picture},
+        captions={"views.svg": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
         notes=skipped,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import tomllib
 from collections.abc import Sequence
 from fnmatch import fnmatch
@@ -12,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.drawing import skeleton_sheet
+from pasdedeux.evaluation.figures import grid_figure
+from pasdedeux.evaluation.report import PLAYER
 from pasdedeux.evaluation.score_tables import format_value
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
@@ -22,6 +24,7 @@ from tasks import ingest, projections, reconstruction
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
+from tests.builders.pages import Page, in_browser
 from tests.builders.real_study import SMALL, BuiltStudy
 from tests.builders.walking_takes import put_take
 
@@ -95,7 +98,9 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
         for note in part.facts["notes"]:
             assert note in section
         for name in part.attachments:
-            assert base64.b64encode(store.attachment(part.ref, name)).decode() in section
+            content = store.attachment(part.ref, name)
+            shown_as = json.loads(content)["data"] if name.endswith(PLAYER) else base64.b64encode(content).decode()
+            assert shown_as in section
             assert part.facts["captions"][name] in section
             shown += 1
         if "scores" in part.tables:
@@ -109,6 +114,23 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
     assert shown > 0
 
 
+def test_the_page_is_whole_small_and_opens_in_a_browser(
+    evaluated: tuple[Store, list[Manifest], str], tmp_path: Path
+) -> None:
+    store, made, _ = evaluated
+    text = store.attachment(made[-1].ref, "report.html").decode()
+    page = Page(text)
+    assert (page.problems, page.outside, page.unnamed) == ([], [], [])
+    assert {link.removeprefix("#") for link in page.links} <= page.ids
+    assert len(text) < 5e6
+    assert len(page.scenes) >= 6
+    probe = (
+        "document.querySelectorAll('figure.player').forEach(ready); return document.querySelectorAll('canvas').length;"
+    )
+    answer = in_browser(text, probe, tmp_path)
+    assert answer == {"found": len(page.scenes), "errors": []}
+
+
 def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
     evaluated: tuple[Store, list[Manifest], str],
 ) -> None:
@@ -116,6 +138,7 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
     headings = [part.split("<")[0] for part in page.split('<h2 id="')[1:]]
     headings = [heading.split(">")[1] for heading in headings]
     assert headings == [
+        "What was built",
         "Is it good?",
         *(topic.heading for topic in TOPICS),
         "Left out, and why",
@@ -144,7 +167,12 @@ def plan_toys(inputs: StageInputs, settings: ToySettings) -> list[Shard]:
 def run_toys(shard: Shard, store: Store) -> TopicResult:
     count = shard.options(ToySettings).num_toys * len(shard.refs("takes"))
     scores = [Score("toys", "counted", float(count)), Score("toys", "guessed", 1000.0, is_baseline=True)]
-    return TopicResult(scores, {"toy.png": skeleton_sheet([])}, {"toy.png": "A toy."}, ["Toys were counted."])
+    return TopicResult(
+        scores,
+        {"toy.svg": grid_figure(np.ones((1, 1)), rows=["a"], columns=["b"], title="")},
+        {"toy.svg": "A toy."},
+        ["Toys were counted."],
+    )
 
 
 TOY = Topic(
@@ -163,7 +191,7 @@ TOY = Topic(
 def test_a_new_topic_is_one_more_in_the_registry(small: BuiltStudy, tmp_path: Path) -> None:
     store = Store(small.copy_store(tmp_path))
     stage = evaluation_stage([topic for topic in TOPICS if topic.name == "takes"] + [TOY])
-    assert set(stage.parameters.model_fields) == {"title", "description", "num_toys"}
+    assert set(stage.parameters.model_fields) == {"title", "max_page_mb", "description", "num_toys"}
     made = evaluate(store, stage, num_toys=3)
     page = page_of(store, made)
     for text in (

@@ -92,7 +92,7 @@ def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any)
     result = TOPIC.run(shard, store)
     scores = result.scores
     assert all(np.isfinite(score.value) and -1.0 <= score.value <= 1.0 for score in scores)
-    assert set(result.pictures) == set(result.captions) == {"density-terms.png"}
+    assert set(result.pictures) == set(result.captions) == {"density-terms.svg"}
     assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}
     assert {"likelihood", "prior", "grown_D_I", "image_odds"} <= {score.method for score in scores}
     (shard,) = TOPIC.plan(given, STAGE.parameters(num_judged_pairs=4, alpha=1e-6))

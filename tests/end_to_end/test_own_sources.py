@@ -150,7 +150,7 @@ def test_given_2d_poses_become_upright_motions_near_the_truth_and_not_mirrored(o
 def test_given_sequences_are_pictured_in_the_report_without_scores(own: Own) -> None:
     (report,) = (own.store / "runs").glob("*/report")
     for sequence in GIVEN:
-        assert (report / f"reconstruction-{sequence}.png").is_file()
+        assert (report / f"reconstruction-{sequence}.player.json").is_file()
         assert f"{sequence}: a video whose truth nobody knows; no scores." in own.report
     scores = open_table("scores:own", own.store)
     items = {item for topic, item in zip(scores["topic"], scores["item"], strict=True) if topic == "reconstruction"}
@@ -180,7 +180,7 @@ def test_nothing_learned_from_a_take_that_a_video_is_known_to_show(own: Own) -> 
 
 def test_every_given_sequence_has_a_clip_and_every_source_a_line_in_the_card(own: Own) -> None:
     (report,) = (own.store / "runs").glob("*/report")
-    clips = {path.stem for path in report.glob("clip-*.webp")}
+    clips = {path.name.removesuffix(".player.json") for path in report.glob("clip-*")}
     assert {f"clip-{name}" for name in GIVEN} <= clips
     assert "clip-walk.video00" in clips
     for line in ("CMU Graphics Lab", "Filmed by us", "CC0-1.0", "NSF EIA-0196217", "pasdedeux built-in duets"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
@@ -69,4 +68,4 @@ def test_the_pictures_of_coverage_are_drawn() -> None:
         coverage_figure({"ic": curve}, levels, split="annotated"),
         map_figure(plane.places, panels, seed=plane.places[0], title="map"),
     ):
-        assert np.ptp(cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)) > 100, "an empty picture"
+        assert picture.count(b"<use") + picture.count(b"<path") > 30, "an empty picture"

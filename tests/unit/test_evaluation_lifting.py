@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import cv2
+import json
+
 import numpy as np
 import pytest
 
@@ -13,8 +14,8 @@ from pasdedeux.evaluation.lifted_pairs import (
     completion_scores,
     in_between_scores,
     lifted_errors,
+    lifted_player,
     lifted_scores,
-    lifted_sheet,
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.views import CONDITIONS, view_robustness
@@ -86,6 +87,7 @@ def test_views_are_worse_with_noise() -> None:
     assert medians["noise 0 px, 0% hidden"] < medians["noise 7 px, 0% hidden"]
 
 
-def test_a_sheet_of_lifted_pairs_is_drawn() -> None:
-    picture = lifted_sheet([{"truth": PAIRS[0], "fitted": PAIRS[1]}], title="lifted")
-    assert np.ptp(cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)) > 100, "an empty picture"
+def test_lifted_pairs_are_shown_beside_their_truth_one_example_after_another() -> None:
+    shown = json.loads(lifted_player([{"truth": PAIRS[0], "fitted": PAIRS[1]}, {"truth": PAIRS[2]}]))
+    assert [panel["title"] for panel in shown["panels"]] == ["truth", "fitted"]
+    assert shown["labels"] == ["example 1 of 2", "example 2 of 2"]

@@ -1,19 +1,27 @@
-"""Pictures, clips, report and card."""
+"""Moving people, figures, the page and the card."""
 
 from __future__ import annotations
 
-import cv2
+import base64
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.card import CardSource, DatasetCard, card_tables, render_card
-from pasdedeux.evaluation.drawing import PERSON_COLOURS, pair_panel, skeleton_sheet
-from pasdedeux.evaluation.overlay import overlay_clip
-from pasdedeux.evaluation.report import Picture, Report, Section, TextTable, render_report
+from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
+from pasdedeux.evaluation.figures import view_figure
+from pasdedeux.evaluation.players import PERSON_COLOURS, image_panel, pack_player, people_panel, shown_frames
+from pasdedeux.evaluation.report import Picture, Report, Section, fit_pictures, render_report
+from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of, summarise
-from pasdedeux.evaluation.takes import take_scores, take_sheet
+from pasdedeux.evaluation.summary import Credit, Made, Summary
+from pasdedeux.evaluation.takes import take_scores
+from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.skeletons import BODY22, OP14
+from pasdedeux.verdict import Level, Verdict
 from storage_schema.tables import TABLES
+from tests.builders.pages import Page, in_browser
 
 
 def _people(frames: int, persons: int) -> np.ndarray:
@@ -21,109 +29,198 @@ def _people(frames: int, persons: int) -> np.ndarray:
     return rng.normal(size=(frames, persons, 22, 3)) * 0.3 + [0, 1, 0]
 
 
-def test_the_same_sheet_gives_the_same_bytes() -> None:
-    panels = [pair_panel("0 s", BODY22, _people(1, 2)[0])]
-    assert skeleton_sheet(panels) == skeleton_sheet(panels)
+def test_a_player_keeps_positions_to_half_a_millimetre_and_says_who_is_not_there() -> None:
+    people = _people(5, 2)
+    people[2, 1] = np.nan
+    links = np.full((5, 3, 2, 3), 0.25)
+    packed = pack_player([people_panel("waltz", BODY22, people, links)], rate_hz=12.5)
+    assert packed == pack_player([people_panel("waltz", BODY22, people, links)], rate_hz=12.5)
+    scene = json.loads(packed)
+    values = np.frombuffer(base64.b64decode(scene["data"]), "<i2").reshape(scene["num_frames"], scene["num_points"], 3)
+    (panel,) = scene["panels"]
+    for person, figure in enumerate(panel["figures"]):
+        found = values[:, figure["start"] : figure["start"] + figure["num_points"]] * scene["unit_m"]
+        is_there = np.isfinite(people[:, person])
+        np.testing.assert_allclose(found[is_there], people[:, person][is_there], atol=0.0005 + 1e-9)
+        assert (values[2, figure["start"]] == -32768).all() == (person == 1)
+    (lines,) = panel["lines"]
+    np.testing.assert_array_equal(values[:, lines["start"] : lines["start"] + 2 * lines["num_lines"]], 250)
+    assert [len(skeleton["bones"]) for skeleton in scene["skeletons"]] == [len(BODY22.bones)]
 
 
-def test_a_sheet_of_no_moments_is_still_a_picture() -> None:
-    picture = cv2.imdecode(np.frombuffer(skeleton_sheet([]), np.uint8), cv2.IMREAD_COLOR)
-    assert min(picture.shape[:2]) > 50
-    assert (picture == 255).all()
+@pytest.mark.parametrize("shape", [(0, 2), (1, 1), (40, 3)])
+def test_players_of_no_frame_one_person_or_three_are_whole(shape: tuple[int, int]) -> None:
+    scene = json.loads(pack_player([people_panel("x", BODY22, _people(*shape))], rate_hz=30.0))
+    colours = [figure["colour"] for figure in scene["panels"][0]["figures"]]
+    assert colours == list(PERSON_COLOURS[: shape[1]])
+    assert (scene["num_frames"], scene["num_points"]) == (shape[0], 22 * shape[1])
 
 
-@pytest.mark.parametrize("persons", [1, 2, 3])
-@pytest.mark.parametrize("frames", [1, 40])
-def test_a_take_is_drawn_with_everybody_in_it(persons: int, frames: int) -> None:
-    picture = take_sheet("waltz", _people(frames, persons), 30.0)
-    assert cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).shape[0] > 300
-
-
-def test_everybody_has_a_colour_and_objects_are_grey() -> None:
-    people, hoop = _people(1, 3)[0], np.array([[[-0.5, 1.5, 0.0], [0.5, 1.5, 0.0]]])
-    ball = np.full((1, 2, 3), [0.4, 1.9, 0.4])
-    sheets = [
-        skeleton_sheet([pair_panel("", BODY22, people[:count], None, objects)])
-        for count, objects in ((2, None), (3, None), (3, hoop), (3, ball))
-    ]
-    counts = []
-    for sheet in sheets:
-        picture = cv2.imdecode(np.frombuffer(sheet, np.uint8), cv2.IMREAD_COLOR).reshape(-1, 3)
-        third = np.array([int(PERSON_COLOURS[2][i : i + 2], 16) for i in (5, 3, 1)])
-        counts.append([int((picture == colour).all(axis=1).sum()) for colour in (third, np.full(3, 0x77))])
-    assert counts[0][0] == 0 < counts[1][0]
-    assert counts[1][1] < 0.1 * counts[2][1]
-    assert sheets[3] != sheets[1]
+def test_people_far_away_are_kept_coarser_and_not_cut_off() -> None:
+    scene = json.loads(pack_player([people_panel("x", BODY22, _people(2, 1) + 100.0)], rate_hz=30.0))
+    values = np.frombuffer(base64.b64decode(scene["data"]), "<i2").reshape(2, 22, 3) * scene["unit_m"]
+    np.testing.assert_allclose(values, _people(2, 1)[:, 0] + 100.0, atol=0.002)
 
 
 def test_left_limbs_are_drawn_darker_than_right_ones() -> None:
-    left_only, right_only = np.full((2, 2, 22, 3), np.nan)
-    for side, target in (("left_", left_only), ("right_", right_only)):
-        for joint, height in (("hip", 1.0), ("knee", 0.5), ("ankle", 0.0)):
-            target[0, BODY22.index(side + joint)] = [0.0, height, 0.0]
-    dark, bright = (
-        cv2.imdecode(
-            np.frombuffer(skeleton_sheet([pair_panel("", BODY22, pair)], yaws_rad=(0.0,)), np.uint8), cv2.IMREAD_COLOR
-        ).astype(float)
-        for pair in (left_only, right_only)
-    )
-    saturation = [image.max(axis=2) * (image.max(axis=2) - image.min(axis=2) > 60) for image in (dark, bright)]
-    assert 0 < saturation[0].max() < saturation[1].max()
+    (skeleton,) = json.loads(pack_player([people_panel("", BODY22, _people(1, 1))], rate_hz=1.0))["skeletons"]
+    shade = {BODY22.joint_names[child]: factor for _, child, factor in skeleton["bones"]}
+    assert all(shade[name] < shade[name.replace("left_", "right_")] for name in shade if name.startswith("left_"))
 
 
-def _decode(clip: bytes) -> list[np.ndarray]:
-    is_read, animation = cv2.imdecodeanimation(np.frombuffer(clip, np.uint8))
-    assert is_read
-    return list(animation.frames)
+@pytest.mark.parametrize(("num_frames", "rate_hz"), [(1, 30.0), (40, 12.0), (3000, 120.0), (7200, 29.97)])
+def test_what_is_shown_of_a_motion_is_five_seconds_at_a_low_rate(num_frames: int, rate_hz: float) -> None:
+    frames, shown_hz = shown_frames(num_frames, rate_hz)
+    assert 0 <= frames[0] <= frames[-1] < num_frames
+    assert len(frames) <= 5.0 * shown_hz + 1
+    assert shown_hz <= 17.0
+    assert (np.diff(frames) == round(rate_hz / shown_hz)).all()
 
 
-def test_a_clip_has_every_frame_and_leaves_out_missing_joints() -> None:
-    keypoints = np.full((5, 1, 14, 2), np.nan)
-    keypoints[1:, 0, :2] = [[320.0, 100.0], [320.0, 200.0]]
-    keypoints[:, 0, :2] += np.arange(5)[:, None, None] * 20.0  # equal neighbours would be merged into one frame
-    frames = _decode(overlay_clip(OP14, keypoints, image_size_px=(640, 360), rate_hz=10.0))
-    assert len(frames) == 5
-    assert frames[0].shape[:2] == (270, 480)
-    spread = [int(frame[..., :3].max()) - int(frame[..., :3].min()) for frame in frames]
-    assert spread[0] < 40 < spread[3]
-
-
-def test_the_image_axes_of_a_clip_are_right_and_down() -> None:
+def test_the_image_axes_of_a_panel_are_right_and_up_about_its_middle() -> None:
     keypoints = np.full((1, 1, 14, 2), np.nan)
-    keypoints[0, 0, 0] = [400.0, 60.0]
-    image = _decode(overlay_clip(OP14, keypoints, image_size_px=(480, 270), rate_hz=10.0))[0][..., :3].astype(int)
-    rows, columns = np.nonzero(image.max(axis=-1) - image.min(axis=-1) > 60)
-    assert abs(rows.mean() - 60) < 2
-    assert abs(columns.mean() - 400) < 2
+    keypoints[0, 0, 0] = [480.0, 0.0]
+    panel = image_panel("", OP14, keypoints, (480, 270))
+    np.testing.assert_allclose(panel.figures[0].positions_m[0, 0], [240 / 270, 0.5, 0.0])
+    assert panel.is_flat
+    assert panel.objects_m is not None
+    np.testing.assert_allclose(np.abs(panel.objects_m[0, :, 0, 1]), 0.5)
 
 
-def test_a_clip_gives_the_same_bytes_twice_and_survives_points_far_outside() -> None:
-    keypoints = np.random.default_rng(1).normal(size=(4, 2, 14, 2)) * 1e7
-    clips = {overlay_clip(OP14, keypoints, image_size_px=(640, 480), rate_hz=25.0) for _ in range(2)}
-    assert len(clips) == 1
+def test_a_figure_gives_the_same_svg_twice_and_its_text_stays_text() -> None:
+    drawn = {view_figure(np.zeros(3), np.ones(3), np.ones(3), title="views of <all>") for _ in range(2)}
+    (svg,) = drawn
+    assert b"views of &lt;all&gt;" in svg
 
 
-def test_the_report_needs_no_other_file_and_escapes_what_it_shows() -> None:
-    picture = Picture(name="a.png", caption="a picture", content=skeleton_sheet([]))
-    table = TextTable(caption="<scores>", headings=("method", "value"), rows=(("copy", "1"),), levels=("warn",))
-    page = render_report(
-        Report("A study", ("made from duets",), [Section("Takes & all", ("text",), (table,), (picture,))])
+SUMMARY = Summary(
+    made=[Made("takes", 1, 75.0, 2_000_000), Made("draws", 4000, float("nan"), 100_000)],
+    sources=[Credit("CMU", "free for all uses", "mocap.cs.cmu.edu")],
+    verdicts={"chains": Verdict(Level.WARN, "chains do not mix", "effective sample size", 1.4, "", 500.0, "kept")},
+)
+
+
+def _page() -> str:
+    moving = pack_player(
+        [people_panel("</script><b>", BODY22, _people(20, 2)), people_panel("b", BODY22, _people(20, 2))], rate_hz=10.0
     )
-    assert "http" not in page
-    assert "&lt;scores&gt;" in page
-    assert '<tr class="warn"><td>copy</td>' in page
-    assert 'href="#takes---all"' in page
-    assert "data:image/png;base64," in page
+    drawn = view_figure(np.zeros(3), np.ones(3), np.ones(3), title="views")
+    pictures = [Picture(f"{n}.player.json", f"person {n} & <co>", moving) for n in range(5)] + [
+        Picture("v.svg", "views", drawn)
+    ]
+    rows = tuple((f"row <{n}>", str(value)) for n, value in enumerate((10, 9, 1000, 2)))
+    table = TextTable("<scores>", ("method", "value"), rows)
+    sections = [Section("Takes & <all>", ("text",), (table,), tuple(pictures)), Section("Nothing")]
+    return render_report(Report("A <study>", "made from <duets>", SUMMARY, sections))
+
+
+def test_the_page_needs_no_other_file_and_names_everything_and_escapes_what_it_shows() -> None:
+    page = Page(_page())
+    assert not page.problems
+    assert not page.outside
+    assert not page.unnamed
+    assert {link.removeprefix("#") for link in page.links} <= page.ids
+    assert [level for level, _ in page.headings] == [1, 2, 2, 2, 2]
+    assert page.headings[0][1] == "A <study>"
+    assert page.cells[:2] == ["row <0>", "10"]
+    assert [len(scene["panels"]) for scene in page.scenes] == [2] * 5
+    assert page.scenes[0]["panels"][0]["title"] == "</script><b>"
+
+
+_PROBE = """
+const figures = [...document.querySelectorAll("figure.player")];
+document.querySelectorAll("details").forEach((one) => { one.open = true; });
+const seen = (canvas) => {
+  const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  let sum = 0;
+  for (let at = 0; at < data.length; at++) sum = (sum * 31 + data[at]) % 1000003;
+  return sum;
+};
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+const players = figures.map(ready), first = figures[0], canvas = first.querySelector("canvas");
+await wait(200);
+const drawn = [seen(canvas)];
+const slider = first.querySelector("input");
+slider.value = 3;
+slider.dispatchEvent(new Event("input"));
+drawn.push(seen(canvas));
+canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+drawn.push(seen(canvas));
+first.querySelector("button.home").click();
+drawn.push(seen(canvas));
+const before = players[0].frame;
+first.querySelector("button.play").click();
+await wait(450);
+first.querySelector("button.play").click();
+const table = document.querySelector("table");
+const column = () => [...table.tBodies[0].rows].map((row) => row.cells[1].textContent);
+const sort = table.querySelectorAll("th button")[1];
+sort.click();
+const rising = column();
+sort.click();
+const filter = document.querySelector("details.table input");
+filter.value = "1000";
+filter.dispatchEvent(new Event("input"));
+const left = [...table.tBodies[0].rows].filter((row) => !row.hidden).length;
+return { drawn, moved: players[0].frame !== before, rising, falling: column(), left,
+         wide: document.documentElement.scrollWidth <= innerWidth, num: players.length };
+"""
+
+
+@pytest.mark.parametrize("width", [1100, 500])
+def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, width: int) -> None:
+    answer = in_browser(_page(), _PROBE, tmp_path, width=width)
+    assert answer["errors"] == []
+    found = answer["found"]
+    first, scrubbed, turned, home = found["drawn"]
+    assert first != scrubbed != turned
+    assert home == scrubbed
+    assert found["moved"]
+    assert found["num"] == 5
+    assert found["rising"] == ["2", "9", "10", "1000"] == found["falling"][::-1]
+    assert found["left"] == 1
+    assert found["wide"], "the page is wider than the screen"
+
+
+def test_pictures_that_do_not_fit_are_left_out_evenly_and_the_first_ones_stay() -> None:
+    pictures = tuple(Picture(f"{number}.svg", "", b"x" * 100) for number in range(104))
+    sections = [Section("many", pictures=pictures), Section("few", pictures=pictures[:2])]
+    assert fit_pictures(sections, 11_000) == (sections, 0)
+    kept, num_out = fit_pictures(sections, 5300)
+    assert kept[0].pictures[:4] == pictures[:4]
+    assert kept[1].pictures == pictures[:2]
+    assert num_out == 106 - sum(len(section.pictures) for section in kept) == 50
+    assert kept[0].pictures[-1] == pictures[-1]
+
+
+def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were_scored() -> None:
+    scores = [
+        Score("error", method, value, "m", item=item, is_baseline=method == "naive_fk")
+        for method, value in (("interaction_mesh", 0.01), ("naive_fk", 0.2))
+        for item in ("a", "b")
+    ]
+    drawn = Yardstick("error", "drift", ("naive_fk",)).picture(
+        [*scores, Score("error", "sometimes", 0.1, "m", item="a")]
+    )
+    assert drawn is not None
+    svg, caption = drawn
+    assert b"interaction mesh" in svg
+    assert b"plain forward kinematics" in svg
+    assert b"sometimes" not in svg
+    assert b">20<" in svg
+    assert "shorter bars are better" in caption
+    assert "plain forward kinematics, has to be beaten" in caption
+    assert Yardstick("error", "drift", ("naive_fk",)).picture(scores[:1]) is None
 
 
 def test_the_card_names_every_source_with_its_licence() -> None:
     card = DatasetCard(
         title="Duets",
         description="d",
+        summary=SUMMARY,
         rows={"poses": 1200},
         takes=["waltz", "hug"],
         held_out=["hug"],
-        sources=[CardSource("CMU", "free for all uses", "mocap.cs.cmu.edu")],
         skipped=[],
         cautions=["synthetic"],
     )
@@ -142,6 +239,24 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         ("synthetic",),
     ):
         assert row in shown
+
+
+def test_page_card_and_console_give_the_same_answers() -> None:
+    lines = SUMMARY.lines()
+    assert lines == [
+        "built: 1 take (1 min 15 s, 2.0 MB), 4,000 draws (0.1 MB)",
+        "from: CMU (free for all uses)",
+        "is it good: 1 warn",
+        "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
+    ]
+    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, [], [], [], []))
+    assert [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")][:3] == [
+        *lines[:2],
+        lines[3],
+    ]
+    page = render_report(Report("Duets", "d", SUMMARY, []))
+    for words in ("1 min 15 s, 2.0 MB", "CMU (free for all uses)", "1 warn", "chains do not mix", "against 500 (kept)"):
+        assert words in page
 
 
 def test_scores_have_the_columns_of_their_table_and_a_stable_order() -> None:

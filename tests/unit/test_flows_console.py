@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import shutil
 import tomllib
 from pathlib import Path
@@ -59,8 +60,11 @@ def test_what_is_thought_of_a_result_stands_in_every_table_and_in_json(
     for arguments in (("run", study), ("plan", study), ("status",)):
         assert call(*arguments, "--store", store) == 0
         out = capsys.readouterr().out
-        assert [words in line for line in out.splitlines() if line.split()[:1] == ["judge"]] == [True]
-        assert " m (twice that " in out
+        assert sum(words in line for line in out.splitlines() if line.split()[0].rstrip(":") == "judge") == 1
+        assert " cm (twice that)" in out
+        if arguments[0] != "plan":
+            assert "built: " in out
+            assert "is it good: 1 warn" in out
     for arguments, name in ((("run", study), "stages"), (("plan", study), "stages"), (("status",), "studies")):
         assert call(*arguments, "--store", store, "--json") == 0
         found = json.loads(capsys.readouterr().out)[name]
@@ -332,3 +336,10 @@ def test_studies_that_ship_are_listed_and_printed(capsys: pytest.CaptureFixture[
 def test_verifying_a_store_that_is_not_there_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("verify", "--store", str(tmp_path / "typo")) == 2
     assert "there is no store in" in capsys.readouterr().err
+
+
+def test_the_next_command_that_is_printed_does_what_it_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, store = str(write_study(tmp_path)), str(tmp_path / "a store")
+    assert call("plan", study, "--store", store, "--set", "aside.size=3") == 0
+    command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("run it with: "))
+    assert command == ["pasdedeux", "run", study, "--store", store, "--set", "aside.size=3"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.evaluation.reconstruction import reconstruction_player, turn_to_camera
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.evaluation.side_by_side import side_by_side_clip, turn_to_camera
 from pasdedeux.experiments import unseen_views
 from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.experiments.unseen_views import (
@@ -145,15 +147,19 @@ def test_errors_grow_along_a_sweep_and_another_sweep_is_refused(searcher: Search
         sweep("blur")
 
 
-def test_a_clip_holds_every_frame_up_to_its_limit() -> None:
+def test_a_reconstruction_is_shown_beside_its_image_and_over_the_truth_with_its_error() -> None:
     poses = walk(12, seed=1)
     px = poses[..., :2] * [300.0, -300.0]
     px[3] = np.nan
     people = np.stack([poses, poses + np.array([0.8, 0.0, 0.3])], axis=1)
     people[5, 1] = np.nan
-    clip = side_by_side_clip(np.stack([px, px + 90.0], axis=1), people, rate_hz=12.0, truth_m=people, max_frames=8)
-    assert clip[:4] == b"RIFF"
-    assert clip.count(b"ANMF") == 8
+    truth = people + np.array([0.0, 0.0, 5.0])
+    shown = reconstruction_player(people, rate_hz=12.0, keypoints_px=np.stack([px, px + 90.0], axis=1), truth_m=truth)
+    scene = json.loads(shown)
+    assert [len(panel["figures"]) for panel in scene["panels"]] == [2, 4]
+    assert [panel["is_flat"] for panel in scene["panels"]] == [True, False]
+    assert scene["num_frames"] == len(scene["labels"]) == 12
+    assert scene["labels"][6] == "0.5 s, 0.0 cm"
 
 
 def test_a_camera_of_known_height_gives_people_their_size(searcher: Searcher) -> None:

@@ -134,9 +134,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     )
     return TopicResult(
         scores=scores,
-        pictures={"density-terms.png": picture},
+        pictures={"density-terms.svg": picture},
         captions={
-            "density-terms.png": "How often a real pair scores above a corrupted one, by term and kind of corruption; "
+            "density-terms.svg": "How often a real pair scores above a corrupted one, by term and kind of corruption; "
             "last, the rank correlation with the distance to the nearest real pair."
         },
         notes=[

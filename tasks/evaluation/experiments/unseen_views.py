@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.evaluation.figures import Curve, curve_figure
+from pasdedeux.evaluation.reconstruction import reconstruction_player
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.experiments.published_search import Codebook
@@ -141,7 +142,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
                 stream=draw,
             )
             scores += points
-            name = f"{name}-{options.step}.png"
+            name = f"{name}-{options.step}.svg"
             pictures[name] = _curves(points, f"{motion.item}, {setting.value}", what)
             captions[name] = f"{motion.item}: mean error over the views, root rotation kept, against {what}."
             continue
@@ -149,11 +150,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
         scores += unseen_view_scores(searcher, motion, setting, condition, tried, draw)
         if options.condition == 0:
-            name = f"{name}.webp"
+            name = f"{name}.player.json"
             pictures[name] = _clip(searcher, motion, setting, condition, draw(0))
             captions[name] = (
-                f"{motion.item}, {condition.name}: the image (left), the fit as the camera sees it (middle) and from "
-                "its side (right); truth in grey."
+                f"{motion.item}, {condition.name}: the image, and the fit, first as the camera sees it; truth in grey."
             )
     note = (
         f"{options.take_id} against {searcher.database.num_projections:,} projections; best_of_50 is "
@@ -228,17 +228,14 @@ def _curves(points: Sequence[Score], title: str, x_label: str) -> bytes:
 def _clip(
     searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, rng: np.random.Generator
 ) -> bytes:
-    from pasdedeux.evaluation.side_by_side import side_by_side_clip  # here: planning does not need OpenCV
-
     start = replace(motion, world_m=motion.world_m[: round(4.0 * motion.rate_hz)])
     seen = see(start, setting, condition, motion.yaws_deg[0], rng)
     made, _ = reconstruct_seen(searcher, seen, Tried((Method.FIT,)))
-    step = 2
-    return side_by_side_clip(
-        seen.track.keypoints_px[::step, None],
-        made[Method.FIT.value][::step, None],
-        rate_hz=motion.rate_hz / step,
-        truth_m=seen.truth_m[::step, None],
+    return reconstruction_player(
+        made[Method.FIT.value][:, None],
+        rate_hz=motion.rate_hz,
+        keypoints_px=seen.track.keypoints_px[:, None],
+        truth_m=seen.truth_m[:, None],
     )
 
 

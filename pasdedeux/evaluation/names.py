@@ -1,0 +1,182 @@
+"""What the names of methods and metrics mean, in words for readers who do not know the code."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+__all__ = ["better_sign", "in_words", "is_bound", "meanings"]
+
+_METHODS = {
+    "interaction_mesh": ("interaction mesh", "bends the motion so that both people keep their place to each other"),
+    "naive_fk": ("plain forward kinematics", "the source's joint angles on the new bones: the trivial way"),
+    "copy": ("copy of the source", "answers with the source, as if nobody had another size"),
+    "ridge_scale": ("ridge regression on scales", "linear in the bone scales, fitted for each take"),
+    "ridge_adapted": ("adapted ridge regression", "the same, adapted to the nearest interactions it knows"),
+    "start_net": ("starting network", "a small network that answers at once, from which a fit can go on"),
+    "nearest": ("nearest pose", "each frame alone: the pose of the database, or the draw, whose image is nearest"),
+    "viterbi": ("best path", "the candidates of all frames that follow each other best"),
+    "window": ("window rule", "the published rule: the candidate that fits a window of frames"),
+    "fit": ("fit to the image", "the best path, then bent until its image is the given one"),
+    "live": ("live", "frame by frame as a video comes, six frames behind"),
+    "best_of_50": ("best of 50", "the best of the 50 nearest candidates, which nobody can know: a bound"),
+    "standing_still": ("standing still", "the mean true pose in every frame: says how much people move"),
+    "equal_depth": ("equal depth", "both people equally far from the camera"),
+    "truth": ("the truth", "the captured motion itself"),
+    "heaviest_hypothesis": ("likeliest view", "the view with the greatest weight"),
+    "best_hypothesis": ("best of all views", "the view nearest to the true one, which nobody can know: a bound"),
+    "mean_view": ("mean view", "the same view for every image: the trivial way"),
+    "ic": ("interaction coordinates", "chains that keep distances between both people's joints near the annotations'"),
+    "cartesian": ("Cartesian distance", "chains that compare joints one by one"),
+    "shape_context": ("shape context", "chains that compare the shape of both people"),
+    "prior_only": ("prior alone", "chains that know how joints turn, and no annotation: the trivial way"),
+    "grown_seeds": ("grown pairs", "annotations lifted from the seeds nearest to them, step by step"),
+    "real_frames": ("real frames", "as many captured pairs as there are draws: how good draws could be"),
+    "fitted": ("fitted draws", "mean of the nearest draws, bent to what is seen"),
+    "blended": ("blended draws", "the nearest draws, laid onto what is seen"),
+    "ic_and_grown_seeds": ("interaction coordinates and grown pairs", "the draws of both"),
+    "prior_only_and_grown_seeds": ("prior alone and grown pairs", "the draws of both"),
+    "blended_10": ("ten blended draws", "the same of the ten nearest draws alone"),
+    "median": ("median of draws", "joint by joint the median of the nearest draws"),
+    "neighbours": ("mean of draws", "the mean of the nearest draws"),
+    "nearest_draw": ("nearest draw", "the one draw nearest to what is seen"),
+    "mean_pair": ("mean pair", "the mean of all draws, whatever is seen: the trivial way"),
+    "naive_sampling": ("naive sampling", "poses drawn without chains"),
+    "lifting": ("lifting alone", "the published lift of one image without draws"),
+    "lifting_ik": ("lifting with limits", "the same, and joints kept within their limits"),
+    "draws": ("along draws", "a path of draws between both ends"),
+    "straight": ("straight line", "joints go straight from one end to the other: the trivial way"),
+    "detector": ("as a detector sees it", "joints missing, junk, people in any order"),
+    "noise_alone": ("noise alone", "the same video with the same noise and nothing missing"),
+}
+"""Words and a sentence of each method."""
+_METRICS = {
+    "as_good_as_real_frames_D_C": (
+        "as good as real frames, joint by joint",
+        "as near as so many real frames",
+        "larger",
+    ),
+    "as_good_as_real_frames_D_I": (
+        "as good as real frames, by interaction",
+        "as near as so many real frames",
+        "larger",
+    ),
+    "as_good_as_real_frames_D_S": ("as good as real frames, by shape", "as near as so many real frames", "larger"),
+    "lifted_D_C": ("distance of lifted pairs", "Cartesian distance from the true pair", "smaller"),
+    "in_between_lifted_error": ("error between lifted pairs", "joint error of frames between lifted ones", "smaller"),
+    "person_distance_error": ("error of the distance", "how far the distance of the two people is off", "smaller"),
+    "relative_depth_error": ("error of the depth", "how far the depth between the two people is off", "smaller"),
+    "log_prior": ("log prior", "how likely the poses are for bodies, images aside", ""),
+    "contact_drift": ("contact drift", "how far points in contact moved apart or together", "smaller"),
+    "hand_contact_drift": ("drift of hands and feet in contact", "the same for hands and feet", "smaller"),
+    "body_contact_drift": ("drift of bodies in contact", "the same for everything else", "smaller"),
+    "bone_error": ("bone error", "how far bones are from their length; 0 is exact", "smaller"),
+    "penetration": ("penetration", "how deep people are in each other", "smaller"),
+    "self_penetration": ("own penetration", "how deep somebody's limbs are in their own body", "smaller"),
+    "floor_penetration": ("floor penetration", "how deep feet are in the floor", "smaller"),
+    "stance_excursion": ("wandering in a stance", "how far a standing foot slides", "smaller"),
+    "jerk_ratio": ("jerk", "how jerky the motion is beside its source; 1 is as smooth", ""),
+    "laplacian_error": ("Laplacian error", "how far joints left the mean of their neighbours", "smaller"),
+    "estimated_gap": ("estimated gap", "how far the solver thinks it is from the best answer", "smaller"),
+    "sample_gap": ("measured gap", "how far it is from the best answer, on a sample", "smaller"),
+    "error_root_kept": ("joint error", "mean distance of joints from the truth about the mid-hip", "smaller"),
+    "error_root_removed": ("joint error, turned", "the same after the root's rotation was taken away", "smaller"),
+    "error_scale_free": (
+        "joint error, scaled",
+        "the same after one scale, which a single camera does not see",
+        "smaller",
+    ),
+    "jitter": ("jitter", "mean second difference from frame to frame", "smaller"),
+    "pair_distance_error": ("error of the distance", "how far the distance of the two people is off", "smaller"),
+    "pair_depth_error": ("error of the depth", "how far the depth between the two people is off", "smaller"),
+    "pair_place_error": ("error of the place", "how far the place of the two people to each other is off", "smaller"),
+    "coverage_D_C": ("coverage", "mean distance from a real pair to the nearest draw", "smaller"),
+    "coverage_D_I": ("coverage by interaction", "the same by interaction coordinates", "smaller"),
+    "coverage_D_S": ("coverage by shape", "the same by shape contexts", "smaller"),
+    "draw_to_nearest_real_D_C": ("realism of draws", "distance from a draw to the nearest real pair", "smaller"),
+    "lifted_pair_error": (
+        "error of lifted pairs",
+        "joint error with distance and depth between people kept",
+        "smaller",
+    ),
+    "lifted_person_error": ("error of lifted people", "joint error of each person about their own root", "smaller"),
+    "occluded_joint_error": (
+        "error of completed joints",
+        "distance of joints that were hidden from where they are",
+        "smaller",
+    ),
+    "in_between_error": ("error in between", "joint error of frames that were filled in", "smaller"),
+    "view_error": (
+        "error of the view",
+        "angle between the estimated direction to the camera and the true one",
+        "smaller",
+    ),
+    "acceptance_rate": ("acceptance rate", "share of proposals taken", ""),
+    "ess": ("effective sample size", "as many independent draws as a chain is worth", "larger"),
+    "rhat": ("R-hat", "how far the chains of a seed disagree; 1 is agreement", ""),
+    "travelled": ("travelled", "how far a chain came from its seed", ""),
+    "log_density": ("log density", "what the chains climb", ""),
+    "E_r": ("joint error E_r", "mean joint distance from the true variant", "smaller"),
+    "E_b": ("bone error E_b", "how far predicted bones are from their length", "smaller"),
+    "JPD": ("JPD", "difference of joint distances between the people", "smaller"),
+    "PWD": ("PWD", "the same, near joints weighing more", "smaller"),
+    "identity_switches_per_minute": (
+        "identity switches a minute",
+        "how often somebody becomes somebody else",
+        "smaller",
+    ),
+}
+"""Words, a sentence, and which values are better, of each metric."""
+_ENDINGS = {
+    "mean": "mean",
+    "median": "median",
+    "p90": "90 %",
+    "p95": "95 %",
+    "worst": "worst",
+    "min": "least",
+    "max": "most",
+}
+
+
+def in_words(name: str) -> str:
+    """Return a method's or metric's name as people say it; of unknown ones the words of the name.
+
+    >>> in_words("hand_contact_drift_p95"), in_words("fit_clean"), in_words("new_score")
+    ('drift of hands and feet in contact, 95 %', 'fit to the image, cleaned up', 'new score')
+    """
+    base, *endings = _parts(name)
+    words = known[0] if (known := _known(base)) else re.sub(r"(?<=[a-z0-9])_(?=[a-z0-9])", " ", base)
+    return ", ".join([words, *endings])
+
+
+def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
+    """Return name, words and a sentence for each of these names that is known, sorted."""
+    bases = sorted({_parts(name)[0] for name in names})
+    return tuple((base, *found) for base in bases if (found := _known(base)) is not None)
+
+
+def is_bound(method: str) -> bool:
+    """Tell whether a method knows what nobody knows, so that it is no answer but a bound for answers."""
+    return method in {"truth", "real_frames", "standing_still", "best_hypothesis", "best_of_50"}
+
+
+def better_sign(metric: str) -> int:
+    """Return 1 where larger values of a metric are better, -1 where smaller are, 0 where that is not known."""
+    base = _parts(metric)[0]
+    return {"larger": 1, "smaller": -1}.get(_METRICS[base][2], 0) if base in _METRICS else 0
+
+
+def _known(base: str) -> tuple[str, str] | None:
+    if base in _METRICS:
+        words, sentence, better = _METRICS[base]
+        return words, f"{sentence}; {better} is better" if better else sentence
+    return _METHODS.get(base)
+
+
+def _parts(name: str) -> list[str]:
+    """Return a name without its endings, then the endings in words; a name that is not known keeps its endings."""
+    if _known(name):
+        return [name]
+    base, _, ending = name.rpartition("_")
+    words = {**_ENDINGS, "clean": "cleaned up"}.get(ending)
+    return [base, words] if _known(base) and words else [name]

@@ -1,0 +1,83 @@
+"""What was built, from what, and is it good: the top of the report, the dataset card and the console's last lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pasdedeux.evaluation.verdicts import verdict_words
+from pasdedeux.verdict import Verdict
+
+__all__ = ["Credit", "Made", "Summary"]
+
+
+@dataclass(frozen=True)
+class Credit:
+    """A source that the data was made from."""
+
+    name: str
+    licence: str
+    credit: str
+
+
+@dataclass(frozen=True)
+class Made:
+    """How much there is of one thing: its name in the plural, number, seconds of motion (NaN where none), bytes."""
+
+    thing: str
+    count: int
+    seconds: float
+    num_bytes: int
+
+    def __str__(self) -> str:
+        """Return it in words.
+
+        >>> str(Made("takes", 1200, 75.0, 1_500_000))
+        '1,200 takes (1 min 15 s, 1.5 MB)'
+        """
+        return f"{self.count:,} {self.noun} ({self.extent})"
+
+    @property
+    def noun(self) -> str:
+        """Its name for its number."""
+        return self.thing.removesuffix("s") if self.count == 1 else self.thing
+
+    @property
+    def extent(self) -> str:
+        """How long and how large it is."""
+        size = f"{self.num_bytes / 1e6:.1f} MB"
+        if math.isnan(self.seconds):
+            return size
+        minutes, seconds = divmod(round(self.seconds), 60)
+        return f"{minutes} min {seconds} s, {size}" if minutes else f"{seconds} s, {size}"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The three answers: what was built, from which sources, and a verdict for each stage and topic by its name."""
+
+    made: Sequence[Made]
+    sources: Sequence[Credit]
+    verdicts: Mapping[str, Verdict]
+
+    @property
+    def built(self) -> str:
+        """What was built, in one line."""
+        return ", ".join(map(str, self.made)) or "nothing"
+
+    @property
+    def origin(self) -> str:
+        """What it was built from, in one line."""
+        return "; ".join(dict.fromkeys(f"{one.name} ({one.licence})" for one in self.sources)) or "no source"
+
+    @property
+    def judgement(self) -> str:
+        """How many verdicts there are of each kind, in one line."""
+        levels = [verdict.level.value for verdict in self.verdicts.values()]
+        return ", ".join(f"{levels.count(level)} {level}" for level in dict.fromkeys(sorted(levels))) or "not judged"
+
+    def lines(self) -> list[str]:
+        """All of it, a line for each answer, then one for each verdict."""
+        verdicts = [f"{name}: {verdict_words(verdict)}" for name, verdict in self.verdicts.items()]
+        return [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}", *verdicts]

@@ -1,0 +1,238 @@
+"use strict";
+// Players: 3D motions on a canvas. Positions are int16 in units of `unit_m`, one frame after another; -32768 is "not there".
+const MISSING = -32768, FLOOR = "#c3cad3";
+
+function shade(colour, factor) {
+  return "rgb(" + [1, 3, 5].map((at) => Math.round(parseInt(colour.slice(at, at + 2), 16) * factor)).join(",") + ")";
+}
+
+class Player {
+  constructor(figure) {
+    this.scene = JSON.parse(figure.querySelector("script").textContent);
+    const bytes = Uint8Array.from(atob(this.scene.data), (letter) => letter.charCodeAt(0));
+    this.values = new Int16Array(bytes.buffer);
+    this.canvas = figure.querySelector("canvas");
+    this.slider = figure.querySelector("input");
+    this.button = figure.querySelector("button.play");
+    this.label = figure.querySelector("output");
+    this.home = [this.scene.yaw_rad, this.scene.has_floor ? 0.2 : 0];
+    [this.yaw, this.pitch] = this.home;
+    this.frame = 0; this.speed = 1; this.isPlaying = false;
+    this.slider.max = this.scene.num_frames - 1;
+    this.slider.addEventListener("input", () => { this.pause(); this.show(Number(this.slider.value)); });
+    this.button.addEventListener("click", () => (this.isPlaying ? this.pause() : this.play()));
+    figure.querySelector("select").addEventListener("change", (event) => { this.speed = Number(event.target.value); });
+    figure.querySelector("button.home").addEventListener("click", () => { [this.yaw, this.pitch] = this.home; this.draw(); });
+    this.canvas.addEventListener("pointerdown", (event) => this.canvas.setPointerCapture(event.pointerId));
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (event.buttons) this.orbit(event.movementX * 0.01, event.movementY * 0.01);
+    });
+    this.canvas.addEventListener("keydown", (event) => this.press(event));
+    if (this.scene.num_frames < 2) figure.querySelector(".time").hidden = true;
+    this.measure();
+    new ResizeObserver(() => this.draw()).observe(this.canvas);
+  }
+
+  press(event) {
+    const turns = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+    if (event.key in turns) this.orbit(...turns[event.key]);
+    else if (event.key === " ") this.button.click();
+    else return;
+    event.preventDefault();
+  }
+
+  orbit(yaw, pitch) {
+    this.yaw += yaw;
+    this.pitch = Math.max(-1.5, Math.min(1.5, this.pitch + pitch));
+    this.draw();
+  }
+
+  play() {
+    this.isPlaying = true;
+    this.button.textContent = "Pause";
+    this.began = performance.now() - (1000 * this.frame) / (this.scene.rate_hz * this.speed);
+    let before = performance.now(), at = this.frame;
+    const step = (now) => {
+      if (!this.isPlaying) return;
+      at = (at + ((now - before) / 1000) * this.scene.rate_hz * this.speed) % this.scene.num_frames;
+      before = now;
+      if (Math.floor(at) !== this.frame) this.show(Math.floor(at));
+      requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  pause() { this.isPlaying = false; this.button.textContent = "Play"; }
+
+  show(frame) {
+    this.frame = frame;
+    this.slider.value = frame;
+    const text = this.scene.labels[frame] ?? (frame / this.scene.rate_hz).toFixed(1) + " s";
+    this.label.textContent = text;
+    this.slider.setAttribute("aria-valuetext", text);
+    this.draw();
+  }
+
+  point(index) {
+    const at = 3 * (this.frame * this.scene.num_points + index), unit = this.scene.unit_m, values = this.values;
+    return values[at] === MISSING ? null : [values[at] * unit, values[at + 1] * unit, values[at + 2] * unit];
+  }
+
+  // Each panel looks at the middle of its people; all panels have one scale, which holds everybody at all times.
+  middle(panel) {
+    let low = [Infinity, Infinity, Infinity], high = low.map((value) => -value);
+    for (const part of panel.is_flat ? [...panel.figures, ...panel.lines] : panel.figures)
+      for (let index = 0; index < (part.num_points ?? 2 * part.num_lines); index++) {
+        const point = this.point(part.start + index);
+        if (point) { low = low.map((v, i) => Math.min(v, point[i])); high = high.map((v, i) => Math.max(v, point[i])); }
+      }
+    return low[0] > high[0] ? null : { low, high, at: low.map((value, axis) => (value + high[axis]) / 2) };
+  }
+
+  measure() {
+    this.reach = 0.2; this.bottom = Infinity; this.top = -Infinity;
+    for (this.frame = this.scene.num_frames - 1; this.frame >= 0; this.frame--)
+      for (const panel of this.scene.panels) {
+        const box = this.middle(panel);
+        if (!box) continue;
+        if (panel.is_flat) {
+          panel.reach = Math.max(panel.reach ?? 1e-3, box.high[0], -box.low[0]);
+          panel.half = Math.max(panel.half ?? 1e-3, box.high[1], -box.low[1]);
+          continue;
+        }
+        this.reach = Math.max(this.reach, (box.high[0] - box.low[0]) / 2, (box.high[2] - box.low[2]) / 2);
+        this.bottom = Math.min(this.bottom, box.low[1]);
+        this.top = Math.max(this.top, box.high[1]);
+      }
+    this.frame = 0;
+    if (this.top < this.bottom) [this.bottom, this.top] = [-1, 1];
+  }
+
+  draw() {
+    const ratio = window.devicePixelRatio || 1, width = this.canvas.clientWidth, panels = this.scene.panels;
+    if (!width) return;
+    const columns = Math.max(1, Math.min(panels.length, Math.floor(width / 150)));
+    const rows = Math.ceil(panels.length / columns), cell = width / columns, tall = Math.min(340, Math.max(190, cell));
+    this.canvas.style.height = rows * tall + "px";
+    this.canvas.width = width * ratio;
+    this.canvas.height = rows * tall * ratio;
+    const pen = this.canvas.getContext("2d");
+    pen.scale(ratio, ratio);
+    pen.lineCap = "round";
+    panels.forEach((panel, index) => {
+      pen.save();
+      pen.translate((index % columns) * cell, Math.floor(index / columns) * tall);
+      pen.beginPath();
+      pen.rect(0, 0, cell, tall);
+      pen.clip();
+      this.drawPanel(pen, panel, cell, tall);
+      pen.restore();
+    });
+  }
+
+  drawPanel(pen, panel, width, height) {
+    const box = this.middle(panel), isFlat = panel.is_flat, half = isFlat ? panel.half : (this.top - this.bottom) / 2;
+    const scale = Math.min((0.46 * width) / (isFlat ? panel.reach : 1.15 * this.reach), (0.43 * (height - 20)) / half);
+    const up = isFlat ? 0 : (this.top + this.bottom) / 2;
+    const centre = box && !isFlat ? [box.at[0], up, box.at[2]] : [0, up, 0];
+    const yaw = isFlat ? 0 : this.yaw, pitch = isFlat ? 0 : this.pitch;
+    const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
+    const project = (p) => {
+      const [x, y, z] = p.map((value, axis) => value - centre[axis]);
+      const right = cy * x + sy * z, deep = -sy * x + cy * z;
+      return [width / 2 + scale * right, 20 + (height - 20) / 2 - scale * (cp * y - sp * deep), cp * deep + sp * y];
+    };
+    const line = (a, b, colour, thick) => {
+      pen.strokeStyle = colour; pen.lineWidth = thick;
+      pen.beginPath(); pen.moveTo(a[0], a[1]); pen.lineTo(b[0], b[1] + (a[0] === b[0] && a[1] === b[1] ? 0.01 : 0)); pen.stroke();
+    };
+    if (this.scene.has_floor && !isFlat) {
+      const [x, z] = [Math.round(centre[0]), Math.round(centre[2])], far = Math.ceil(this.reach) + 1;
+      for (let i = -far; i <= far; i++) {
+        line(project([x + i, 0, z - far]), project([x + i, 0, z + far]), FLOOR, 1);
+        line(project([x - far, 0, z + i]), project([x + far, 0, z + i]), FLOOR, 1);
+      }
+    }
+    const strokes = [];
+    for (const figure of panel.figures) {
+      const { bones, head } = this.scene.skeletons[figure.skeleton];
+      for (const [parent, child, factor] of bones) {
+        const a = this.point(figure.start + parent), b = this.point(figure.start + child);
+        if (a && b) strokes.push([project(a), project(b), shade(figure.colour, factor), figure.is_thin ? 1.5 : 3]);
+      }
+      const top = this.point(figure.start + head);
+      if (top) strokes.push([project(top), project(top), figure.colour, figure.is_thin ? 4 : Math.max(5, (isFlat ? 0.05 : 0.13) * scale)]);
+    }
+    for (const lines of panel.lines)
+      for (let i = 0; i < lines.num_lines; i++) {
+        const a = this.point(lines.start + 2 * i), b = this.point(lines.start + 2 * i + 1);
+        if (a && b) strokes.push([project(a), project(b), lines.colour, lines.width]);
+      }
+    strokes.sort((one, other) => one[0][2] + one[1][2] - other[0][2] - other[1][2]);
+    for (const stroke of strokes) line(...stroke);
+    pen.fillStyle = "#1c2430";
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillText(panel.title, 4, 14, width - 8);
+  }
+}
+
+// A player is made when it comes near the screen, so that a page of hundreds opens at once; all are for print.
+const players = new Map();
+function ready(figure) {
+  if (!players.has(figure)) {
+    players.set(figure, new Player(figure));
+    const player = players.get(figure);
+    player.show(Math.floor(player.scene.num_frames / 2));
+  }
+  return players.get(figure);
+}
+const near = new IntersectionObserver((seen) => {
+  for (const one of seen) {
+    if (one.isIntersecting) ready(one.target);
+    else players.get(one.target)?.pause();
+  }
+}, { rootMargin: "300px" });
+document.querySelectorAll("figure.player").forEach((figure) => {
+  if (figure.getBoundingClientRect().top < window.innerHeight) ready(figure);
+  near.observe(figure);
+});
+window.addEventListener("beforeprint", () => document.querySelectorAll("figure.player").forEach(ready));
+
+// Tables: sort by a column, keep rows that hold a word, copy as CSV.
+function asNumber(text) {
+  const value = parseFloat(text.replace(/,/g, ""));
+  return Number.isNaN(value) ? Infinity : value;
+}
+
+document.querySelectorAll("details.table").forEach((folded) => {
+  const table = folded.querySelector("table"), body = table.tBodies[0], rows = [...body.rows];
+  folded.querySelector("input").addEventListener("input", (event) => {
+    const wanted = event.target.value.toLowerCase().split(/\s+/);
+    for (const row of rows) row.hidden = !wanted.every((word) => row.textContent.toLowerCase().includes(word));
+  });
+  table.querySelectorAll("th button").forEach((button, column) => {
+    button.addEventListener("click", () => {
+      const heading = button.parentElement, sign = heading.ariaSort === "ascending" ? -1 : 1;
+      for (const other of table.querySelectorAll("th")) other.ariaSort = "none";
+      heading.ariaSort = sign > 0 ? "ascending" : "descending";
+      const cell = (row) => row.cells[column].textContent;
+      const compare = (a, b) => {
+        const [x, y] = [asNumber(cell(a)), asNumber(cell(b))];
+        return x === y ? cell(a).localeCompare(cell(b), "en", { numeric: true }) : x - y;
+      };
+      body.append(...[...body.rows].sort((a, b) => sign * compare(a, b)));
+    });
+  });
+  folded.querySelector("button.copy").addEventListener("click", async (event) => {
+    const lines = [...table.rows].filter((row) => !row.hidden).map((row) =>
+      [...row.cells].map((cell) => '"' + cell.textContent.trim().replace(/"/g, '""') + '"').join(","));
+    const text = document.createElement("textarea");
+    text.value = lines.join("\n") + "\n";
+    document.body.append(text);
+    text.select();
+    document.execCommand("copy");
+    text.remove();
+    event.target.textContent = "Copied";
+    setTimeout(() => { event.target.textContent = "Copy as CSV"; }, 1500);
+  });
+});

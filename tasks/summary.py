@@ -1,0 +1,92 @@
+"""What manifests say of a run: what was built, from what, and is it good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from graphlib import TopologicalSorter
+
+from pasdedeux.evaluation.summary import Credit, Made, Summary
+from pasdedeux.evaluation.verdicts import Judged, by_stage
+from pasdedeux.verdict import Level, Verdict, summarise_verdicts
+from storage_schema import Manifest
+from tasks.stage import verdict_of, verdicts_of_parts
+
+__all__ = ["judge", "summary_of"]
+
+_APART = "evaluation"
+"""The stage whose partitions, topics, are judged one by one."""
+
+
+@dataclass(frozen=True)
+class _Thing:
+    """A thing that people count: its name, the table that holds it, and a fact that counts it instead of rows."""
+
+    name: str
+    table: str
+    counted_by: str = ""
+    is_artifact: bool = False
+
+
+_THINGS = (
+    _Thing("takes", "poses", is_artifact=True),
+    _Thing("annotations", "annotations"),
+    _Thing("seeds", "seeds"),
+    _Thing("draws", "draws"),
+    _Thing("lifted pairs", "lifted_pairs", counted_by="num_lifted"),
+    _Thing("database poses", "projections"),
+    _Thing("reconstructed sequences", "motions", is_artifact=True),
+    _Thing("variants", "variant_quality"),
+    _Thing("models", "models"),
+)
+
+
+def summary_of(manifests: Sequence[Manifest]) -> Summary:
+    """Return the summary of these artifacts; the same artifacts in any order give the same."""
+    found = sorted(manifests, key=lambda one: (one.ref.stage, one.partition, one.name))
+    counted = {thing: [one for one in found if thing.table in one.tables] for thing in _THINGS}
+    sources = {Credit(s.name, s.licence, s.credit) for one in found for s in one.sources}
+    return Summary(
+        made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
+        sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
+        verdicts=dict(sorted(by_stage(judge(found), apart=_APART).items(), key=_worst_first)),
+    )
+
+
+def _worst_first(named: tuple[str, Verdict]) -> int:
+    return -list(Level).index(named[1].level)
+
+
+def judge(manifests: Sequence[Manifest]) -> list[Judged]:
+    """Return a verdict for each part of a stage and partition, or for the whole of it; stages after what they read."""
+    reads: dict[str, set[str]] = {}
+    groups: dict[tuple[str, str], list[Manifest]] = {}
+    for one in manifests:
+        reads.setdefault(one.ref.stage, set()).update({ref.stage for ref in one.inputs} - {one.ref.stage})
+        groups.setdefault((one.ref.stage, one.partition), []).append(one)
+    # Sorted: sets of names have another order in every process.
+    order = list(TopologicalSorter({stage: sorted(before) for stage, before in sorted(reads.items())}).static_order())
+    judged = []
+    for (stage, partition), found in sorted(groups.items(), key=lambda item: (order.index(item[0][0]), item[0][1])):
+        parts = {name: verdict for one in found for name, verdict in verdicts_of_parts(one).items()}
+        judged += [Judged(stage, f"{partition} {name}", verdict) for name, verdict in parts.items()]
+        whole = summarise_verdicts(verdict for one in found if (verdict := verdict_of(one)) is not None)
+        if whole is not None and not parts:
+            judged.append(Judged(stage, partition, whole))
+    return judged
+
+
+def _made(thing: _Thing, parts: Sequence[Manifest]) -> Made:
+    """Count a thing in its artifacts; seconds are of motion, where its artifacts say how many frames it has."""
+    count, seconds = 0, math.nan
+    for one in parts:
+        rows = one.tables[thing.table].rows
+        own = int(one.facts.get(thing.counted_by, rows)) if not thing.is_artifact else int(rows > 0)
+        count += own
+        # Of annotations the rows are people and frames, of single frames there are no seconds.
+        if {"num_frames", "rate_hz"} <= one.facts.keys() and one.facts.get("purpose", "video") == "video":
+            times = own if thing.table == "variant_quality" else 1
+            length = times * one.facts["num_frames"] / one.facts["rate_hz"]
+            seconds = length if math.isnan(seconds) else seconds + length
+    return Made(thing.name, count, seconds, sum(one.num_bytes for one in parts))

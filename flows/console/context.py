@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +25,7 @@ __all__ = [
     "StudyArgument",
     "WorkersOption",
     "graph_of",
+    "next_command",
     "open_store",
     "print_json",
 ]
@@ -71,6 +74,17 @@ def open_store(folder: Path) -> Store:
     store = Store(folder)
     store.check_version()
     return store
+
+
+def next_command(*words: str, store: Path, settings: Sequence[str] | None = None) -> str:
+    """Return a command that can be pasted: with the store and the settings that this one was given.
+
+    >>> next_command("run", "duets", store=Path("my store"), settings=["chains.num_chains=4"])
+    "pasdedeux run duets --store 'my store' --set chains.num_chains=4"
+    """
+    told = [part for setting in settings or () for part in ("--set", setting)]
+    at = [] if store == Path("store") else ["--store", str(store)]
+    return shlex.join(["pasdedeux", *words, *at, *told])
 
 
 def print_json(value: Any) -> None:

@@ -14,6 +14,7 @@ from flows.console.context import (
     StoreOption,
     WorkersOption,
     graph_of,
+    next_command,
     open_store,
 )
 from flows.console.run import build_and_report
@@ -93,8 +94,8 @@ def restart(
         typer.echo(f"the draw is the seed in {path}; its study is {name}")
     build_and_report(study, graph, opened, Selection(until="chains"), cluster, as_json=as_json)
     if not as_json:
-        typer.echo(f"new draws: pasdedeux show draws:{name}")
-        typer.echo(f"how the chains went: pasdedeux show chain_info:{name}")
+        typer.echo(f"new draws: {next_command('show', f'draws:{name}', store=store)}")
+        typer.echo(f"how the chains went: {next_command('show', f'chain_info:{name}', store=store)}")
 
 
 def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
@@ -106,10 +107,11 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
         sections = last_sections(store, last)
         if sections:
             return study, sections
+    draw = f"draws@{chosen.key[:12]}#{chosen.row}"
+    command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(store.root))
     raise PlanError(
         f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store.root}: "
-        f"its settings are not known.  Export it (pasdedeux export draws@{chosen.key[:12]}#{chosen.row} "
-        "--format json) and name the file in a study under seeds.files"
+        f"its settings are not known.  Export it ({command}) and name the file in a study under seeds.files"
     )
 
 

@@ -17,10 +17,11 @@ from flows.console.context import (
     StudyArgument,
     WorkersOption,
     graph_of,
+    next_command,
     open_store,
     print_json,
 )
-from flows.console.display import counted, make_listener, outcome_lines, plan_lines
+from flows.console.display import counted, make_listener, outcome_lines, plan_lines, summary_lines
 from flows.execution import Outcome, Run, outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
@@ -35,6 +36,7 @@ __all__ = ["app", "build", "build_and_report"]
 app = typer.Typer(rich_markup_mode=None)
 
 MIN_FREE_BYTES = 64 * 1024**2
+PREVIEW_S = 4.0
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
 
@@ -43,6 +45,7 @@ Examples:
   pasdedeux run                                  the built-in duets, into ./store
   pasdedeux run my.toml --store /data/store --workers 8
   pasdedeux run my.toml --set chains.num_chains=4 --until chains
+  pasdedeux run my.toml --preview                on a few seconds of each take, to look at first
   pasdedeux run my.toml --scheduler tcp://cluster:8786
 """
 _PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
@@ -78,13 +81,21 @@ def run(
     start: FromOption = None,
     until: UntilOption = None,
     force: ForceOption = None,
+    is_preview: Annotated[
+        bool, typer.Option("--preview", help=f"On {PREVIEW_S:g} s of each take, on record as <study>-preview.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build a study."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
-    chosen, graph = load_study(study, graph_of(context), settings=settings or ())
+    short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
+    chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
+    if is_preview:
+        chosen = chosen.model_copy(update={"head": chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})})
     cluster = cluster_settings(workers, worker_memory, scheduler, oversubscribe=oversubscribe)
     build_and_report(chosen, graph, open_store(store), selection, cluster, as_json=as_json)
+    if is_preview and not as_json:
+        typer.echo(f"all of it: {next_command('run', study, store=store, settings=settings)}")
 
 
 def build_and_report(
@@ -109,6 +120,8 @@ def build_and_report(
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
+    for line in summary_lines(opened, chosen.name):
+        typer.echo(line)
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")
     if published is not None and not published.failures:
@@ -155,7 +168,11 @@ def plan(
     for line in plan_lines(made, is_long=is_long):
         typer.echo(line)
     refuse_nothing(made.missing)
-    typer.echo("everything is fresh" if made.is_fresh else "run it with: pasdedeux run " + study)
+    typer.echo(
+        "everything is fresh"
+        if made.is_fresh
+        else f"run it with: {next_command('run', study, store=store, settings=settings)}"
+    )
 
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:

@@ -5,16 +5,25 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import counted, print_table
+from flows.console.display import counted, format_table, print_table
+from flows.console.poses import pose_lines
 from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference
+from pasdedeux.evaluation.score_tables import mean_table, score_table
+from pasdedeux.evaluation.scores import COLUMNS, Score
+from pasdedeux.skeletons import WORKING_SKELETONS
 from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
 
 __all__ = ["app"]
 
 app = typer.Typer(rich_markup_mode=None)
+
+SCORES = "scores"
+_MIN_SCORE_ROWS = 12
+"""Rows of scores that are shown of each topic, where fewer were asked for."""
 
 ReferenceArgument = Annotated[
     str, typer.Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
@@ -24,8 +33,8 @@ _SHOW = """Show what a reference names: columns, rows, a look at the first ones,
 
 \b
   pasdedeux show poses:duets                 every part of a table, as the last run of a study made it
-  pasdedeux show scores:duets --rows 20
-  pasdedeux show draws@3fa9c0#17             one row
+  pasdedeux show scores:duets                a table a topic, the better value marked
+  pasdedeux show draws@3fa9c0#17             one row: its poses drawn, their joints by name
 """
 _EXPORT = """Write what a reference names into files, with licence and credits beside them.
 
@@ -45,7 +54,7 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
-    rows: Annotated[int, typer.Option(min=0, help="Rows to show.")] = 5,
+    rows: Annotated[int, typer.Option(min=0, help="Rows to show, of scores those of each topic.")] = 5,
     has_files: Annotated[
         bool, typer.Option("--files", help="Only the paths of the Parquet files, one a line.")
     ] = False,
@@ -62,12 +71,19 @@ def show(
         return
     typer.echo(f"{described['table']}: {described['meaning']}")
     typer.echo(f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}")
+    if described["table"] == SCORES and described["row"] is None:
+        for line in _score_lines(open_store(store), reference, max(rows, _MIN_SCORE_ROWS)):
+            typer.echo(line)
+        return
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
     print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
         typer.echo("first rows:" if described["row"] is None else "the row:")
     for row in described["rows"]:
         typer.echo("  " + ", ".join(f"{name}={value}" for name, value in row.items()))
+    if described["row"] is not None:
+        for line in _drawn(open_store(store), reference):
+            typer.echo(line)
     typer.echo("comes from:")
     for step in described["lineage"]:
         typer.echo(
@@ -136,6 +152,37 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
         "files": [{"name": use.name, "sha256": use.sha256, "stage": use.stage} for use in files],
         "sources": [{"name": s.name, "licence": s.licence, "credit": s.credit} for s in sources.values()],
     }
+
+
+def _drawn(store: Store, text: str) -> list[str]:
+    """Draw the poses of one row, with their numbers by joint."""
+    (batch,) = iter_rows(text, store)
+    lines = []
+    for column in TABLES[parse_reference(text).table].columns:
+        values = batch.row(0).get(column.name)
+        if column.joints in WORKING_SKELETONS and column.unit in ("m", "px") and column.shape[-1:] in ((2,), (3,)):
+            drawn = pose_lines(np.asarray(values), column.joints, unit=column.unit)
+            lines += [f"{column.name}: {column.meaning}", *drawn]
+    return lines
+
+
+def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
+    """Return scores as a table a topic: means over items where there are several, the best of a row with a star."""
+    topics: dict[str, list[Score]] = {}
+    for batch in iter_rows(text, store):
+        for index in range(batch.num_rows):
+            row = batch.row(index)
+            values = {name: row[name].item() if hasattr(row[name], "item") else row[name] for name in COLUMNS}
+            topics.setdefault(str(row["topic"]), []).append(Score(**values))
+    lines = ["* is the best of a row, where it is known what is better"]
+    for topic, scores in topics.items():
+        means = mean_table(scores, caption="means over items", has_marks=True)
+        table = means or score_table(scores, caption="figures", has_marks=True)
+        lines += ["", f"{topic}: {table.caption}"]
+        lines += format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
+        if len(table.rows) > num_rows:
+            lines.append(f"... {len(table.rows) - num_rows} more rows: --rows {len(table.rows)}; all figures: --json")
+    return lines
 
 
 def _first_rows(store: Store, text: str, count: int) -> list[dict[str, Any]]:

@@ -343,6 +343,11 @@ class IngestParameters(Parameters):
     duets: tuple[DuetOptions, ...] | None = Field(default=None, description="Built-in duets")
     takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one person or more, file by file")
     pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
+    take_seconds: float | None = Field(
+        default=None,
+        gt=0,
+        description="Only so much from the start of each take, all of it by default; `run --preview`",
+    )
     annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
     mappings: Mappings = Field(
         default={},

@@ -166,6 +166,8 @@ def _family_file(family: PairOptions, subject: str, take: str) -> Path:
 def _duet_shard(seed: int, parameters: IngestParameters, duet: DuetOptions) -> Shard:
     style_of(duet.name, **duet.told)
     take_id = duet.take_id
+    if parameters.take_seconds is not None:
+        duet = duet.model_copy(update={"duration_s": min(duet.duration_s, parameters.take_seconds)})
     told = DuetParameters(
         take_id=take_id,
         rate_hz=parameters.rate_hz,
@@ -191,6 +193,8 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
         except InputError as error:
             raise type(error)(f"take {take.id}: {error}") from None
     num_frames = _common_length(take, people)
+    if parameters.take_seconds is not None:
+        num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].told.rate_hz)))
     source = credit_of(people[0].told.layout, take.licence, take.credit)
     if take.swap_persons:
         people.reverse()

@@ -5,17 +5,21 @@ Importing this module imports Prefect, so nothing above it does so before there 
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
-from functools import partial
+from contextvars import copy_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from flows.execution import Outcome, Partition, Run, begin, execute, outcome_of_fresh, partitions_to_run
+from flows.building import partitions_to_run
+from flows.execution import begin, execute, outcome_of_fresh
 from flows.machine import WORKER_MEMORY_GB, cluster_settings
+from flows.outcomes import Outcome, Run
 from flows.planning import Plan, StagePlan, make_plan, refuse_nothing
 from flows.prefect_server import check_server, starting_server, telemetry_off
 from flows.publishing import CHANGES_FILE, Published, publish, refuse_failed_gates
@@ -23,16 +27,18 @@ from flows.study import load_study
 from storage_schema import Store, in_use
 from tasks.graph import load_graph
 from tasks.shards import (
+    ClusterPool,
     ClusterSettings,
+    HerePool,
+    Pool,
     ShardError,
     Stopped,
     connect,
-    joined,
-    peak_memory_bytes,
-    run_on_cluster,
-    run_serially,
+    in_one_line,
     worker_environment,
 )
+
+_log = logging.getLogger(__name__)
 
 telemetry_off()
 
@@ -48,32 +54,10 @@ from prefect.settings import (  # noqa: E402
 )
 from prefect.task_runners import ThreadPoolTaskRunner  # noqa: E402
 
-if TYPE_CHECKING:
-    from distributed import Client
-
-__all__ = ["Workers", "dataset", "orchestrate"]
+__all__ = ["dataset", "orchestrate"]
 
 _MAX_PARTITIONS_AT_ONCE = 16
-_IN_FLIGHT_PER_WORKER = 2
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Who computes shards: a Dask client, or nobody but this process; `stop` ends the work of every thread."""
-
-    client: Client | None = None
-    num_workers: int = 0
-    stop: threading.Event = field(default_factory=threading.Event)
-
-    def run(self, run: Run, plan: StagePlan, partition: Partition) -> None:
-        """Compute and commit the shards of one partition."""
-        options: dict[str, Any] = {"on_done": run.listener.shard_done, "stop": self.stop}
-        root = str(run.store.root)
-        if self.client is None:
-            run_serially(plan.stage.run_shard, partition.shards, root, **options)
-        else:
-            window = max(_IN_FLIGHT_PER_WORKER * self.num_workers, 1)
-            run_on_cluster(self.client, plan.stage.run_shard, partition.shards, root, max_in_flight=window, **options)
+_LAST_WORDS_S = 30.0  # that Prefect may take to be told of the end
 
 
 def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
@@ -85,9 +69,8 @@ def orchestrate(run: Run, plan: Plan, settings: ClusterSettings) -> Outcome:
         ServerError, ClusterError: Prefect's server or the Dask cluster cannot be used.
         ShardError: Shards failed; everything that needs none of them is committed.
     """
-    with _prefect_server(run) as await_server, _workers(run, settings) as workers, await_server():
-        outcome = _graph_flow(run, plan, workers)
-        return replace(outcome, peak_memory_bytes=peak_memory_bytes(workers.client))
+    with _prefect_server(run) as await_server, _pool(run, settings) as pool, await_server():
+        return _graph_flow(run, plan, pool)
 
 
 @flow(name="pasdedeux-dataset", retries=0, persist_result=False)
@@ -114,9 +97,10 @@ def dataset(
             outcome = outcome_of_fresh(run, plan)
         else:
             run.store.prepare()
-            with in_use(run.store), _workers(run, cluster) as found:
+            with in_use(run.store), _pool(run, cluster) as pool:
                 record = begin(run, plan)
-                outcome = execute(run, record, plan, partial(_run_stage, found, record.run_id))
+                with _Shown(record.run_id) as shown:
+                    outcome = execute(run, record, plan, pool, shown.stage)
         published = publish(run, outcome)
     _show(chosen.name, outcome, published)
     refuse_nothing(outcome.missing)
@@ -147,23 +131,67 @@ def _show(study: str, outcome: Outcome, published: Published | None) -> None:
         create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
 
 
-def _graph_flow(run: Run, plan: Plan, workers: Workers) -> Outcome:
-    """Run the whole graph as one flow whose stages are flows of their own."""
+def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:
+    """Run the whole graph as one flow whose stages are flows of their own.
+
+    What was done, or what failed, is said also where Prefect cannot be told any more.
+    """
     folder = begin(run, plan)
+    done: list[Outcome] = []
+    failed: list[Exception] = []
 
     @flow(name="pasdedeux-dataset", flow_run_name=folder.run_id, retries=0, persist_result=False)
-    def build(study: str, run_id: str) -> Outcome:
-        return execute(run, folder, plan, partial(_run_stage, workers, run_id))
+    def build(study: str, run_id: str) -> None:
+        with _Shown(run_id) as shown:
+            try:
+                done.append(execute(run, folder, plan, pool, shown.stage))
+            except Exception as error:
+                failed.append(error)
+                raise
 
-    return build(study=run.study.name, run_id=folder.run_id)
+    try:
+        build(study=run.study.name, run_id=folder.run_id)
+    except Exception as error:
+        if failed:
+            raise failed[0] from None
+        if not done:
+            raise
+        run.listener.note(f"Prefect's server could not be told of the end: {in_one_line(error)}")
+    return done[0]
 
 
-def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None:
-    """Run one stage as a flow with a task per partition, on threads of this process; others outlive one that fails."""
-    partitions = partitions_to_run(plan)
-    failures: dict[str, Exception] = {}
-    is_serial = workers.client is None
-    runner: Any = ThreadPoolTaskRunner(max_workers=1 if is_serial else min(len(partitions), _MAX_PARTITIONS_AT_ONCE))
+class _Shown:
+    """Shows Prefect what is built: a flow for each stage with a task for each partition, on threads of this process.
+
+    They wait for the work and do none of it: a Prefect server that dies takes nothing with it.
+    """
+
+    def __init__(self, run_id: str) -> None:
+        self._run_id = run_id
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> _Shown:
+        """Begin to show."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Wait until all that has ended is shown to have."""
+        deadline = time.monotonic() + _LAST_WORDS_S
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+    def stage(self, run: Run, plan: StagePlan, partitions: Mapping[str, Future[None]]) -> None:
+        """Show a stage that has work, until every partition of it has ended."""
+        show = _stage_flow(run, plan, partitions, self._run_id)
+        thread = threading.Thread(target=copy_context().run, args=(show,), name=plan.stage.name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+
+def _stage_flow(run: Run, plan: StagePlan, partitions: Mapping[str, Future[None]], run_id: str) -> Callable[[], object]:
+    """Return what shows one stage."""
+    in_order = partitions_to_run(plan)
+    runner: Any = ThreadPoolTaskRunner(max_workers=min(len(in_order), _MAX_PARTITIONS_AT_ONCE))
 
     @task(
         name=f"{plan.stage.name}-partition",
@@ -172,14 +200,8 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
         cache_policy=NO_CACHE,
         persist_result=False,
     )
-    def build_partition(name: str) -> None:
-        try:
-            workers.run(run, plan, by_name[name])
-        except Exception as error:
-            failures[name] = error
-            if not isinstance(error, ShardError) or error.is_fatal:
-                workers.stop.set()
-            raise
+    def show_partition(name: str) -> None:
+        partitions[name].result()
 
     @flow(
         name=plan.stage.name,
@@ -188,35 +210,25 @@ def _run_stage(workers: Workers, run_id: str, run: Run, plan: StagePlan) -> None
         persist_result=False,
         task_runner=runner,
     )
-    def build_stage(study: str, run_id: str) -> None:
-        if is_serial:
-            behind: set[str] = set()
-            for partition in partitions:
-                if behind.isdisjoint(partition.needs):
-                    build_partition(partition.name, return_state=True)
-                if partition.name in failures or not behind.isdisjoint(partition.needs):
-                    behind.add(partition.name)
-        else:
-            futures: dict[str, Any] = {}
-            try:
-                for partition in partitions:
-                    waits = [futures[name] for name in partition.needs]
-                    futures[partition.name] = build_partition.submit(partition.name, wait_for=waits, return_state=False)
-                for future in futures.values():
-                    future.wait()
-            except BaseException:
-                workers.stop.set()
-                raise
-        errors = [failures[partition.name] for partition in partitions if partition.name in failures]
-        shard_errors = [error for error in errors if isinstance(error, ShardError)]
-        for error in errors:
-            if not (isinstance(error, ShardError) or (shard_errors and isinstance(error, Stopped))):
-                raise error
-        if shard_errors:
-            raise joined(shard_errors)
+    def show_stage(study: str, run_id: str) -> None:
+        futures: dict[str, Any] = {}
+        for partition in in_order:
+            waits = [futures[name] for name in partition.needs]
+            futures[partition.name] = show_partition.submit(partition.name, wait_for=waits, return_state=False)
+        for future in futures.values():
+            future.wait()
+        for ended in partitions.values():
+            ended.result()
 
-    by_name = {partition.name: partition for partition in partitions}
-    build_stage(study=run.study.name, run_id=run_id)
+    def show() -> None:
+        try:
+            show_stage(study=run.study.name, run_id=run_id)
+        except (ShardError, Stopped):
+            return  # it is the run that says what failed
+        except Exception:  # noqa: BLE001 - Prefect only shows what is done: the run goes on without it
+            _log.warning("Prefect does not show stage %s", plan.stage.name, exc_info=True)
+
+    return show
 
 
 @contextmanager
@@ -234,17 +246,17 @@ def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[ob
 
 
 @contextmanager
-def _workers(run: Run, settings: ClusterSettings) -> Iterator[Workers]:
-    """Return the workers for this block."""
-    Path(run.store.root).mkdir(parents=True, exist_ok=True)
+def _pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
+    """Return who computes shards for this block."""
+    root = str(run.store.root)
+    Path(root).mkdir(parents=True, exist_ok=True)
     if settings.scheduler is None and settings.num_workers == 0:
         os.environ.update(worker_environment())
-        yield Workers()
+        yield HerePool(root)
         return
     if settings.scheduler is None:
         run.listener.note(f"starting {settings.num_workers} local workers")
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
-    with connect(settings, store_root=str(run.store.root)) as client:
-        num_workers = len(client.scheduler_info(n_workers=-1)["workers"])
-        yield Workers(client, num_workers)
+    with connect(settings, store_root=root) as client:
+        yield ClusterPool(client, root, is_shared=settings.scheduler is not None)

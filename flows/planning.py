@@ -244,7 +244,8 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     last = _last_records(store, study.name)
     plans: dict[str, StagePlan] = {}
     for stage in graph.stages:
-        waiting = tuple(name for name in graph.upstream[stage.name] if not plans[name].is_fresh)
+        needed = graph.needed(stage.name, study.parameters[stage.name])
+        waiting = tuple(name for name in needed if not plans[name].is_fresh)
         unselected = [name for name in waiting if name not in selected]
         if unselected and stage.name in selected:
             raise PlanError(
@@ -260,9 +261,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
                 last_partitions=tuple(Counter(r.partition for r in last(stage.name).shards or ()).items()),
             )
             continue
-        inputs = stage_inputs(
-            stage, study.head.seed, {name: plans[name].manifests for name in graph.upstream[stage.name]}
-        )
+        inputs = stage_inputs(stage, study.head.seed, {name: plans[name].manifests for name in needed})
         plan = _plan_stage(stage, study, inputs, store, last(stage.name), is_forced=stage.name in selection.force)
         plans[stage.name] = replace(plan, is_selected=stage.name in selected, is_asked=stage.name in asked)
     return Plan(study=study.name, stages=tuple(plans.values()))
@@ -332,7 +331,8 @@ def _plan_stage(
         else:
             is_stale, reason = why_not_fresh(stage, sections, shard, described, last)
             shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))
-    absent = tuple(table for table in stage.reads if not inputs.of(table))
+    unread = () if stage.unread is None else stage.unread(parameters)
+    absent = tuple(table for table in stage.reads if not inputs.of(table) and table not in unread)
     return StagePlan(stage=stage, is_selected=True, shards=tuple(shards), absent_tables=absent)
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from flows.differences import changelog, differences
-from flows.execution import Outcome, Run
 from flows.gates import figures_of
+from flows.outcomes import Outcome, Run
 from flows.planning import PlanError
 from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE

@@ -96,9 +96,12 @@ def begin_record(folder: RunFolder, study: str, sections: Mapping[str, Any], pla
     folder.write(_RUN, {**_identity(folder, study), "status": "running"})
 
 
-def end_record(folder: RunFolder, study: str, status: str, stages: Sequence[Mapping[str, Any]]) -> None:
-    """Write how the run ended and what it did, stage by stage."""
-    folder.write(_RUN, {**_identity(folder, study), "status": status, "stages": list(stages)})
+def end_record(
+    folder: RunFolder, study: str, status: str, stages: Sequence[Mapping[str, Any]], peak_memory_bytes: int | None
+) -> None:
+    """Write how the run ended, what it did, stage by stage, and the most memory that a process of it held."""
+    said = {"status": status, "stages": list(stages), "peak_memory_bytes": peak_memory_bytes}
+    folder.write(_RUN, {**_identity(folder, study), **said})
 
 
 def describe_runs(store: Store) -> list[dict[str, str]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -28,7 +29,10 @@ from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
 from storage_schema.store_reader import RESERVED_NAMES, STORE_FILE, StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["ArtifactFields", "Store"]
+__all__ = ["PROCESSOR_S", "SHARD_S", "ArtifactFields", "Store"]
+
+SHARD_S, PROCESSOR_S = "shard_s", "processor_s"
+"""Timings of an artifact that was measured: from the shard's beginning to its commit."""
 
 _STAGE_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -65,6 +69,8 @@ class Store(StoreReader):
         root: Folder of the store; made when something is first written.
     """
 
+    _begun_s: tuple[float, float] | None = None
+
     def commit(
         self,
         *,
@@ -97,6 +103,10 @@ class Store(StoreReader):
             for file_name, data in (attachments or {}).items():
                 writer.attach(file_name, data)
         return writer.ref
+
+    def measure(self) -> None:
+        """Begin to measure: artifacts say in `timings` what it took since now, wall clock and processor, seconds."""
+        self._begun_s = (time.perf_counter(), time.process_time())
 
     @contextmanager
     def writer(
@@ -140,7 +150,7 @@ class Store(StoreReader):
                 code_version=code_version(),
                 source_digest=source_digest(),
                 package_versions=package_versions(),
-                timings=plain_json(writer.timings, "timings"),
+                timings=plain_json({**writer.timings, **self._spent()}, "timings"),
                 created_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             )
             with write_errors(self.root):
@@ -168,6 +178,12 @@ class Store(StoreReader):
     def clear_leftovers(self) -> None:
         """Remove what dead processes left half written; a process that is slow to die is left for the next time."""
         clean_leftovers(self.staging_root)
+
+    def _spent(self) -> dict[str, float]:
+        if self._begun_s is None:
+            return {}
+        now = (time.perf_counter(), time.process_time())
+        return {name: round(now[i] - self._begun_s[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
 
     def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
         """Rename the staged folder to its place; returns the artifact that is there in the end."""

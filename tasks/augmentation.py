@@ -26,7 +26,18 @@ from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
-from tasks.stage import VERDICT_FACT, Parameters, Shard, Stage, StageInputs, artifact_fields, commit, named_refs, stream
+from tasks.stage import (
+    VERDICT_FACT,
+    EarlyPlan,
+    Parameters,
+    Shard,
+    Stage,
+    StageInputs,
+    artifact_fields,
+    commit,
+    named_refs,
+    stream,
+)
 
 __all__ = [
     "STAGE",
@@ -279,4 +290,5 @@ STAGE = Stage(
     run_shard=run_shard,
     meaning="Variants of every take for other body proportions, by interaction mesh with exact bone lengths",
     needs="takes ([[ingest.takes]], [ingest.pairs])",
+    early=(EarlyPlan(plan, each=("poses",)),),
 )

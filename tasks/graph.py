@@ -10,7 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 
 import tasks
 from pasdedeux.settings import Settings
-from tasks.stage import Stage
+from tasks.stage import Parameters, Stage
 
 __all__ = ["Graph", "GraphError", "load_graph"]
 
@@ -85,6 +85,12 @@ class Graph:
             if stage.name == name:
                 return stage
         raise GraphError(f"unknown stage '{name}'; known stages: {', '.join(self.names)}")
+
+    def needed(self, name: str, parameters: Parameters) -> tuple[str, ...]:
+        """Return the stages, in order, whose tables a stage reads with these parameters of its own."""
+        stage = self.stage(name)
+        read = set(stage.reads).difference(() if stage.unread is None else stage.unread(parameters))
+        return tuple(other for other in self.upstream[name] if read.intersection(self.stage(other).writes))
 
     def above(self, name: str) -> frozenset[str]:
         """Return the names of every stage whose results can reach this one."""

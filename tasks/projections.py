@@ -27,7 +27,7 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
 
 __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
 
@@ -192,6 +192,21 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
             )
         )
     return shards
+
+
+def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
+    """Plan the shards of some artifacts alone: not the codebook, nor draws that enter only where there are no takes."""
+    if parameters.include_draws is None:
+        return []
+    return plan(inputs, parameters.model_copy(update={"num_clusters": 0}))
+
+
+def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
+    """Return the tables whose poses do not enter."""
+    return (
+        *(("draws",) if parameters.include_draws is False else ()),
+        *(() if parameters.include_variants else ("variants",)),
+    )
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -441,4 +456,6 @@ STAGE = Stage(
     meaning="Builds the projection database: poses on one body, mid-hip at the origin, heading removed",
     needs="takes that are not held out ([[ingest.takes]], ingest.held_out), or draws or variants "
     "(projections.include_draws, projections.include_variants)",
+    early=(EarlyPlan(_plan_early, each=("poses", "draws", "variants")),),
+    unread=_unread,
 )

@@ -16,6 +16,7 @@ from pasdedeux.verdict import Verdict
 from storage_schema import ArtifactFields, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 
 __all__ = [
+    "EarlyPlan",
     "Parameters",
     "Shard",
     "SourceFile",
@@ -134,6 +135,23 @@ class Shard:
 
 
 @dataclass(frozen=True)
+class EarlyPlan:
+    """Shards of a stage that can be told before all that the stage reads is there; they may start at once.
+
+    What a stage consists of is always what its own plan says when all is there: this only says what to begin with.
+
+    Args:
+        plan: Gives shards that the stage's own plan gives too, whatever else comes; none where it raises InputError.
+        reads: Tables that must be there as a whole before.
+        each: Tables of which some artifacts are given, those that are new: each has shards of its own.
+    """
+
+    plan: Callable[[StageInputs, Any], list[Shard]] = field(repr=False)
+    reads: tuple[str, ...] = ()
+    each: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Stage:
     """A stage of the graph.
 
@@ -151,6 +169,8 @@ class Stage:
         check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
         check_study: The same for what other stages' sections say, given by stage; called where the stage is asked for.
+        early: What can be begun with before all that it reads is there.
+        unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.
     """
 
     name: str
@@ -165,6 +185,8 @@ class Stage:
     metrics: Mapping[str, Sequence[str]] = field(default_factory=dict, repr=False)
     check: Callable[[Any], None] | None = field(default=None, repr=False)
     check_study: Callable[[Mapping[str, Any]], None] | None = field(default=None, repr=False)
+    early: tuple[EarlyPlan, ...] = field(default=(), repr=False)
+    unread: Callable[[Any], tuple[str, ...]] | None = field(default=None, repr=False)
 
 
 def merge_takes(*manifests: Manifest) -> list[str]:

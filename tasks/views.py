@@ -12,7 +12,7 @@ from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
-from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
 __all__ = ["STAGE", "VERSION", "ViewsParameters", "plan", "run_shard"]
@@ -175,4 +175,5 @@ STAGE = Stage(
     run_shard=run_shard,
     meaning="view hypotheses of annotated pairs",
     needs="annotations of two people ([[ingest.annotations]], or ingest.virtual_video of takes of two people)",
+    early=(EarlyPlan(plan, reads=("torso_basis",), each=("annotations",)),),
 )

@@ -10,8 +10,10 @@ from typing import Any
 
 import typer
 
-from flows.execution import Outcome
-from flows.listener import Listener
+from flows.costs import Cost, Work
+from flows.listener import Listener, Progress
+from flows.machine import GIB
+from flows.outcomes import Outcome
 from flows.planning import Plan, StagePlan, State
 from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
@@ -23,16 +25,24 @@ from tasks.summary import summary_of
 __all__ = [
     "BarListener",
     "LineListener",
+    "cost_lines",
     "counted",
+    "duration_text",
     "format_table",
+    "left_text",
     "make_listener",
     "outcome_lines",
     "plan_lines",
     "print_table",
+    "progress_text",
     "summary_lines",
 ]
 
-_BETWEEN_LINES_S = 5.0
+_SILENCE_S = 5.0
+"""After which a line is said, where there is no terminal for bars."""
+_LOOK_UP_S = 0.5
+_NAMED = 3
+"""Shards in work that are named."""
 
 
 def counted(number: int, noun: str) -> str:
@@ -48,36 +58,28 @@ def make_listener(*, is_quiet: bool = False) -> Listener:
 
 
 class LineListener(Listener):
-    """Says one fact a line, at most one line in five seconds while a stage works."""
+    """Says one fact a line, and how far the run is where nothing else was said for five seconds."""
 
     def __init__(self) -> None:
-        self._started = time.monotonic()
-        self._lock = threading.Lock()
-        self._num_done = 0
-        self._num_todo = 0
-        self._last_line = 0.0
+        self._started = self._last_line = time.monotonic()
+        self._doing = "starting"
+        self._closed = threading.Event()
+        self._watch = threading.Thread(target=self._break_silence, daemon=True)
+        self._watch.start()
 
     def note(self, text: str) -> None:
         """Say a sentence."""
+        self._doing = f"still {text}"
         self._say(text)
 
     def stage_started(self, plan: StagePlan) -> None:
         """Say what the stage has to do."""
-        self._num_done, self._num_todo = 0, len(plan.todo)
-        self._last_line = time.monotonic()
         if plan.todo:
             self._say(f"{plan.stage.name}: {len(plan.todo)} of {counted(len(plan.shards), 'shard')} to compute")
 
-    def shard_done(self, done: ShardDone) -> None:
-        """Say now and then how far the stage is."""
-        with self._lock:
-            self._num_done += 1
-            now = time.monotonic()
-            if now - self._last_line < _BETWEEN_LINES_S:
-                return
-            self._last_line = now
-            text = f"{done.shard.stage}: {self._num_done} of {self._num_todo}"
-        self._say(text)
+    def progressed(self, progress: Progress) -> None:
+        """Keep how far the run is."""
+        self._doing = progress_text(progress)
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
         """Say that the stage is done, and whether it is good."""
@@ -85,7 +87,18 @@ class LineListener(Listener):
         words = [plan.empty_reason or done, *([verdict_words(verdict)] if verdict else [])]
         self._say(f"{plan.stage.name}: {'; '.join(words)}")
 
+    def close(self) -> None:
+        """Say nothing more."""
+        self._closed.set()
+        self._watch.join()
+
+    def _break_silence(self) -> None:
+        while not self._closed.wait(_LOOK_UP_S):
+            if time.monotonic() - self._last_line > _SILENCE_S - _LOOK_UP_S:
+                self._say(self._doing)
+
     def _say(self, text: str) -> None:
+        self._last_line = time.monotonic()
         typer.echo(f"[{time.monotonic() - self._started:6.1f} s] {text}", err=True)
 
 
@@ -105,7 +118,8 @@ class BarListener(Listener):
             console=Console(stderr=True),
         )
         self._progress.start()
-        self._bar: Any = None
+        self._bars: dict[str, Any] = {}
+        self._whole: Any = None
 
     def note(self, text: str) -> None:
         """Show a sentence above the bars."""
@@ -113,22 +127,38 @@ class BarListener(Listener):
 
     def stage_started(self, plan: StagePlan) -> None:
         """Show a bar with as much as is there already."""
-        num_fresh = len(plan.shards) - len(plan.todo)
-        self._bar = self._progress.add_task(plan.stage.name, total=len(plan.shards), completed=num_fresh, last="")
+        bar = self._bar_of(plan.stage.name)
+        self._progress.update(bar, total=len(plan.shards), advance=len(plan.shards) - len(plan.todo))
 
     def shard_done(self, done: ShardDone) -> None:
         """Move the bar."""
-        self._progress.update(self._bar, advance=1, last=f"{done.shard.partition} {done.shard.name}"[:40])
+        bar = self._bar_of(done.shard.stage)
+        self._progress.update(bar, advance=1, last=f"{done.shard.partition} {done.shard.name}"[:40])
+
+    def progressed(self, progress: Progress) -> None:
+        """Move the bar of the whole run, which stands above those of its stages."""
+        if self._whole is None:
+            self._whole = self._progress.add_task("run", total=None, last="")
+        self._progress.update(
+            self._whole, total=progress.num_shards, completed=progress.num_done, last=left_text(progress)
+        )
 
     def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
         """Let the finished bar stand, with whether the stage is good."""
         words = verdict_words(verdict) if verdict else plan.empty_reason or ("" if plan.todo else "fresh")
-        self._progress.update(self._bar, last=words)
-        self._progress.stop_task(self._bar)
+        bar = self._bar_of(plan.stage.name)
+        self._progress.update(bar, last=words)
+        self._progress.stop_task(bar)
 
     def close(self) -> None:
         """Give the terminal back."""
         self._progress.stop()
+
+    def _bar_of(self, stage: str) -> Any:
+        """Return the bar of a stage; some of its shards may be there before it is known how many there are."""
+        if stage not in self._bars:
+            self._bars[stage] = self._progress.add_task(stage, total=None, last="")
+        return self._bars[stage]
 
 
 def plan_lines(plan: Plan, *, is_long: bool = False) -> list[str]:
@@ -181,6 +211,55 @@ def summary_lines(store: Store, study: str) -> list[str]:
     last = read_last_run(store, study)
     found = {} if last is None else last_manifests(store, last)
     return summary_of([one for manifests in found.values() for one in manifests]).lines() if found else []
+
+
+def progress_text(progress: Progress) -> str:
+    """Return how far a run is in one line: `12 of 45 shards, computing chains ic 0; about 40 s left`."""
+    running = [f"{one.stage} {one.partition} {one.name}" for one in progress.running]
+    shown = ", ".join(running[:_NAMED]) + (f" and {len(running) - _NAMED} more" if len(running) > _NAMED else "")
+    words = [f"{progress.num_done} of {counted(progress.num_shards, 'shard')}"]
+    words += [f"computing {shown}"] if shown else []
+    return "; ".join([", ".join(words), *filter(None, [left_text(progress)])])
+
+
+def left_text(progress: Progress) -> str:
+    """Return how long a run will take, as far as that is known; empty where nothing is."""
+    if not progress.left_s:
+        return ""
+    return f"{'about' if progress.is_all else 'more than'} {duration_text(progress.left_s)} left"
+
+
+def cost_lines(work: Work, costs: Sequence[Cost]) -> list[str]:
+    """Return what a build would take as a short table, and what it rests on."""
+    gigabytes = "" if work.worker_bytes is None else f"{work.worker_bytes / GIB:.1f}"
+    rows = [
+        (
+            str(cost.num_workers),
+            duration_text(cost.wall_s),
+            f"{cost.core_hours:.3g}",
+            f"{100 * cost.busy_share:.0f} %",
+            "" if work.worker_bytes is None else f"{cost.num_workers * work.worker_bytes / GIB:.3g} GB",
+        )
+        for cost in costs
+    ]
+    total = sum(work.processor_s.values())
+    lines = format_table(("workers", "wall time", "core hours", "at work", "memory"), rows, text_columns=())
+    lines.append(
+        f"{counted(work.num_shards, 'shard')}, {duration_text(total)} of one core, {work.num_bytes / 1e6:.1f} MB"
+        + (f", at most {gigabytes} GB per process" if gigabytes else "")
+    )
+    if work.num_measured < work.num_shards:
+        lines.append(f"{work.num_measured} of them were measured themselves; others take what these did")
+    if work.unknown:
+        lines.append(f"not counted, as it was not measured: {', '.join(work.unknown)}")
+    return lines
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as a person says it: 41 s, 3 min 20 s, 2.5 h."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds // 60:.0f} min {seconds % 60:.0f} s" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def format_table(

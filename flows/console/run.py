@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,9 +22,11 @@ from flows.console.context import (
     open_store,
     print_json,
 )
-from flows.console.display import counted, make_listener, outcome_lines, plan_lines, summary_lines
-from flows.execution import Outcome, Run, outcome_of_fresh
+from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
+from flows.costs import Faults, estimate_cost, planned_work, scaled_to_takes
+from flows.execution import outcome_of_fresh
 from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
+from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.publishing import publish, refuse_failed_gates
 from flows.study import Study, load_study
@@ -37,6 +40,10 @@ app = typer.Typer(rich_markup_mode=None)
 
 MIN_FREE_BYTES = 64 * 1024**2
 PREVIEW_S = 4.0
+NUMBERS_OF_WORKERS = (1, 2, 10, 100, 1000)
+"""That `plan --cost` tells of where nothing is said."""
+SLOW_FACTOR = 5.0
+"""How much longer a slow shard takes in `plan --cost --slow`."""
 
 _RUN = """Build a study: compute what is missing or stale in the store, and nothing else.
 
@@ -55,6 +62,8 @@ fresh    it is there and nothing it depends on has changed
 missing  it was never built, or its files are gone
 stale    something it depends on has changed; says what
 pending  it depends on a stage that is not there yet; rebuilt only if that stage's bytes change
+
+--cost says what the run would take, from what each shard took when it was last computed.
 """
 
 OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE", help="These stages alone.")]
@@ -156,12 +165,39 @@ def plan(
     until: UntilOption = None,
     force: ForceOption = None,
     is_long: Annotated[bool, typer.Option("--long", help="Show fresh partitions too.")] = False,
+    cost: Annotated[bool, typer.Option("--cost", help="Say what the run would take, on how many workers.")] = False,
+    workers: Annotated[
+        list[int] | None, typer.Option("--workers", min=1, help="With --cost: on so many; may be given again.")
+    ] = None,
+    measured: Annotated[
+        Path | None, typer.Option("--measured", metavar="DIR", help="With --cost: store that has a build of the study.")
+    ] = None,
+    takes: Annotated[
+        int | None, typer.Option("--takes", min=1, help="With --cost: for so many takes like those measured.")
+    ] = None,
+    slow: Annotated[
+        float, typer.Option("--slow", min=0, max=1, help="With --cost: part of the shards that take 5 times as long.")
+    ] = 0.0,
+    losses: Annotated[
+        float, typer.Option("--losses", min=0, help="With --cost: times an hour that a worker is lost, each.")
+    ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
     """Say what a run would compute and why."""
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     made = make_plan(chosen, graph, open_store(store), selection)
+    if cost and not made.is_fresh:
+        work = planned_work(made, graph, open_store(store), open_store(measured or store))
+        work = work if takes is None else scaled_to_takes(work, graph, takes)
+        faults = Faults(slow, SLOW_FACTOR if slow else 1.0, losses)
+        costs = [estimate_cost(work, graph, count, faults) for count in workers or NUMBERS_OF_WORKERS]
+        if as_json:
+            print_json({"work": work.to_json(), "costs": [asdict(one) for one in costs]})
+            return
+        for line in cost_lines(work, costs):
+            typer.echo(line)
+        return
     if as_json:
         print_json({**made.to_json(), "settings": chosen.resolved()})
         return
@@ -177,8 +213,6 @@ def plan(
 
 def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) -> Outcome:
     """Run what is not fresh; only here are Prefect and Dask imported."""
-    from dataclasses import replace
-
     listener = make_listener(is_quiet=is_quiet)
     listener.note("loading Prefect")
     try:

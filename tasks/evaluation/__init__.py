@@ -23,7 +23,7 @@ from tasks.evaluation import (
 )
 from tasks.evaluation.experiments import density, people, unseen_views
 from tasks.evaluation.topic import STAGE_NAME, VERSION, Topic, commit_topic
-from tasks.stage import Parameters, Shard, Stage, StageInputs
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
 __all__ = ["STAGE", "TOPICS", "evaluation_stage"]
 
@@ -63,6 +63,7 @@ def evaluation_stage(topics: Sequence[Topic]) -> Stage:
         meaning="Scores everything against truth and baselines; writes the report and the dataset card.",
         needs="results to score or to show",
         metrics={topic.name: topic.metrics for topic in topics},
+        early=tuple(EarlyPlan(topic.plan, reads=topic.reads) for topic in topics),
     )
 
 

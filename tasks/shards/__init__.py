@@ -1,20 +1,22 @@
 """Where shards meet workers: the only part of the tasks that talks to a Dask client."""
 
-from tasks.shards.cluster import ClusterSettings, connect, peak_memory_bytes, worker_environment
-from tasks.shards.errors import ClusterError, ShardError, Stopped, joined
-from tasks.shards.running import ShardDone, run, run_on_cluster, run_serially
+from tasks.shards.cluster import ClusterSettings, connect, worker_environment
+from tasks.shards.errors import ClusterError, ShardError, Stopped, in_one_line, joined
+from tasks.shards.running import ClusterPool, HerePool, Pool, ShardDone, ShardFailed, run
 
 __all__ = [
     "ClusterError",
+    "ClusterPool",
     "ClusterSettings",
+    "HerePool",
+    "Pool",
     "ShardDone",
     "ShardError",
+    "ShardFailed",
     "Stopped",
     "connect",
+    "in_one_line",
     "joined",
-    "peak_memory_bytes",
     "run",
-    "run_on_cluster",
-    "run_serially",
     "worker_environment",
 ]

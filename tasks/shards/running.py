@@ -1,33 +1,34 @@
-"""Runs shards: one in a worker, many over a Dask cluster, or one after the other here."""
+"""Runs shards: one in a worker, and the pools that take many: a Dask cluster, or this process alone."""
 
 from __future__ import annotations
 
 import queue
-import threading
 import time
 import traceback
 import uuid
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from graphlib import TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
 from storage_schema import ArtifactRef, Store
-from tasks.shards.cluster import DEATHS_ALLOWED
-from tasks.shards.errors import ShardError, Stopped, in_one_line, joined
+from tasks.shards.cluster import DEATHS_ALLOWED, peak_memory_bytes
+from tasks.shards.errors import ClusterError, ShardError, in_one_line
 from tasks.stage import Shard
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["ShardDone", "run", "run_on_cluster", "run_serially"]
+__all__ = ["ClusterPool", "HerePool", "Pool", "ShardDone", "ShardFailed", "run"]
 
 RunShard = Callable[[Shard, Store], ArtifactRef]
 
-_LOOK_UP_S = 0.2  # how often a thread that waits for shards looks whether the run was given up
-_FETCH_S = 2.0  # and one that waits for a result, which is a moment's work unless its worker is gone
+_LOOK_UP_S = 0.2  # how long a pool waits for a shard to end before it says that none has
+_FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
+_SHORT_S = 0.3  # a worker has a second shard of this length waiting, so that it need not wait for the next
+_COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,14 @@ class ShardDone:
     shard: Shard
     ref: ArtifactRef
     seconds: float
+
+
+@dataclass(frozen=True)
+class ShardFailed:
+    """What a shard leaves that failed."""
+
+    shard: Shard
+    error: ShardError
 
 
 def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef, float]:
@@ -50,8 +59,10 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     """
     started = time.perf_counter()
     try:
+        store = Store(store_root)
+        store.measure()
         with threadpool_limits(limits=1):
-            ref = run_shard(shard, Store(store_root))
+            ref = run_shard(shard, store)
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
         failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
     else:
@@ -59,171 +70,147 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     raise failure  # out here it drags no original error along, which may not be picklable
 
 
-def run_serially(
-    run_shard: RunShard,
-    shards: Sequence[Shard],
-    store_root: str,
-    *,
-    on_done: Callable[[ShardDone], None] | None = None,
-    stop: threading.Event | None = None,
-) -> list[ArtifactRef]:
-    """Run shards one after the other in this process, each after those it depends on; artifacts in the order given.
+class Pool(ABC):
+    """Takes shards whose inputs are all there, computes and commits them, and gives them back as they end."""
 
-    Raises:
-        ShardError: Shards failed; those that need none of them are committed.
-        Stopped: `stop` was set from elsewhere.
-    """
-    done: dict[str, ArtifactRef] = {}
-    failed = _Failures(shards)
-    for shard in _dependency_order(shards):
-        if stop is not None and stop.is_set():
-            raise Stopped("given up")
-        if failed.is_behind(shard):
-            continue
+    num_workers: int = 1
+
+    @abstractmethod
+    def has_room(self, shard: Shard) -> bool:
+        """Tell whether a shard may be started now: where no worker would come to it soon, a better one may come up."""
+
+    @abstractmethod
+    def start(self, run_shard: RunShard, shard: Shard) -> None:
+        """Take a shard."""
+
+    @abstractmethod
+    def next(self) -> ShardDone | ShardFailed | None:
+        """Return a shard that has ended; None when none has for a moment.
+
+        Raises:
+            ClusterError: There is nobody left to compute.
+        """
+
+    @abstractmethod
+    def give_up(self) -> None:
+        """Drop what was started and has not ended."""
+
+    def peak_memory_bytes(self) -> int:
+        """Return the most memory that this process, or any that computes, has held."""
+        return peak_memory_bytes(None)
+
+
+class HerePool(Pool):
+    """Computes in this process, one shard after the other."""
+
+    def __init__(self, store_root: str) -> None:
+        self._store_root = store_root
+        self._waiting: list[tuple[RunShard, Shard]] = []
+
+    def has_room(self, shard: Shard) -> bool:
+        """Tell whether nothing waits."""
+        return not self._waiting
+
+    def start(self, run_shard: RunShard, shard: Shard) -> None:
+        """Take a shard, to be computed when the next one is asked for."""
+        self._waiting.append((run_shard, shard))
+
+    def next(self) -> ShardDone | ShardFailed | None:
+        """Compute the shard that waits."""
+        if not self._waiting:
+            return None
+        run_shard, shard = self._waiting.pop()
         try:
-            ref, seconds = run(run_shard, shard, store_root)
+            return ShardDone(shard, *run(run_shard, shard, self._store_root))
         except ShardError as error:
-            failed.add(shard, error)
-            continue
-        done[shard.key] = ref
-        if on_done is not None:
-            on_done(ShardDone(shard, ref, seconds))
-    failed.raise_any()
-    return [done[shard.key] for shard in shards]
+            return ShardFailed(shard, error)
+
+    def give_up(self) -> None:
+        """Drop the shard that waits."""
+        self._waiting.clear()
 
 
-def run_on_cluster(
-    client: Client,
-    run_shard: RunShard,
-    shards: Sequence[Shard],
-    store_root: str,
-    *,
-    max_in_flight: int = 8,
-    on_done: Callable[[ShardDone], None] | None = None,
-    stop: threading.Event | None = None,
-) -> list[ArtifactRef]:
-    """Run shards on the client's workers, at most `max_in_flight` at a time; artifacts in the order given.
+class ClusterPool(Pool):
+    """Computes on a client's workers, somebody's (`is_shared`) or the run's own.
 
-    A shard with `after` keys of this list is submitted only when those are committed. A shard whose worker dies is
-    sent again by the scheduler; one that kills several workers is a ShardError that names it.
-
-    Raises:
-        ShardError: Shards failed; those that need none of them are committed, unless nothing more can be written.
-        Stopped: `stop` was set from elsewhere.
-    """
-    here = {shard.key for shard in shards}
-    waiting = list(_dependency_order(shards))
-    done: dict[str, ArtifactRef] = {}
-    failed = _Failures(shards)
-    flying: dict[Any, Shard] = {}
-    arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
-
-    def submit_ready() -> None:
-        for shard in list(waiting):
-            if len(flying) >= max_in_flight:
-                return
-            if failed.is_behind(shard):
-                waiting.remove(shard)
-                continue
-            if any(key in here and key not in done for key in shard.after):
-                continue
-            waiting.remove(shard)
-            name = f"{shard.stage}-{shard.key[:16]}-{uuid.uuid4().hex[:8]}"
-            future = client.submit(run, run_shard, shard, store_root, key=name, pure=False)
-            flying[future] = shard
-            future.add_done_callback(arrived.put)
-
-    try:
-        submit_ready()
-        while flying:
-            if stop is not None and stop.is_set():
-                raise Stopped("given up")
-            try:
-                future = arrived.get(timeout=_LOOK_UP_S)
-            except queue.Empty:
-                continue
-            shard = flying.pop(future)
-            try:
-                ref, seconds = _result(future, shard, stop)
-            except ShardError as error:
-                failed.add(shard, error)
-            else:
-                done[shard.key] = ref
-                if on_done is not None:
-                    on_done(ShardDone(shard, ref, seconds))
-            future.release()
-            submit_ready()
-    finally:
-        if flying:
-            client.cancel(list(flying), force=True)
-    failed.raise_any()
-    return [done[shard.key] for shard in shards]
-
-
-class _Failures:
-    """What failed, and so cannot be read by what comes after it.
-
-    Args:
-        shards: All shards, in the order in which those that fail are named.
+    A shard whose worker dies is sent again by the scheduler; one that kills several workers fails, and is named.
     """
 
-    def __init__(self, shards: Sequence[Shard]) -> None:
-        self._order = [shard.key for shard in shards]
-        self._errors: dict[str, ShardError] = {}
-        self._behind: set[str] = set()
+    def __init__(self, client: Client, store_root: str, *, is_shared: bool = False) -> None:
+        self.client = client
+        self._store_root = store_root
+        self._is_shared = is_shared
+        self._flying: dict[Any, Shard] = {}
+        self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._seconds: dict[str, float] = {}
+        self._count_workers()
 
-    def add(self, shard: Shard, error: ShardError) -> None:
-        """Note a failure; one after which no other shard can do better is raised."""
-        self._errors[shard.key] = error
-        if error.is_fatal:
-            self.raise_any()
+    def has_room(self, shard: Shard) -> bool:
+        """Tell whether a worker is free; one shard more for each where it is a short one, or others wait as well."""
+        ahead = self._is_shared or self._seconds.get(shard.stage, _SHORT_S) < _SHORT_S
+        return len(self._flying) < self.num_workers * (2 if ahead else 1)
 
-    def is_behind(self, shard: Shard) -> bool:
-        """Tell whether a shard comes after one that failed; what comes after it then is behind as well."""
-        if not any(key in self._errors or key in self._behind for key in shard.after):
-            return False
-        self._behind.add(shard.key)
-        return True
+    def start(self, run_shard: RunShard, shard: Shard) -> None:
+        """Submit a shard."""
+        name = f"{shard.stage}-{shard.key[:16]}-{uuid.uuid4().hex[:8]}"
+        future = self.client.submit(run, run_shard, shard, self._store_root, key=name, pure=False)
+        self._flying[future] = shard
+        future.add_done_callback(self._arrived.put)
 
-    def raise_any(self) -> None:
-        """Raise what failed, if anything did."""
-        if self._errors:
-            raise joined([self._errors[key] for key in self._order if key in self._errors])
+    def next(self) -> ShardDone | ShardFailed | None:
+        """Wait a moment for a shard to end."""
+        if self._is_shared and time.monotonic() - self._counted_at > _COUNT_AGAIN_S:
+            self._count_workers()
+        try:
+            future = self._arrived.get(timeout=_LOOK_UP_S)
+        except queue.Empty:
+            return None
+        shard = self._flying[future]
+        try:
+            ref, seconds = self._result(future, shard)
+        except TimeoutError:
+            # Lost on its way, with the worker that held it: the scheduler computes the shard again.
+            self._arrived.put(future)
+            return None
+        except ShardError as error:
+            ended: ShardDone | ShardFailed = ShardFailed(shard, error)
+        else:
+            ended = ShardDone(shard, ref, seconds)
+            self._seconds[shard.stage] = 0.5 * (seconds + self._seconds.get(shard.stage, seconds))
+        del self._flying[future]
+        future.release()
+        return ended
 
+    def give_up(self) -> None:
+        """Cancel what is on its way."""
+        if self._flying:
+            self.client.cancel(list(self._flying), force=True)
+            self._flying.clear()
 
-def _result(future: Any, shard: Shard, stop: threading.Event | None) -> tuple[ArtifactRef, float]:
-    """Return a finished future's result, or a ShardError; only `.result()` tells of a dead worker.
+    def peak_memory_bytes(self) -> int:
+        """Return the most memory that this process or any worker alive has held."""
+        return peak_memory_bytes(self.client)
 
-    A result can be lost on its way, with the worker that holds it: the scheduler then computes the shard again, and
-    where no worker is left it waits for one, for ever.  So whether the run was given up is asked in between.
-    """
-    from distributed import CancelledError, KilledWorker
+    def _count_workers(self) -> None:
+        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
+        self.num_workers = max(1, sum(worker["nthreads"] for worker in workers))
+        self._counted_at = time.monotonic()
 
-    try:
-        while True:
-            try:
-                return future.result(timeout=_FETCH_S)
-            except TimeoutError:
-                if stop is not None and stop.is_set():
-                    raise Stopped("given up") from None
-    except KilledWorker:
-        reason = (
-            f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "
-            "than a worker may have"
-        )
-        raise ShardError(_where(shard), "KilledWorker", reason) from None
-    except CancelledError:
-        raise Stopped("given up") from None
+    def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
+        """Return a finished future's result; only `.result()` tells of a dead worker."""
+        from distributed import CancelledError, KilledWorker
 
-
-def _dependency_order(shards: Sequence[Shard]) -> list[Shard]:
-    """Order shards so that each follows those of the list that it reads.
-
-    A key contains the keys it comes after, so there are no cycles.
-    """
-    here = {shard.key: shard for shard in shards}
-    needs = {key: [other for other in shard.after if other in here] for key, shard in here.items()}
-    return [here[key] for key in TopologicalSorter(needs).static_order()]
+        try:
+            result: tuple[ArtifactRef, float] = future.result(timeout=_FETCH_S)
+        except KilledWorker:
+            reason = (
+                f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "
+                "than a worker may have"
+            )
+            raise ShardError(_where(shard), "KilledWorker", reason) from None
+        except CancelledError:
+            raise ClusterError("the Dask scheduler is gone; the same command continues the work") from None
+        return result
 
 
 def _where(shard: Shard) -> str:

@@ -14,12 +14,13 @@ from typing import Any
 
 import pytest
 
-from flows.execution import Outcome, Run, StageRunner, begin, execute
+from flows.execution import begin, execute
+from flows.outcomes import Outcome, Run
 from flows.planning import Plan, Selection, make_plan
 from flows.study import load_study
 from storage_schema import Store, read_latest
 from tasks.graph import Graph
-from tasks.shards import run_serially
+from tasks.shards import HerePool, Pool
 from tests.builders.toys import TOYS
 
 ROOT = Path(__file__).parents[2]
@@ -45,24 +46,21 @@ def run_toys(
     *settings: str,
     selection: Selection | None = None,
     graph: Graph = TOYS,
-    runner: StageRunner | None = None,
+    pool: Pool | None = None,
 ) -> Outcome:
     """Run in this process, without Prefect and Dask."""
     chosen, stages = load_study(str(study), graph, settings=settings, environment={})
     run = Run(chosen, stages, Store(store), selection or Selection())
     plan = make_plan(chosen, stages, run.store, selection)
-    return execute(run, begin(run, plan), plan, runner or serial)
+    return execute(run, begin(run, plan), plan, pool or HerePool(str(store)))
 
 
 def build_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the command line build in this process, without Prefect and Dask."""
     monkeypatch.setattr(
-        "flows.console.run._build", lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, serial)
+        "flows.console.run._build",
+        lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, HerePool(str(run.store.root))),
     )
-
-
-def serial(run: Run, plan: Any) -> None:
-    run_serially(plan.stage.run_shard, plan.todo, str(run.store.root), on_done=run.listener.shard_done)
 
 
 def digests(store: Path, study: str = "toy") -> dict[str, list[str]]:

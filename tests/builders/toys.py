@@ -20,7 +20,18 @@ from pasdedeux.errors import InputError
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.graph import Graph
-from tasks.stage import Parameters, Shard, SourceFile, Stage, StageInputs, commit, merge_takes, named_refs, stream
+from tasks.stage import (
+    EarlyPlan,
+    Parameters,
+    Shard,
+    SourceFile,
+    Stage,
+    StageInputs,
+    commit,
+    merge_takes,
+    named_refs,
+    stream,
+)
 
 __all__ = ["TOYS"]
 
@@ -231,7 +242,17 @@ TOYS = Graph(
             metrics={"models": ("total",)},
         ),
         Stage("grow", 1, (), ("training_log",), GrowParameters, plan_grow, run_grow, "makes values"),
-        Stage("bend", 1, ("training_log",), ("models",), BendParameters, plan_bend, run_bend, "rounds them"),
+        Stage(
+            "bend",
+            1,
+            ("training_log",),
+            ("models",),
+            BendParameters,
+            plan_bend,
+            run_bend,
+            "rounds them",
+            early=(EarlyPlan(plan_bend, each=("training_log",)),),
+        ),
         Stage(
             "aside", 1, (), ("codebook",), AsideParameters, plan_aside, run_aside, "stands alone", "a size (aside.size)"
         ),

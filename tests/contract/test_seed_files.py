@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.execution import Run, begin, execute
+from flows.execution import begin, execute
 from flows.exports import export_reference
+from flows.outcomes import Run
 from flows.planning import Selection, make_plan
 from flows.study import Study
 from pasdedeux.benchmarks.synthetic import random_pairs

@@ -6,11 +6,14 @@ import base64
 import csv
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from flows.planning import make_plan, stage_inputs
+from flows.study import load_study
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion
 from pasdedeux.projections.camera import OrthographicCamera
@@ -18,7 +21,7 @@ from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import TABLES, Store, open_table, read_latest
 from tests.builders.pages import Page
-from tests.builders.real_study import BuiltStudy, RealRun, build_here, call_in_process
+from tests.builders.real_study import BuiltStudy, RealRun, build_here, call_in_process, graph
 
 pytestmark = pytest.mark.slow
 
@@ -355,3 +358,25 @@ def test_a_second_run_computes_nothing_and_loads_neither_prefect_nor_dask(small:
     assert HEAVY & set(json.loads(found.err.splitlines()[-1])) == set()
     assert not (tmp_path / "prefect").exists(), "Prefect was started"
     assert sorted(path for path in small.store.rglob("*")) == before
+
+
+def test_what_a_stage_begins_with_before_all_is_there_is_what_it_consists_of(small: BuiltStudy) -> None:
+    study, stages = load_study(str(small.study), graph())
+    made = make_plan(study, stages, Store(small.store))
+    late: dict[str, set[str]] = {}
+    for stage in stages.stages:
+        parameters = study.parameters[stage.name]
+        needed = {name: made.stage(name).manifests for name in stages.needed(stage.name, parameters)}
+        inputs = stage_inputs(stage, study.head.seed, needed)
+        planned = {item.shard.key: item.shard.partition for item in made.stage(stage.name).shards}
+        begun: set[str] = set()
+        for early in stage.early:
+            whole = {table: inputs.of(table) for table in early.reads}
+            for one in [one for table in early.each for one in inputs.of(table)] or [None]:
+                news = {table: (one,) if one and table in one.tables else () for table in early.each}
+                begun.update(shard.key for shard in early.plan(replace(inputs, manifests=whole | news), parameters))
+        assert begun <= planned.keys(), stage.name
+        if stage.early:
+            late[stage.name] = {partition for key, partition in planned.items() if key not in begun}
+    assert late.pop("projections"), "whether draws enter depends on whether there are takes"
+    assert late == {"augmentation": set(), "views": set(), "evaluation": {"report"}}

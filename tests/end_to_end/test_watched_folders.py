@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.execution import Outcome
+from flows.outcomes import Outcome
 from pasdedeux.errors import InputError
 from storage_schema import Store, open_table, read_latest
 from tasks.stage import verdict_of

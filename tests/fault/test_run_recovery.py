@@ -75,7 +75,7 @@ def test_a_run_killed_in_mid_stage_leaves_no_process_and_the_next_one_computes_o
     gate = hold(tmp_path, "grow-t1-s1")
     first = start()
     first.wait_for("grow-t1-s1")
-    wait_until(lambda: len(list((tmp_path / "store").glob("grow/*/*/manifest.json"))) == 4, "the other shards")
+    wait_until(lambda: len(list((tmp_path / "store").glob("*/*/*/manifest.json"))) == 9, "the other shards")
     left = descendants(first)
     assert len(left) >= 3, "two workers and Prefect's server"
     first.process.kill()
@@ -88,10 +88,10 @@ def test_a_run_killed_in_mid_stage_leaves_no_process_and_the_next_one_computes_o
     code, out, err = second.finish()
     assert code == 0, err
     again = second.ran()[len(begun) :]
-    assert len(again) == EVERYTHING - 5, "aside and four segments were committed"
+    assert len(again) == EVERYTHING - 9, "aside, four segments and what is made of these were committed"
     assert {"grow-t1-s1", "grow-t1-s2"} <= set(again)
-    assert not {"grow-t0-s0", "grow-t0-s1", "grow-t0-s2", "grow-t1-s0", "aside-aside-all"} & set(again)
-    assert f"done: {EVERYTHING - 5} shards computed" in out
+    assert not {"grow-t0-s0", "grow-t0-s1", "grow-t0-s2", "grow-t1-s0", "aside-aside-all", "bend-t0-s0"} & set(again)
+    assert f"done: {EVERYTHING - 9} shards computed" in out
     assert digests(tmp_path / "store") == undisturbed
 
 
@@ -164,14 +164,16 @@ def test_shards_and_stages_that_need_nothing_of_what_failed_are_finished(
     last = err.strip().splitlines()[-1]
     assert "stage grow, t0, shard s1: [Errno 28]" in last
     assert "stage grow, t1, shard s2: [Errno 28]" in last
-    assert "not run, as they need what failed: bend, judge" in err
+    assert "not run, as they need what failed: bend, judge, grow t0 s2" in err
     begun = first.ran()
-    assert set(begun) == {f"grow-{name}" for name in ("t0-s0", "t0-s1", "t1-s0", "t1-s1", "t1-s2")} | {
-        "aside-aside-all"
+    committed = ("t0-s0", "t1-s0", "t1-s1")
+    assert set(begun) == {f"grow-{name}" for name in (*committed, "t0-s1", "t1-s2")} | {
+        "aside-aside-all",
+        *(f"bend-{name}" for name in committed),
     }
     for fault in faults:
         fault.unlink()
     second = start("--workers", "0")
     assert second.finish()[0] == 0
-    assert len(second.ran()) - len(begun) == EVERYTHING - 4
+    assert len(second.ran()) - len(begun) == EVERYTHING - 1 - 2 * len(committed)
     assert digests(tmp_path / "store") == undisturbed

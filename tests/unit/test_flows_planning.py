@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.execution import Partition, partitions_to_run
+from flows.building import Partition, partitions_to_run
 from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
 from pasdedeux.errors import InputError
 from storage_schema import Store, read_latest

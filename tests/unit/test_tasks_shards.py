@@ -5,38 +5,71 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from functools import partial
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from distributed import Client, Future
 
+from flows.scheduling import Schedule
 from storage_schema import ArtifactRef, Store
 from storage_schema.errors import FullDisk
 from tasks.shards import (
     ClusterError,
+    ClusterPool,
     ClusterSettings,
+    HerePool,
+    Pool,
     ShardDone,
     ShardError,
-    Stopped,
     connect,
-    run_on_cluster,
-    run_serially,
     worker_environment,
 )
 from tasks.stage import Shard, StageInputs
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
+MEMORY_BYTES = 700 * 1024**2
+"""Of a worker: three times what it needs for nothing."""
+
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
-    with connect(ClusterSettings(num_workers=2), store_root=str(tmp_path_factory.mktemp("store"))) as client:
+    with connect(
+        ClusterSettings(num_workers=2, memory_bytes=MEMORY_BYTES), store_root=str(tmp_path_factory.mktemp("store"))
+    ) as client:
         yield client
 
 
 def shards(num_takes: int = 2, num_segments: int = 3) -> list[Shard]:
     return plan_grow(StageInputs({}, 7), GrowParameters(num_takes=num_takes, num_segments=num_segments))
+
+
+def compute(
+    run_shard: Callable[[Shard, Store], ArtifactRef], asked: Sequence[Shard], pool: Pool
+) -> dict[str, ShardDone]:
+    """Run shards in a pool, each after those it comes after; gives what came of them by key."""
+    schedule = Schedule(pool, {})
+    schedule.add(run_shard, asked)
+    found: dict[str, ShardDone] = {}
+    while not schedule.is_idle:
+        schedule.start()
+        if isinstance(ended := schedule.next(), ShardDone):
+            assert ended.shard.key not in found, "told twice"
+            found[ended.shard.key] = ended
+    if (error := schedule.error_of(asked)) is not None:
+        raise error
+    return found
+
+
+def on(client: Client, store: Path) -> ClusterPool:
+    store.mkdir(exist_ok=True)
+    return ClusterPool(client, str(store))
+
+
+def here(store: Path) -> HerePool:
+    return HerePool(str(store))
 
 
 def fail_with_a_message(shard: Shard, store: Store) -> ArtifactRef:
@@ -71,35 +104,29 @@ def die_once(shard: Shard, store: Store) -> ArtifactRef:
     return run_grow(shard, store)
 
 
-def die_always(shard: Shard, store: Store) -> ArtifactRef:
-    os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError("unreachable")
+def eat_memory(shard: Shard, store: Store) -> ArtifactRef:
+    eaten = []
+    while shard.partition == "t0":
+        eaten.append(np.ones(4 * 1024**2))
+        time.sleep(0.02)
+    return run_grow(shard, store)
 
 
 def name_threads(shard: Shard, store: Store) -> ArtifactRef:
     raise ValueError(f"{os.environ['OMP_NUM_THREADS']} {os.environ['NUMBA_NUM_THREADS']}")
 
 
-def test_the_cluster_and_one_process_give_the_same_artifacts_in_the_order_asked_for(
-    client: Client, tmp_path: Path
-) -> None:
-    asked = list(reversed(shards()))
-    here = run_serially(run_grow, asked, str(tmp_path / "here"))
-    there = run_on_cluster(client, run_grow, asked, str(tmp_path / "there"), max_in_flight=2)
-    assert here == there
-    assert [ref.key for ref in here] == [shard.key for shard in asked]
-
-
-def test_every_shard_is_told_of_once(client: Client, tmp_path: Path) -> None:
-    told: list[ShardDone] = []
-    run_on_cluster(client, run_grow, shards(4, 2), str(tmp_path), on_done=told.append, max_in_flight=3)
-    assert sorted(done.shard.key for done in told) == sorted(shard.key for shard in shards(4, 2))
-    assert all(done.seconds > 0 for done in told)
+def test_the_cluster_and_one_process_give_the_same_artifacts_whatever_the_order(client: Client, tmp_path: Path) -> None:
+    alone = compute(run_grow, shards(), here(tmp_path / "here"))
+    there = compute(run_grow, list(reversed(shards())), on(client, tmp_path / "there"))
+    assert {key: done.ref for key, done in alone.items()} == {key: done.ref for key, done in there.items()}
+    assert set(there) == {shard.key for shard in shards()}
+    assert all(done.seconds > 0 for done in there.values())
 
 
 def test_a_failing_shard_is_named_with_its_message(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="stage grow, t0, shard s0: the 3rd joint is missing") as caught:
-        run_on_cluster(client, fail_with_a_message, shards(1, 3), str(tmp_path))
+        compute(fail_with_a_message, shards(1, 3), on(client, tmp_path))
     assert caught.value.kind == "ValueError"
     assert "fail_with_a_message" in caught.value.trace
 
@@ -108,9 +135,9 @@ def test_shards_that_need_none_of_those_that_failed_are_committed_and_all_failur
     client: Client, tmp_path: Path
 ) -> None:
     asked = shards(3, 3)
-    for root, run_all in ((tmp_path / "here", run_serially), (tmp_path / "there", partial(run_on_cluster, client))):
+    for pool, root in ((here(tmp_path / "a"), tmp_path / "a"), (on(client, tmp_path / "b"), tmp_path / "b")):
         with pytest.raises(ShardError, match=r"t0, shard s1: broken; .*t2, shard s1: broken") as caught:
-            run_all(fail_in_the_middle, asked, str(root))
+            compute(fail_in_the_middle, asked, pool)
         assert {caught.value.where, *(one.where for one in caught.value.others)} == {
             "stage grow, t0, shard s1",
             "stage grow, t2, shard s1",
@@ -124,45 +151,38 @@ def test_shards_that_need_none_of_those_that_failed_are_committed_and_all_failur
 
 def test_a_full_disk_ends_the_work_at_once(tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="t0, shard s0") as caught:
-        run_serially(find_no_room, shards(3, 3), str(tmp_path))
+        compute(find_no_room, shards(3, 3), here(tmp_path))
     assert caught.value.others == ()
 
 
 def test_an_error_that_cannot_be_pickled_keeps_its_message(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="holds a lock"):
-        run_on_cluster(client, fail_with_an_unpicklable_error, shards(), str(tmp_path))
+        compute(fail_with_an_unpicklable_error, shards(), on(client, tmp_path))
 
 
 def test_a_shard_whose_worker_died_once_is_computed_all_the_same(client: Client, tmp_path: Path) -> None:
-    (tmp_path / "store").mkdir()
-    there = run_on_cluster(client, die_once, shards(), str(tmp_path / "store"))
-    assert there == run_serially(run_grow, shards(), str(tmp_path / "here"))
+    there = compute(die_once, shards(), on(client, tmp_path / "store"))
+    assert len(there) == len(compute(run_grow, shards(), here(tmp_path / "here"))) == len(shards())
 
 
-def test_a_shard_that_kills_its_workers_is_named(client: Client, tmp_path: Path) -> None:
-    with pytest.raises(ShardError, match="stage grow, t0, shard s0: its worker process died 3 times"):
-        run_on_cluster(client, die_always, shards(1, 1), str(tmp_path))
+def test_a_shard_that_needs_more_memory_than_a_worker_has_is_named_and_others_are_computed(
+    client: Client, tmp_path: Path
+) -> None:
+    asked = shards(3, 1)
+    with pytest.raises(ShardError, match="stage grow, t0, shard s0: its worker process died 3 times") as caught:
+        compute(eat_memory, asked, on(client, tmp_path))
+    assert caught.value.others == ()
+    assert [Store(tmp_path).find("grow", shard.key) is not None for shard in asked] == [False, True, True]
 
 
 def test_workers_use_one_thread(client: Client, tmp_path: Path) -> None:
     with pytest.raises(ShardError, match="1 1"):
-        run_on_cluster(client, name_threads, shards(1, 1), str(tmp_path))
+        compute(name_threads, shards(1, 1), on(client, tmp_path))
 
 
-def test_work_given_up_elsewhere_stops(client: Client, tmp_path: Path) -> None:
-    stop = threading.Event()
-    stop.set()
-    with pytest.raises(Stopped):
-        run_on_cluster(client, run_grow, shards(), str(tmp_path), stop=stop)
-    with pytest.raises(Stopped):
-        run_serially(run_grow, shards(), str(tmp_path), stop=stop)
-
-
-def test_a_result_that_is_lost_on_its_way_is_waited_for_until_the_run_is_given_up(
+def test_a_result_that_is_lost_on_its_way_is_waited_for_while_others_end(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, *_ = shards()
-    stop = threading.Event()
     fetch = Future.result
     asked: list[float | None] = []
 
@@ -172,23 +192,23 @@ def test_a_result_that_is_lost_on_its_way_is_waited_for_until_the_run_is_given_u
             raise TimeoutError
         return fetch(self, timeout)
 
-    def lose_all(self: Future, timeout: float | None = None) -> object:
-        stop.set()
-        raise TimeoutError
-
     monkeypatch.setattr(Future, "result", lose_the_first)
-    assert len(run_on_cluster(client, run_grow, [first], str(tmp_path / "first"), stop=stop)) == 1
-    assert len(asked) == 2
+    assert len(compute(run_grow, shards(2, 1), on(client, tmp_path))) == 2
+    assert len(asked) == 3
     assert None not in asked
-    monkeypatch.setattr(Future, "result", lose_all)
-    with pytest.raises(Stopped):
-        run_on_cluster(client, run_grow, [first], str(tmp_path / "all"), stop=stop)
+
+
+def test_what_was_given_up_is_cancelled(client: Client, tmp_path: Path) -> None:
+    pool = on(client, tmp_path)
+    pool.start(run_grow, shards()[0])
+    pool.give_up()
+    assert pool.has_room(shards()[1])
 
 
 def test_a_given_scheduler_is_used_and_survives(client: Client, tmp_path: Path) -> None:
     address = client.scheduler_info()["address"]
     with connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)) as other:
-        assert run_on_cluster(other, run_grow, shards(), str(tmp_path))
+        assert compute(run_grow, shards(), ClusterPool(other, str(tmp_path), is_shared=True))
     assert client.scheduler_info()["workers"]
 
 

@@ -1,0 +1,97 @@
+"""What a run is asked for, and what it did."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from flows.listener import Listener
+from flows.planning import Selection, StagePlan, stage_verdict, what_is_missing
+from flows.study import Study
+from pasdedeux.verdict import Verdict
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks.graph import Graph
+
+__all__ = ["Outcome", "Run", "StageOutcome"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything one run needs to know; who computes its shards comes separately."""
+
+    study: Study
+    graph: Graph
+    store: Store
+    selection: Selection = field(default_factory=Selection)
+    listener: Listener = field(default_factory=Listener)
+
+
+@dataclass(frozen=True)
+class StageOutcome:
+    """What a run did for one stage."""
+
+    name: str
+    num_shards: int
+    num_computed: int
+    seconds: float
+    artifacts: tuple[ArtifactRef, ...]
+    verdict: Verdict | None = None
+    empty_reason: str = ""
+    missing: str = ""
+
+    @classmethod
+    def of(cls, plan: StagePlan, found: Sequence[Manifest], seconds: float) -> StageOutcome:
+        """Return what was done for a stage by this plan, which led to these artifacts."""
+        return cls(
+            name=plan.stage.name,
+            num_shards=len(plan.shards),
+            num_computed=len(plan.todo),
+            seconds=seconds,
+            artifacts=tuple(manifest.ref for manifest in found),
+            verdict=stage_verdict(found),
+            empty_reason=plan.empty_reason,
+            missing=what_is_missing(plan, found),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "stage": self.name,
+            "num_shards": self.num_shards,
+            "num_computed": self.num_computed,
+            "seconds": round(self.seconds, 3),
+            "verdict": None if self.verdict is None else self.verdict.to_json(),
+            "artifacts": [{"key": ref.key, "content_digest": ref.content_digest} for ref in self.artifacts],
+        }
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did, stage by stage, where its report is (None when the study makes none), and the memory it took."""
+
+    run_id: str
+    stages: tuple[StageOutcome, ...]
+    report: Path | None
+    peak_memory_bytes: int | None = None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Return what is missing for the stages that were asked for and made nothing, a sentence each."""
+        return tuple(stage.missing for stage in self.stages if stage.missing)
+
+    @property
+    def num_computed(self) -> int:
+        """Return the number of shards computed."""
+        return sum(stage.num_computed for stage in self.stages)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "run_id": self.run_id,
+            "num_computed": self.num_computed,
+            "report": None if self.report is None else str(self.report),
+            "peak_memory_bytes": self.peak_memory_bytes,
+            "stages": [stage.to_json() for stage in self.stages],
+        }

@@ -1,0 +1,309 @@
+"""One run, whoever computes it: any number of workers, any order of finishing, and shards that fail."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import datetime, timedelta, tzinfo
+from pathlib import Path
+from typing import Self
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flows.console.display import LineListener, progress_text
+from flows.execution import begin, execute
+from flows.listener import Listener, Progress
+from flows.outcomes import Outcome, Run
+from flows.planning import Selection, StagePlan, make_plan
+from flows.scheduling import stages_behind
+from flows.study import load_study
+from pasdedeux.errors import InputError
+from pasdedeux.verdict import Verdict
+from storage_schema import ArtifactRef, Store, read_latest, verify
+from tasks.graph import Graph
+from tasks.shards import HerePool, ShardDone, ShardError, ShardFailed
+from tasks.stage import Parameters, Shard
+from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, wait_until, write_study
+from tests.builders.toys import TOYS
+
+
+class ManyWorkers(HerePool):
+    """Several workers, of whom any may be done first; shards of some names fail.
+
+    Args:
+        order: Which of those in work ends next, one number for each; after the last the first that was started.
+    """
+
+    def __init__(
+        self, store: Path, num_workers: int = 1, order: list[int] | None = None, fail: frozenset[str] = frozenset()
+    ) -> None:
+        super().__init__(str(store))
+        self.num_workers, self.order, self.fail = num_workers, list(order or []), fail
+        self.started: list[str] = []
+
+    def has_room(self, shard: Shard) -> bool:
+        return len(self._waiting) < self.num_workers
+
+    def start(self, run_shard: object, shard: Shard) -> None:
+        self.started.append(name_of(shard))
+        super().start(run_shard, shard)  # type: ignore[arg-type]
+
+    def next(self) -> ShardDone | ShardFailed | None:
+        if not self._waiting:
+            return None
+        at = self.order.pop(0) % len(self._waiting) if self.order else 0
+        self._waiting.append(self._waiting.pop(at))
+        shard = self._waiting[-1][1]
+        if name_of(shard) in self.fail:
+            self._waiting.pop()
+            return ShardFailed(
+                shard, ShardError(f"stage {shard.stage}, {shard.partition}, shard {shard.name}", "Error", "broken")
+            )
+        return super().next()
+
+
+def name_of(shard: Shard) -> str:
+    return f"{shard.stage} {shard.partition} {shard.name}"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store in which the toy study was built one shard after the other."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run_toys(write_study(folder), folder / "store")
+    return folder / "store"
+
+
+def names(store: Path) -> dict[str, str]:
+    return {f"{m.ref.stage} {m.partition} {m.name}": m.ref.content_digest for m in Store(store).artifacts()}
+
+
+def lineage(store: Path) -> dict[str, set[str]]:
+    """Return for each artifact all that it was computed from, by name."""
+    manifests = {m.ref: m for m in Store(store).artifacts()}
+
+    def above(ref: ArtifactRef) -> set[str]:
+        one = manifests[ref]
+        return {f"{ref.stage} {one.partition} {one.name}"}.union(*(above(other) for other in one.inputs))
+
+    return {f"{ref.stage} {m.partition} {m.name}": above(ref) for ref, m in manifests.items()}
+
+
+EVERYBODY = [
+    *(f"{stage} t{t} s{s}" for stage in ("grow", "bend") for t in range(2) for s in range(3)),
+    "aside aside all",
+    "judge all all",
+]
+
+
+@settings(max_examples=6, deadline=None)
+@given(num_workers=st.integers(1, 6), order=st.lists(st.integers(0, 5), max_size=14))
+def test_neither_the_number_of_workers_nor_the_order_of_finishing_changes_anything(
+    undisturbed: Path, num_workers: int, order: list[int]
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store = Path(folder) / "store"
+        outcome = run_toys(write_study(Path(folder)), store, pool=ManyWorkers(store, num_workers, order))
+        assert outcome.num_computed == len(EVERYBODY)
+        assert [stage.name for stage in outcome.stages] == list(TOYS.names)
+        assert digests(store) == digests(undisturbed)
+        latest, before = read_latest(Store(store), "toy"), read_latest(Store(undisturbed), "toy")
+        assert latest is not None
+        assert before is not None
+        assert latest.stages == before.stages, "the record has the order of the plan"
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    fail=st.frozensets(st.sampled_from(EVERYBODY), min_size=1, max_size=3),
+    num_workers=st.integers(1, 4),
+    order=st.lists(st.integers(0, 5), max_size=14),
+)
+def test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_the_rest(
+    undisturbed: Path, fail: frozenset[str], num_workers: int, order: list[int]
+) -> None:
+    everything, above = names(undisturbed), lineage(undisturbed)
+    possible = {name for name in everything if not above[name] & fail}
+    with tempfile.TemporaryDirectory() as folder:
+        study, store = write_study(Path(folder)), Path(folder) / "store"
+        pool = ManyWorkers(store, num_workers, order, fail)
+        with pytest.raises(ShardError, match="broken") as caught:
+            run_toys(study, store, pool=pool)
+        tried = {f"stage {n.split()[0]}, {n.split()[1]}, shard {n.split()[2]}" for n in fail & set(pool.started)}
+        assert {caught.value.where, *(one.where for one in caught.value.others)} == tried
+        assert names(store) == {name: everything[name] for name in possible}
+        assert sorted(pool.started) == sorted(possible | (fail & set(pool.started))), "nothing is tried twice"
+        latest = read_latest(Store(store), "toy")
+        whole = {stage for stage in TOYS.names if all(n in possible for n in everything if n.startswith(stage))}
+        assert set(latest.stages if latest else ()) == whole, "only whole stages are on record"
+        assert run_toys(study, store).num_computed == len(everything) - len(possible)
+        assert digests(store) == digests(undisturbed)
+
+
+def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    pool = ManyWorkers(tmp_path / "store", num_workers=2)
+    run_toys(study, tmp_path / "store", "grow.num_takes=1", pool=pool)
+    began = pool.started
+    assert began[:2] == ["grow t0 s0", "aside aside all"]
+    assert began.index("bend t0 s0") < began.index("grow t0 s2"), "of a stage that cannot be planned yet"
+    assert stages_behind(TOYS) == {"aside": 1, "judge": 1, "bend": 2, "grow": 3}
+
+
+def test_what_was_begun_early_counts_as_computed_and_is_told_once(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    class Told(Listener):
+        def stage_started(self, plan: StagePlan) -> None:
+            told.append(f"{plan.stage.name} has {len(plan.todo)}")
+
+        def shard_done(self, done: ShardDone) -> None:
+            told.append(name_of(done.shard))
+
+        def stage_finished(self, plan: StagePlan, seconds: float, verdict: Verdict | None) -> None:
+            told.append(f"{plan.stage.name} whole")
+
+    outcome = run_with(tmp_path, Told())
+    assert sorted(told) == sorted(
+        [*EVERYBODY, *(f"{n} whole" for n in TOYS.names), "aside has 1", "bend has 6", "grow has 6", "judge has 1"]
+    )
+    assert told.index("bend t0 s0") < told.index("bend has 6")
+    assert {stage.name: stage.num_computed for stage in outcome.stages} == {
+        "grow": 6,
+        "bend": 6,
+        "aside": 1,
+        "judge": 1,
+    }
+
+
+def run_with(folder: Path, listener: Listener, text: str = STUDY) -> Outcome:
+    chosen, graph = load_study(str(write_study(folder, text)), TOYS, environment={})
+    run = Run(chosen, graph, Store(folder / "store"), listener=listener)
+    plan = make_plan(chosen, graph, run.store)
+    return execute(run, begin(run, plan), plan, ManyWorkers(folder / "store", num_workers=3))
+
+
+def test_an_early_shard_is_no_work_for_a_stage_that_is_forced(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    run_toys(study, tmp_path / "store")
+    forced = run_toys(
+        study, tmp_path / "store", selection=Selection(force=("grow",)), pool=ManyWorkers(tmp_path / "store", 3)
+    )
+    assert {stage.name: stage.num_computed for stage in forced.stages} == {"grow": 6, "bend": 0, "aside": 0, "judge": 0}
+    assert plan_toys(study, tmp_path / "store").is_fresh
+
+
+def test_a_stage_that_cannot_be_planned_leaves_others_their_work(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    plan = plan_toys(study, tmp_path / "store")
+    assert plan.stage("bend").is_pending
+
+    def refuse(*_: object) -> list[Shard]:
+        raise InputError("bend: no")
+
+    stages = tuple(replace(one, plan=refuse, early=()) if one.name == "bend" else one for one in TOYS.stages)
+    with pytest.raises(InputError, match="bend: no"):
+        run_toys(study, tmp_path / "store", graph=Graph(stages))
+    assert {name.split()[0] for name in names(tmp_path / "store")} == {"grow", "aside"}
+
+
+def test_two_runs_at_once_in_one_store_end_with_the_same_artifacts(undisturbed: Path, tmp_path: Path) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    with ThreadPoolExecutor(2) as both:
+        runs = [both.submit(run_toys, study, store, pool=ManyWorkers(store, 3, order)) for order in ([1, 2], [2, 0, 1])]
+        assert sum(run.result().num_computed for run in runs) >= len(EVERYBODY)
+    assert digests(store) == digests(undisturbed)
+    assert verify(Store(store)).is_ok
+    assert len(names(store)) == len(EVERYBODY)
+
+
+def test_a_clock_that_jumps_changes_times_and_nothing_else(
+    undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jumps = itertools.cycle([timedelta(days=400), timedelta(days=-400), timedelta(hours=1)])
+
+    class Jumping(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Self:
+            return super().now(tz) + next(jumps)
+
+    for module in ("runs", "store"):
+        monkeypatch.setattr(f"storage_schema.{module}.datetime", Jumping)
+    study, store = write_study(tmp_path), tmp_path / "store"
+    with pytest.raises(ShardError):
+        run_toys(study, store, pool=ManyWorkers(store, 2, fail=frozenset({"bend t1 s1"})))
+    run_toys(study, store)
+    assert digests(store) == digests(undisturbed)
+    assert plan_toys(study, store).is_fresh
+    years = {one.created_at[:4] for one in Store(store).artifacts()}
+    assert len(years) > 1, "the clock did jump"
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "without a manifest"])
+def test_a_damaged_part_is_computed_again_and_nothing_else(undisturbed: Path, tmp_path: Path, damage: str) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store)
+    part = next(store.glob("bend/*/*/models.parquet"))
+    match damage:
+        case "truncated":
+            part.write_bytes(part.read_bytes()[:-1])
+        case "flipped":
+            data = bytearray(part.read_bytes())
+            data[len(data) // 2] ^= 1
+            part.write_bytes(bytes(data))
+            (problem,) = verify(Store(store)).problems
+            assert (problem.stage, problem.file_name) == ("bend", "models.parquet")
+            shutil.rmtree(part.parent)
+        case _:
+            (part.parent / "manifest.json").unlink()
+    assert {one.name: one.num_computed for one in run_toys(study, store).stages if one.num_computed} == {"bend": 1}
+    assert digests(store) == digests(undisturbed)
+    assert verify(Store(store)).is_ok
+
+
+def test_how_far_a_run_is_counts_every_shard_and_what_is_left_shrinks_to_nothing(tmp_path: Path) -> None:
+    class Kept(Listener):
+        def __init__(self) -> None:
+            self.kept: list[Progress] = []
+
+        def progressed(self, progress: Progress) -> None:
+            self.kept.append(progress)
+
+    first, second = Kept(), Kept()
+    fine = f"{STUDY}[bend]\nstep = 1\n"
+    run_with(tmp_path, first, fine)
+    run_with(tmp_path, second, f"{fine}[grow]\nscale = 2.0\n[aside]\nsize = 3\n")
+    for kept in (first.kept, second.kept):
+        assert [one.num_done for one in kept] == list(range(len(EVERYBODY) + 1))
+        assert all(one.running for one in kept[:-1])
+        assert (kept[-1].num_shards, kept[-1].running, kept[-1].left_s) == (len(EVERYBODY), (), 0.0)
+    assert not first.kept[0].is_all, "nothing is known of what was never built"
+    assert all(one.is_all and one.num_shards == len(EVERYBODY) and one.left_s > 0 for one in second.kept[:-1])
+
+
+def test_silence_is_broken_with_how_far_the_run_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, seconds in (("_SILENCE_S", 0.1), ("_LOOK_UP_S", 0.02)):
+        monkeypatch.setattr(f"flows.console.display.{name}", seconds)
+    listener = LineListener()
+    shard = Shard("chains", 1, "ic", "seed0", Parameters())
+    listener.progressed(Progress(12, 45, [shard], 200.0, is_all=True))
+    said: list[str] = []
+
+    def is_said() -> bool:
+        said.append(capsys.readouterr().err)
+        return "left" in "".join(said)
+
+    wait_until(is_said, "a line", limit_s=5)
+    listener.close()
+    assert "12 of 45 shards, computing chains ic seed0; about 3 min 20 s left" in "".join(said)
+    assert progress_text(Progress(1, 1, [], 0.0, is_all=True)) == "1 of 1 shard"
+    assert progress_text(Progress(12, 45, [shard] * 5, 40.0, is_all=False)) == (
+        "12 of 45 shards, computing chains ic seed0, chains ic seed0, chains ic seed0 and 2 more; more than 40 s left"
+    )

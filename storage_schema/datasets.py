@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -20,7 +20,7 @@ from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["Dataset", "create_dataset", "list_datasets", "open_dataset"]
+__all__ = ["Dataset", "add_dataset", "create_dataset", "dataset_from_json", "list_datasets", "open_dataset"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _FILE = "dataset.json"
@@ -92,7 +92,7 @@ def create_dataset(
         digest = hashlib.sha256(canonical_json([asdict(ref) for ref in refs])).hexdigest()
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
         dataset = Dataset(name, chosen, tuple(refs), digest, note, created_at, path)
-        if _publish(store, dataset, attachments or {}):
+        if add_dataset(store, dataset, attachments or {}):
             return dataset
         if version is not None:
             raise DatasetExists(f"dataset {dataset.label} was already made and never changes; name another version")
@@ -100,7 +100,10 @@ def create_dataset(
 
 def list_datasets(store: Store) -> list[Dataset]:
     """Return all datasets of a store, by name and version."""
-    return sorted((_read(path) for path in (store.root / "datasets").glob("*@*")), key=_order)
+    return sorted(
+        (dataset_from_json((path / _FILE).read_bytes, path) for path in (store.root / "datasets").glob("*@*")),
+        key=_order,
+    )
 
 
 def open_dataset(store: Store, label: str) -> Dataset:
@@ -117,8 +120,14 @@ def open_dataset(store: Store, label: str) -> Dataset:
     return named[-1]
 
 
-def _publish(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
-    """Write the dataset's folder and give it its name in one rename; false when the name is taken."""
+def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
+    """Write the dataset's folder and give it its name in one rename; false when the name is taken.
+
+    Raises:
+        BadName: A name is not allowed.
+        FullDisk: There is no room left.
+    """
+    _check_names(dataset.name, dataset.version, *attachments)
     values = {**asdict(dataset), "schema_version": SCHEMA_VERSION}
     del values["path"]
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
@@ -137,12 +146,18 @@ def _publish(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -
     return True
 
 
-def _read(path: Path) -> Dataset:
+def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection[str] = ()) -> Dataset:
+    """Return the dataset of a list that `read` gives, `less` keys that are no part of it, as one in a folder.
+
+    Raises:
+        CorruptArtifact: It cannot be read.
+        NewerSchema: It was written by a newer program.
+    """
     try:
-        values: dict[str, Any] = json.loads((path / _FILE).read_text(encoding="utf-8"))
+        values: dict[str, Any] = {name: value for name, value in json.loads(read()).items() if name not in less}
         refuse_newer(values.pop("schema_version"), str(path))
         return Dataset(**{**values, "refs": tuple(ArtifactRef(**ref) for ref in values["refs"]), "path": path})
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
 
 

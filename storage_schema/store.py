@@ -156,7 +156,7 @@ class Store(StoreReader):
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
-                writer.ref = self._publish(staging.path, manifest.ref)
+                writer.ref = self.put_in_place(staging.path, manifest.ref)
 
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
@@ -185,7 +185,7 @@ class Store(StoreReader):
         now = (time.perf_counter(), time.process_time())
         return {name: round(now[i] - self._begun_s[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
 
-    def _publish(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
+    def put_in_place(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
         """Rename the staged folder to its place; returns the artifact that is there in the end."""
         target = self.folder(ref.stage, ref.key)
         make_folder(target.parent)

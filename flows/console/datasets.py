@@ -1,4 +1,4 @@
-"""`dataset create` and `dataset list`: names for what was built that never change their meaning."""
+"""`dataset`: names for what was built that never change their meaning, and moving what they name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from flows.console.context import JsonOption, StoreOption, open_store, print_jso
 from flows.console.display import counted
 from flows.planning import PlanError
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
-from storage_schema import ArtifactRef, Dataset, Store, create_dataset, list_datasets
+from storage_schema import ArtifactRef, Dataset, Store, create_dataset, in_use, list_datasets
+from storage_schema.datasets import open_dataset
 
 __all__ = ["app"]
 
@@ -68,6 +69,60 @@ def show_all(store: StoreOption = Path("store"), as_json: JsonOption = False) ->
         )
     if not found:
         typer.echo(f"store {store}: no datasets yet")
+
+
+_PUSH = """Put a version of a dataset, with all that it was computed from, into S3-compatible storage.
+
+\b
+  export AWS_ENDPOINT_URL=https://s3.example.org AWS_REGION=... AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=...
+  pasdedeux dataset push salsa@3 s3://bucket/datasets
+  pasdedeux dataset pull salsa s3://bucket/datasets --store elsewhere
+
+Only what is not there yet is sent, the list last: a push that was cut off leaves nothing half-visible, and the same
+command goes on.
+"""
+_PULL = """Get a version of a dataset (the newest when none is said), with all that it was computed from, into a store.
+
+Every file is digested on the way.  `rerun`, `diff`, `export` and `run` then go on from it as from one made here.
+"""
+_LabelArgument = Annotated[str, typer.Argument(metavar="NAME@V", help="Version of a dataset, or a name: the newest.")]
+_PlaceArgument = Annotated[
+    str, typer.Argument(metavar="S3", help="s3://BUCKET/PREFIX; address and credentials from the environment.")
+]
+
+
+@_group.command(help=_PUSH)
+def push(
+    label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
+) -> None:
+    """Put a dataset into S3-compatible storage."""
+    from storage_schema.remote import RemoteStore, push_dataset  # here: a client that the other commands need not load
+
+    opened = open_store(store)
+    with in_use(opened):
+        dataset = open_dataset(opened, label)
+        num_new = push_dataset(opened, dataset, RemoteStore(place))
+    _say_moved(dataset, num_new, f"is in {place}", as_json=as_json)
+
+
+@_group.command(help=_PULL)
+def pull(
+    label: _LabelArgument, place: _PlaceArgument, store: StoreOption = Path("store"), as_json: JsonOption = False
+) -> None:
+    """Get a dataset from S3-compatible storage."""
+    from storage_schema.remote import RemoteStore, pull_dataset
+
+    opened = open_store(store)
+    with in_use(opened):
+        dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
+    _say_moved(dataset, num_new, f"is in {store}", as_json=as_json)
+
+
+def _say_moved(dataset: Dataset, num_new: int, words: str, *, as_json: bool) -> None:
+    if as_json:
+        print_json({**_describe(dataset), "num_new": num_new})
+    else:
+        typer.echo(f"{dataset.label} {words}: {counted(num_new, 'artifact')} new, digest {dataset.digest[:12]}")
 
 
 def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRef], dict[str, bytes]]:

@@ -1,0 +1,259 @@
+"""Datasets in S3-compatible storage: a version is pushed there from a store, and pulled into any other.
+
+Below `s3://bucket/prefix`: `files/<sha256>` is a data file or an attachment, `artifacts/<stage>/<key>-<digest>` the
+manifest of an artifact, `datasets/<name>@<version>` the list.  Files go before the manifest that names them, manifests
+before the list, and lists and manifests are only written where there is none (conditional writes): what can be seen is
+whole, whoever else pushes, and a push that was cut off goes on where it ended.
+
+Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
+them is in what is written or said.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import asdict
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, TypeVar
+
+from obstore.exceptions import AlreadyExistsError, BaseError
+from obstore.store import S3Store
+
+from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, list_datasets
+from storage_schema.durable import HashingFile, sync_folder, write_errors, write_file
+from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
+from storage_schema.keys import content_digest, file_sha256
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
+from storage_schema.staging import StagingFolder
+from storage_schema.store import Store
+from storage_schema.version import SCHEMA_VERSION
+
+__all__ = ["RemoteError", "RemoteStore", "pull_dataset", "push_dataset"]
+
+_URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
+_AT_ONCE = 8
+"""Requests in flight."""
+_MAX_RETRIES = 6
+_TIMEOUT = timedelta(seconds=60)
+"""Longest time for one answer; a slower one is asked for again."""
+
+T = TypeVar("T")
+
+
+class RemoteError(StorageError):
+    """Storage elsewhere refuses or does not answer; says what was wanted, and never who asked."""
+
+
+class RemoteStore:
+    """Files in a bucket, below a prefix.
+
+    Args:
+        url: `s3://bucket/prefix`.
+        timeout: Longest time for one answer.
+
+    Raises:
+        BadName: The address has another form.
+    """
+
+    def __init__(self, url: str, *, timeout: timedelta = _TIMEOUT) -> None:
+        match = _URL.fullmatch(url.rstrip("/"))
+        if match is None:
+            raise BadName(
+                f"'{url}' is no place for datasets: s3://BUCKET/PREFIX is meant, credentials in the environment"
+            )
+        self.url = url.rstrip("/")
+        self._store = S3Store(
+            match["bucket"],
+            prefix=match["prefix"] or None,
+            client_options={
+                "allow_http": True,
+                "timeout": timeout,
+                "connect_timeout": min(timeout, timedelta(seconds=10)),
+            },
+            retry_config={"max_retries": _MAX_RETRIES, "retry_timeout": 10 * timeout},
+        )
+
+    def read(self, path: str) -> bytes:
+        """Return a file; FileNotFoundError where there is none."""
+        return self._asked(f"read {path}", lambda: bytes(self._store.get(path).bytes()))
+
+    def has(self, path: str, size: int) -> bool:
+        """Tell whether a file of this size is there."""
+        try:
+            return bool(self._asked(f"look for {path}", lambda: self._store.head(path)["size"]) == size)
+        except FileNotFoundError:
+            return False
+
+    def write(self, path: str, data: bytes | Path) -> None:
+        """Put a file whose name follows from its content: it does not matter who was first."""
+        self._asked(f"write {path}", lambda: self._store.put(path, data))
+
+    def create(self, path: str, data: bytes) -> bool:
+        """Put a new file; false where there is one already, which stays."""
+        try:
+            self._asked(f"write {path}", lambda: self._store.put(path, data, mode="create"))
+        except FileExistsError:
+            return False
+        return True
+
+    def names(self, folder: str) -> list[str]:
+        """Return the names of the files in a folder, sorted."""
+        found = self._asked(f"list {folder}", lambda: [one for part in self._store.list(f"{folder}/") for one in part])
+        return sorted(one["path"].rpartition("/")[2] for one in found)
+
+    def fetch(self, path: str, target: Path) -> str:
+        """Stream a file to a new one here; gives its sha256."""
+
+        def stream() -> str:
+            target.unlink(missing_ok=True)
+            with HashingFile(target) as file:
+                for chunk in self._store.get(path):
+                    file.write(bytes(chunk))
+            return file.sha256
+
+        return self._asked(f"read {path}", stream)
+
+    def _asked(self, what: str, ask: Callable[[], T]) -> T:
+        try:
+            return ask()
+        except AlreadyExistsError:
+            raise FileExistsError(f"{self.url}/{what}") from None
+        except BaseError as error:
+            # The rest of the message is the server's answer: it may name keys, and helps nobody here.
+            reason = str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": ")
+            raise RemoteError(
+                f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on"
+            ) from None
+
+
+def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore) -> int:
+    """Put a dataset, and all that it was computed from, into a bucket; gives the number of artifacts that were new.
+
+    Raises:
+        DatasetExists: Another dataset has this name and version there.
+        CorruptArtifact, MissingArtifact: An artifact is not whole in the store; nothing of it is pushed.
+        RemoteError: The bucket refuses or does not answer; the same call goes on.
+    """
+    manifests = _closure(dataset.refs, store.manifest)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        num_new = sum(pool.map(lambda manifest: _push_artifact(store, manifest, remote), manifests))
+    files = sorted(path for path in dataset.path.iterdir() if path.name != "dataset.json")
+    attachments = {path.name: _push_file(path, remote) for path in files}
+    values = {**asdict(dataset), "schema_version": SCHEMA_VERSION, "attachments": attachments}
+    del values["path"]
+    place = f"datasets/{dataset.label}"
+    if not remote.create(place, _as_bytes(values)):
+        there = json.loads(remote.read(place))
+        if there["digest"] != dataset.digest:
+            raise DatasetExists(f"{remote.url} has another {dataset.label} already, which never changes")
+    return num_new
+
+
+def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset, int]:
+    """Get the dataset `name@version`, or the newest version of `name`, with all that it was computed from.
+
+    Returns:
+        The dataset in the store, and the number of artifacts that were new there.
+
+    Raises:
+        UnknownReference: There is no such dataset; says which there are.
+        DatasetExists: The store has another dataset of this name and version.
+        CorruptArtifact: Bytes that came are not those that the manifest names, or the store has others under a key.
+        RemoteError: The bucket refuses or does not answer; the same call goes on.
+    """
+    label = _chosen(remote, label)
+    data = remote.read(f"datasets/{label}")
+    dataset = dataset_from_json(lambda: data, store.root / "datasets" / label, less=("attachments",))
+    attachments: dict[str, str] = json.loads(data)["attachments"]
+    known = [one for one in list_datasets(store) if one.label == dataset.label]
+    if known and known[0].digest != dataset.digest:
+        raise DatasetExists(f"the store {store.root} has another {dataset.label} already, which never changes")
+    store.prepare()
+
+    def manifest_of(ref: ArtifactRef) -> Manifest:
+        where = f"{remote.url}/{_place(ref)}"
+        manifest = Manifest.from_json(remote.read(_place(ref)).decode(), where=where)
+        digests = {name: entry.sha256 for name, entry in manifest.data_files.items()}
+        names = {ref.stage, *digests}
+        if manifest.ref != ref or content_digest(digests) != ref.content_digest or any("/" in name for name in names):
+            raise CorruptArtifact(f"{where} is the manifest of something else")
+        return manifest
+
+    manifests = _closure(dataset.refs, manifest_of)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
+    if not known:
+        add_dataset(store, dataset, {name: remote.read(f"files/{sha256}") for name, sha256 in attachments.items()})
+    return dataset, num_new
+
+
+def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]) -> Sequence[Manifest]:
+    """Return the manifests of these artifacts and of all that they were computed from."""
+    found: dict[ArtifactRef, Manifest] = {}
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        waiting = list(dict.fromkeys(refs))
+        while waiting:
+            found |= zip(waiting, pool.map(manifest_of, waiting), strict=True)
+            waiting = [ref for ref in {ref for one in waiting for ref in found[one].inputs} if ref not in found]
+    return list(found.values())
+
+
+def _place(ref: ArtifactRef) -> str:
+    return f"artifacts/{ref.stage}/{ref.key}-{ref.content_digest}"
+
+
+def _push_artifact(store: Store, manifest: Manifest, remote: RemoteStore) -> bool:
+    text = manifest.to_json().encode()
+    if remote.has(_place(manifest.ref), len(text)):
+        return False
+    folder = store.folder(manifest.ref.stage, manifest.ref.key)
+    for name, entry in manifest.data_files.items():
+        _push_file(folder / name, remote, entry.sha256)
+    return remote.create(_place(manifest.ref), text)
+
+
+def _push_file(path: Path, remote: RemoteStore, sha256: str | None = None) -> str:
+    found = file_sha256(path)
+    if sha256 not in (None, found):
+        raise CorruptArtifact(f"{path} is not what its manifest says (`pasdedeux verify`); it is not pushed")
+    if not remote.has(f"files/{found}", path.stat().st_size):
+        remote.write(f"files/{found}", path)
+    return found
+
+
+def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> bool:
+    ref = manifest.ref
+    there = store.find(ref.stage, ref.key)
+    if there is not None and there.ref == ref:
+        return False
+    if there is not None:
+        raise CorruptArtifact(
+            f"the store {store.root} has other bytes for artifact {ref.stage}@{ref.key[:12]}; pull into another store"
+        )
+    with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
+        for name, entry in manifest.data_files.items():
+            if remote.fetch(f"files/{entry.sha256}", staging.path / name) != entry.sha256:
+                raise CorruptArtifact(f"{remote.url}/files/{entry.sha256} does not hold what its name says")
+        write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
+        sync_folder(staging.path)
+        store.put_in_place(staging.path, ref)
+    return True
+
+
+def _chosen(remote: RemoteStore, label: str) -> str:
+    there = remote.names("datasets")
+    numbered = [name for name in there if name.rpartition("@")[0] == label and name.rpartition("@")[2].isdecimal()]
+    if label in there:
+        return label
+    if numbered:
+        return max(numbered, key=lambda name: int(name.rpartition("@")[2]))
+    raise UnknownReference(f"there is no dataset '{label}' in {remote.url}; there are: {', '.join(there) or 'none'}")
+
+
+def _as_bytes(values: dict[str, Any]) -> bytes:
+    return (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode()

@@ -1,0 +1,97 @@
+"""An S3 server on loopback that can be slow, fail, or hang up in the middle of an answer."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from moto.server import DomainDispatcherApplication, create_backend_app
+from werkzeug.serving import WSGIRequestHandler, make_server
+
+__all__ = ["SECRET", "S3Server", "s3_server"]
+
+SECRET = "not-for-any-log-4711"
+BUCKET = "datasets"
+Answer = Callable[..., Iterable[bytes]]
+
+
+class _Quiet(WSGIRequestHandler):
+    def log(self, *_: Any, **__: Any) -> None:
+        """Say nothing."""
+
+
+@dataclass
+class S3Server:
+    """A server with one bucket; `fault` is asked with method and path before each answer, and names what goes wrong.
+
+    "error" answers 503, "slow" waits, "cut" hangs up after half of the answer, "gone" before any of it.
+    """
+
+    port: int
+    prefix: str = field(default_factory=lambda: uuid.uuid4().hex)  # what the server knows outlives it
+    slow_s: float = 3.0
+    requests: list[str] = field(default_factory=list)
+    fault: Callable[[str, str], str] = lambda method, path: ""
+
+    @property
+    def place(self) -> str:
+        return f"s3://{BUCKET}/some/{self.prefix}"
+
+
+def _with_faults(app: Answer, server: S3Server) -> Answer:
+    def answer(environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        method, path = environ["REQUEST_METHOD"], environ["PATH_INFO"]
+        server.requests.append(f"{method} {path}")
+        fault = server.fault(method, path)
+        if fault == "error":
+            start_response("503 Slow Down", [("Content-Length", "0")])
+            return []
+        if fault == "gone":
+            environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
+            return []
+        if fault == "slow":
+            time.sleep(server.slow_s)
+        body = b"".join(app(environ, start_response))
+        if fault == "cut":
+            return _cut(body, environ["werkzeug.socket"])
+        return [body]
+
+    return answer
+
+
+def _cut(body: bytes, connection: socket.socket) -> Iterator[bytes]:
+    yield body[: len(body) // 2]
+    connection.shutdown(socket.SHUT_RDWR)
+
+
+@contextmanager
+def s3_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
+    """Start a server; address and credentials are in the environment as a user would say them."""
+    found = S3Server(0)
+    app = _with_faults(DomainDispatcherApplication(create_backend_app), found)
+    server = make_server("127.0.0.1", 0, app, threaded=True, request_handler=_Quiet)
+    found.port = server.server_port
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{found.port}")
+    monkeypatch.setenv("AWS_REGION", "us-east-1")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "tester")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
+    try:
+        import boto3
+
+        client = boto3.client("s3", endpoint_url=f"http://127.0.0.1:{found.port}")
+        client.create_bucket(Bucket=BUCKET)
+        client.close()
+        yield found
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()

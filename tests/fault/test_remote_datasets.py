@@ -1,0 +1,182 @@
+"""Datasets through S3 on loopback: the same bytes come back, also from a server that fails, waits and hangs up."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+
+from flows.console.app import run_command_line
+from storage_schema import (
+    ArtifactRef,
+    CorruptArtifact,
+    Dataset,
+    Store,
+    UnknownReference,
+    create_dataset,
+    list_datasets,
+    verify,
+)
+from storage_schema.errors import BadName, DatasetExists
+from storage_schema.remote import RemoteError, RemoteStore, pull_dataset, push_dataset
+from tests.builders.s3_server import SECRET, S3Server, s3_server
+from tests.builders.storage_rows import commit_rows
+from tests.builders.toy_runs import run_toys, write_study
+from tests.builders.toys import TOYS
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[S3Server]:
+    with s3_server(monkeypatch) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, Dataset]:
+    """A store with a dataset of two of its four stages; the others are what it was computed from."""
+    folder = tmp_path_factory.mktemp("built")
+    store = Store(folder / "store")
+    outcome = run_toys(write_study(folder), store.root)
+    refs = [ref for stage in outcome.stages if stage.name in ("bend", "judge") for ref in stage.artifacts]
+    return store, create_dataset(store, "toys", refs, note="for a test", attachments={"card.md": b"# Card"})
+
+
+def remote_of(server: S3Server, timeout_s: float = 20.0) -> RemoteStore:
+    return RemoteStore(server.place, timeout=timedelta(seconds=timeout_s))
+
+
+def contents(store: Store) -> dict[str, bytes]:
+    """Return every file of the artifacts and datasets by its path."""
+    files = [path for path in store.root.rglob("*") if path.is_file()]
+    names = {str(path.relative_to(store.root)): path for path in files}
+    return {
+        name: path.read_bytes() for name, path in names.items() if name.split("/")[0] in ("bend", "judge", "grow")
+    } | {name: path.read_bytes() for name, path in names.items() if name.startswith("datasets")}
+
+
+def test_a_dataset_comes_back_with_all_that_it_was_computed_from(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
+) -> None:
+    store, dataset = built
+    assert push_dataset(store, dataset, remote_of(server)) == 13
+    sent = len([one for one in server.requests if one.startswith("PUT")])
+    assert push_dataset(store, dataset, remote_of(server)) == 0
+    assert len([one for one in server.requests if one.startswith("PUT")]) == sent + 1, "the list alone is tried again"
+    other = Store(tmp_path / "other")
+    found, num_new = pull_dataset(remote_of(server), "toys", other)
+    assert num_new == 13
+    assert found == replace(dataset, path=other.root / "datasets" / "toys@1")
+    assert contents(other) == contents(store)
+    assert verify(other).is_ok
+    assert pull_dataset(remote_of(server), "toys@1", other)[1] == 0
+
+
+@pytest.mark.parametrize("fault", ["error", "slow", "cut", "gone"])
+def test_faults_of_the_server_cost_time_and_nothing_else(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, fault: str
+) -> None:
+    store, dataset = built
+    counter, lock = itertools.count(), threading.Lock()
+
+    def now_and_then(method: str, path: str) -> str:
+        with lock:
+            number = next(counter)
+        return fault if number in (5, 60) or (fault != "slow" and number % 12 == 5) else ""
+
+    timeout_s = 2.5 if fault == "slow" else 30.0  # of a server that shares two cores with others
+    server.fault, server.slow_s = now_and_then, timeout_s + 1.0
+    push_dataset(store, dataset, remote_of(server, timeout_s))
+    other = Store(tmp_path / "other")
+    pull_dataset(remote_of(server, timeout_s), "toys", other)
+    assert contents(other) == contents(store)
+    assert next(counter) > 60, "there were faults on both ways"
+
+
+def test_a_push_that_is_cut_off_shows_nothing_and_goes_on(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
+) -> None:
+    store, dataset = built
+    server.fault = lambda method, path: "error" if method == "PUT" and "/artifacts/judge" in path else ""
+    with pytest.raises(RemoteError, match="cannot write artifacts/judge") as error:
+        push_dataset(store, dataset, remote_of(server))
+    assert SECRET not in str(error.value)
+    server.fault = lambda method, path: ""
+    with pytest.raises(UnknownReference, match=r"there is no dataset 'toys'.*there are: none"):
+        pull_dataset(remote_of(server), "toys", Store(tmp_path / "other"))
+    assert push_dataset(store, dataset, remote_of(server)) == 1
+    assert pull_dataset(remote_of(server), "toys", Store(tmp_path / "other"))[1] == 13
+
+
+def test_what_is_there_never_changes(server: S3Server, built: tuple[Store, Dataset], tmp_path: Path) -> None:
+    store, dataset = built
+    push_dataset(store, dataset, remote_of(server))
+    other = Store(tmp_path / "other")
+    mine = create_dataset(other, "toys", [commit_rows(other, name="mine")])
+    with pytest.raises(DatasetExists, match="has another toys@1 already"):
+        push_dataset(other, mine, remote_of(server))
+    with pytest.raises(DatasetExists, match="has another toys@1 already"):
+        pull_dataset(remote_of(server), "toys", other)
+
+
+def test_two_that_push_at_once_leave_one_whole_dataset(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
+) -> None:
+    store, dataset = built
+    pushing = [threading.Thread(target=push_dataset, args=(store, dataset, remote_of(server))) for _ in range(2)]
+    for thread in pushing:
+        thread.start()
+    for thread in pushing:
+        thread.join()
+    other = Store(tmp_path / "other")
+    assert pull_dataset(remote_of(server), "toys", other)[1] == 13
+    assert contents(other) == contents(store)
+
+
+def test_bytes_that_are_not_what_was_made_are_refused_on_both_ways(server: S3Server, tmp_path: Path) -> None:
+    store, other = Store(tmp_path / "store"), Store(tmp_path / "other")
+    ref = commit_rows(store, name="one")
+    dataset = create_dataset(store, "toys", [ref])
+    remote = remote_of(server)
+    push_dataset(store, dataset, remote)
+    (sha256,) = {entry.sha256 for entry in store.manifest(ref).data_files.values()}
+    remote.write(f"files/{sha256}", b"something else")
+    with pytest.raises(CorruptArtifact, match="does not hold what its name says"):
+        pull_dataset(remote, "toys", other)
+    assert list_datasets(other) == list(other.artifacts()) == []
+    path = next(store.folder(ref.stage, ref.key).glob("*.parquet"))
+    path.write_bytes(path.read_bytes()[:-1] + b"!")
+    assert isinstance(ref, ArtifactRef)
+    with pytest.raises(CorruptArtifact, match="is not what its manifest says"):
+        push_dataset(
+            store,
+            create_dataset(store, "again", [commit_rows(store, name="two"), ref]),
+            RemoteStore(f"{server.place}/b"),
+        )
+
+
+def test_the_command_line_pushes_and_pulls_and_says_no_credential(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store, _ = built
+
+    def call(*arguments: str) -> int:
+        return run_command_line(["dataset", *arguments], graph=TOYS)
+
+    other = tmp_path / "other"
+    assert call("push", "toys", server.place, "--store", str(store.root)) == 0
+    assert call("pull", "toys@1", server.place, "--store", str(other)) == 0
+    assert f"toys@1 is in {server.place}: 13 artifacts new" in capsys.readouterr().out
+    assert call("push", "toys", "bucket/there", "--store", str(store.root)) == 2
+    server.fault = lambda method, path: "error"
+    assert call("pull", "toys", server.place, "--store", str(other)) == 1
+    said = capsys.readouterr()
+    assert "cannot list datasets" in said.err
+    written = [path.read_bytes() for root in (store.root, other) for path in root.rglob("*") if path.is_file()]
+    assert not any(SECRET.encode() in data for data in [*written, said.err.encode(), said.out.encode()])
+    with pytest.raises(BadName, match="s3://BUCKET/PREFIX is meant"):
+        RemoteStore("s3:/bucket")

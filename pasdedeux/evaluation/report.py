@@ -37,6 +37,11 @@ class Picture:
         return self.name.endswith(PLAYER)
 
     @property
+    def num_bytes(self) -> int:
+        """Bytes that it takes within the page."""
+        return len(self.content) if self.is_player else len(self.content) * 4 // 3
+
+    @property
     def is_broad(self) -> bool:
         """Its panels need the page's width."""
         return self.content.count(b'"title":') > 1
@@ -84,7 +89,7 @@ def fit_pictures(sections: Sequence[Section], max_bytes: int) -> tuple[list[Sect
 
     They lie beside the page all the same.
     """
-    sizes = [len(picture.content) for section in sections for picture in section.pictures]
+    sizes = [picture.num_bytes for section in sections for picture in section.pictures]
     if sum(sizes) <= max_bytes:
         return list(sections), 0
     share, kept = max_bytes / sum(sizes), []

@@ -23,6 +23,8 @@ from tasks.summary import judge, summary_of
 __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
 PARTITION = "report"
+_PICTURES_SHARE = 0.7
+"""Part of the page that pictures may take; tables need the rest."""
 READS = ("takes", "take_quality", "training_log")
 """Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
 
@@ -67,8 +69,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     card = _card(settings, topics, inputs, skipped, summary)
     drawn = {topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name])) is not None}
     every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
-    # A third of the page for tables; base64 makes four bytes of three.
-    room = int(settings.max_page_mb * 1e6 * 0.5)
+    room = int(settings.max_page_mb * 1e6 * _PICTURES_SHARE)
     sections, num_out = fit_pictures([section for section in every if section is not None], room)
     if num_out:
         skipped.append(

@@ -183,7 +183,7 @@ def test_players_move_and_turn_and_tables_sort_in_a_browser(tmp_path: Path, widt
 
 
 def test_pictures_that_do_not_fit_are_left_out_evenly_and_the_first_ones_stay() -> None:
-    pictures = tuple(Picture(f"{number}.svg", "", b"x" * 100) for number in range(104))
+    pictures = tuple(Picture(f"{number}.player.json", "", b"x" * 100) for number in range(104))
     sections = [Section("many", pictures=pictures), Section("few", pictures=pictures[:2])]
     assert fit_pictures(sections, 11_000) == (sections, 0)
     kept, num_out = fit_pictures(sections, 5300)

@@ -343,3 +343,18 @@ def test_the_next_command_that_is_printed_does_what_it_says(tmp_path: Path, caps
     assert call("plan", study, "--store", store, "--set", "aside.size=3") == 0
     command = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("run it with: "))
     assert command == ["pasdedeux", "run", study, "--store", store, "--set", "aside.size=3"]
+
+
+def test_what_is_there_of_a_run_that_failed_or_had_no_evaluation_is_summed_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, store = str(write_study(tmp_path)), str(tmp_path / "store")
+    run_toys(study, Path(store))
+    assert call("run", study, "--store", store) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("is it good: ") for line in lines)
+    shutil.rmtree(next(path for path in Path(store).iterdir() if path.name == "judge"))
+    assert call("status", "--store", store) == 0
+    out = capsys.readouterr().out
+    assert " models (0.0 MB)" in out
+    assert "is it good: not judged" in out

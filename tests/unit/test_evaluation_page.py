@@ -1,0 +1,55 @@
+"""The page of small and odd runs: one stage alone, names that are markup, more takes than fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from storage_schema import Store
+from tasks.evaluation import STAGE
+from tasks.stage import StageInputs
+from tests.builders.pages import Page
+from tests.builders.walking_takes import put_take
+
+MARKUP = '"><script>alert(1)</script> & <b>'
+
+
+def page_of(store: Store, num_takes: int, **settings: object) -> tuple[Page, str, str]:
+    """Return the page of a run of the first stage alone, its text, and the card."""
+    made = [put_take(store, f"take{number:03d}") for number in range(num_takes)]
+    inputs = StageInputs(dict.fromkeys(("poses", "takes"), made), seed=1)
+    planned = [
+        shard for shard in STAGE.plan(inputs, STAGE.parameters(**settings)) if shard.partition in ("takes", "report")
+    ]
+    refs = [STAGE.run_shard(shard, store) for shard in planned]
+    text = store.attachment(refs[-1], "report.html").decode()
+    return Page(text), text, store.attachment(refs[-1], "card.md").decode()
+
+
+def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_keys_ask_for_it(tmp_path: Path) -> None:
+    page, text, card = page_of(Store(tmp_path), 1, title=MARKUP, description=MARKUP)
+    assert (page.problems, page.outside, page.unnamed) == ([], [], [])
+    assert page.headings[0] == (1, MARKUP)
+    assert [heading for _, heading in page.headings[1:]] == [
+        "What was built",
+        "Is it good?",
+        "Takes",
+        "Left out, and why",
+        "Sources and licences",
+    ]
+    assert "<script>alert" not in text
+    assert "Reconstruction: there was nothing to show" in text
+    assert "`evaluation.num_completed_pairs`" in text
+    assert "1 take" in card
+    assert "walkers (CC0)" in text
+
+
+def test_takes_that_do_not_fit_lie_beside_the_page_which_says_so(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    page, text, _ = page_of(store, 12, max_page_mb=0.2)
+    assert 4 <= len(page.scenes) < 12
+    left_out = 12 - len(page.scenes)
+    assert f"{left_out} pictures would make the page larger than 0.2 MB and lie beside it" in text
+    assert "`evaluation.max_page_mb`" in text
+    shown = {name for one in store.artifacts("evaluation") for name in one.attachments}
+    assert sum(name.endswith(".player.json") for name in shown) == 12
+    assert len(text) < 0.25e6

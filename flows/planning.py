@@ -239,7 +239,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
     for stage in graph.stages:
         if stage.check is not None and stage.name in selected:
             stage.check(study.parameters[stage.name])
-        if stage.check_study is not None and stage.name in asked:
+        if stage.check_study is not None and stage.name in selected:
             stage.check_study(study.parameters)
     last = _last_records(store, study.name)
     plans: dict[str, StagePlan] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
@@ -46,6 +47,7 @@ __all__ = [
     "BatchParameters",
     "TakeMotion",
     "batch_of",
+    "check_study",
     "known_contacts",
     "plan",
     "planned_variations",
@@ -100,9 +102,7 @@ class TakeMotion:
 def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]:
     """Plan one shard per take and batch of variants; a take without anybody of those asked for has one that says so."""
     takes = {take.facts["take_id"]: take for take in inputs.of("poses") if take.facts.get("kind") == "take"}
-    for take_id in parameters.contacts:
-        if take_id not in takes:
-            raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(takes))}")
+    _check_takes(parameters, takes)
     common = parameters.model_dump(exclude={"contacts", "variants_per_shard"})
     size, shards = parameters.variants_per_shard, []
     for take_id, take in takes.items():
@@ -117,6 +117,23 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
             chosen = BatchParameters(**common, contacts=stated, variants=batch)
             shards.append(_shard(take, f"{batch[0]} to {batch[-1]}", chosen, inputs.seed))
     return shards
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse contacts of a take that the study does not have, as far as its section `ingest` tells.
+
+    Raises:
+        InputError: Names the take.
+    """
+    ingest = sections.get("ingest")
+    if ingest is not None and all(family.takes is not None for family in ingest.pairs.values()):
+        _check_takes(sections["augmentation"], ingest.take_ids())
+
+
+def _check_takes(parameters: AugmentationParameters, takes: Collection[str]) -> None:
+    for take_id in parameters.contacts:
+        if take_id not in takes:
+            raise InputError(f"augmentation.contacts: take '{take_id}' is not there; takes: {', '.join(sorted(takes))}")
 
 
 def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
@@ -288,6 +305,7 @@ STAGE = Stage(
     parameters=AugmentationParameters,
     plan=plan,
     run_shard=run_shard,
+    check_study=check_study,
     meaning="Variants of every take for other body proportions, by interaction mesh with exact bone lengths",
     needs="takes ([[ingest.takes]], [ingest.pairs])",
     early=(EarlyPlan(plan, each=("poses",)),),

@@ -168,7 +168,7 @@ class Stage:
         metrics: Where it writes `scores`: the metrics of each topic; `*` stands for any letters.
         check: Refuses parameters that can be told to be wrong without any input, such as files that cannot be used:
             called before anything runs, also while the stage waits for what it reads.
-        check_study: The same for what other stages' sections say, given by stage; called where the stage is asked for.
+        check_study: The same for what other stages' sections say, given by stage.
         early: What can be begun with before all that it reads is there.
         unread: Gives the tables among `reads` that are left alone with these parameters: nothing waits for them.
     """

@@ -1,11 +1,21 @@
 """Stage `seeds`: where chains start: frames of takes, files, pairs lifted from 2D alone, and what grows from them."""
 
 from tasks.seeds.parameters import VERSION, SeedFrame, SeedsParameters
-from tasks.seeds.plan import check, plan, start_indices
+from tasks.seeds.plan import check, check_study, plan, start_indices
 from tasks.seeds.run import run_shard
 from tasks.stage import Stage
 
-__all__ = ["STAGE", "VERSION", "SeedFrame", "SeedsParameters", "check", "plan", "run_shard", "start_indices"]
+__all__ = [
+    "STAGE",
+    "VERSION",
+    "SeedFrame",
+    "SeedsParameters",
+    "check",
+    "check_study",
+    "plan",
+    "run_shard",
+    "start_indices",
+]
 
 STAGE = Stage(
     name="seeds",
@@ -16,6 +26,7 @@ STAGE = Stage(
     plan=plan,
     run_shard=run_shard,
     check=check,
+    check_study=check_study,
     meaning="3D pose pairs from which chains start",
     needs="takes of two people that are not held out ([[ingest.takes]], ingest.held_out), "
     "annotations of two people ([[ingest.annotations]], seeds.num_lifted), or seeds.files",

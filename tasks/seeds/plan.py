@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
@@ -24,7 +25,7 @@ from tasks.seeds.parameters import (
 from tasks.stage import Parameters, Shard, SourceFile, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
 
-__all__ = ["check", "plan", "start_indices"]
+__all__ = ["check", "check_study", "plan", "start_indices"]
 
 
 def plan(inputs: StageInputs, parameters: SeedsParameters) -> list[Shard]:
@@ -76,6 +77,37 @@ def check(parameters: SeedsParameters) -> None:
     """
     for file in parameters.files:
         load_seed(file)
+
+
+def check_study(sections: Mapping[str, Any]) -> None:
+    """Refuse seeds of takes or of annotations where the study has none, as far as its section `ingest` tells.
+
+    Raises:
+        InputError: Says which key asks for what is not there.
+    """
+    own, ingest = sections["seeds"], sections.get("ingest")
+    if ingest is None or any(family.takes is None for family in ingest.pairs.values()):
+        return  # what lies in a folder is read with its files
+    takes = ingest.take_ids()
+    learnable = [take for take in takes if take not in ingest.held_out]
+    if own.num_seeds and not learnable:
+        raise InputError(
+            f"seeds.num_seeds asks for {own.num_seeds} frames of takes, but there is no take that is not held out; "
+            "seeds.num_lifted lifts seeds from 2D alone"
+        )
+    for frame in own.frames:
+        if frame.take not in learnable:
+            raise InputError(
+                f"seeds.frames: take '{frame.take}' is no take that may be learned from; known ones: "
+                f"{', '.join(sorted(learnable)) or 'none'}"
+            )
+    video = ingest.virtual_video
+    has_annotations = ingest.annotations or (takes and (video.num_videos or video.num_random_views))
+    if (own.num_lifted or own.num_grown) and not has_annotations:
+        raise InputError(
+            "seeds.num_lifted and seeds.num_grown lift annotations, but the study has neither annotations "
+            "([[ingest.annotations]]) nor virtual video of takes (ingest.virtual_video)"
+        )
 
 
 def start_indices(manifest: Manifest) -> list[int]:

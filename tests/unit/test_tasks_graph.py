@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from flows.planning import make_plan
+from flows.study import load_study
+from pasdedeux.errors import InputError
+from storage_schema import Store
 from tasks.graph import Graph, GraphError, load_graph
 from tasks.stage import Stage
 from tests.builders.toys import TOYS, AsideParameters, plan_aside, run_aside
@@ -53,3 +59,31 @@ def test_the_stages_of_the_program_form_a_graph() -> None:
         assert one.meaning, f"stage {one.name} says nothing about itself"
         for name in graph.upstream[one.name]:
             assert graph.names.index(name) < graph.names.index(one.name)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["augmentation.scales=[0.9]"], "split 'cross_scale' has no training variant"),
+        (["augmentation.contacts.nobody=[]"], "augmentation.contacts: take 'nobody' is not there; takes: hug, judo"),
+        (["seeds.frames=[{take='push_hands', frame=3}]"], "take 'push_hands' is no take that may be learned from"),
+        (["ingest.duets=[]", "ingest.held_out=[]"], "seeds.num_seeds asks for 2 frames of takes, but there is no take"),
+        (
+            ["ingest.virtual_video.num_videos=0", "ingest.virtual_video.num_random_views=0"],
+            "seeds.num_grown lift annotations, but the study has neither annotations",
+        ),
+    ],
+)
+def test_what_is_known_to_fail_is_said_before_anything_runs(tmp_path: Path, settings: list[str], said: str) -> None:
+    study, stages = load_study("duets", load_graph(), settings=settings)
+    with pytest.raises(InputError, match=said):
+        make_plan(study, stages, Store(tmp_path / "store"))
+
+
+def test_a_section_that_is_not_in_the_study_is_checked_as_well_as_its_stage_runs(tmp_path: Path) -> None:
+    path = tmp_path / "short.toml"
+    path.write_text('[study]\nname = "short"\n[ingest]\nduets = [{ name = "hug" }]\n[augmentation]\nscales = [0.9]\n')
+    study, stages = load_study(str(path), load_graph())
+    assert "training" not in study.asked
+    with pytest.raises(InputError, match="has no t"):
+        make_plan(study, stages, Store(tmp_path / "store"))

@@ -22,9 +22,9 @@ from tasks import seeds
 from tasks.graph import Graph
 from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
+from tasks.shards import HerePool
 from tasks.stage import StageInputs
 from tests.builders.real_study import build_here, call_in_process, never_begun
-from tests.builders.toy_runs import serial
 
 PAIR = gauge_fix(random_pairs(np.random.default_rng(4), 1, spread_rad=0.1)[0])
 
@@ -155,7 +155,7 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     def build(study: Study, graph: Graph, opened: Store, selection: Selection, *_: object, **__: object) -> None:
         run = Run(study, graph, opened, selection)
         plan = make_plan(study, graph, opened, selection)
-        execute(run, begin(run, plan), plan, serial)
+        execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
 
     monkeypatch.setattr("flows.console.restart.build_and_report", build)
     options = ("--store", store.root, "--out", tmp_path / "out")

@@ -23,6 +23,12 @@ distance_m), or joint positions with the names of body22 or SMPL (npz, JSON).
   pasdedeux retarget duets/waltz --to tall.bvh --out waltz_tall
   pasdedeux retarget a.bvh b.bvh --to source --to 02.asf --out b_as_02
 
+With --model a trained model gives the motion in place of the solver: NAME, or NAME@STUDY/SPLIT where the store has
+several of that name, or a .safetensors file that `export` wrote.
+
+\b
+  pasdedeux retarget a.bvh b.bvh --to 02.asf --model start_net@models/cross_interaction --out b_as_02
+
 A BVH and an npz file a person are written, as by `export`, with UNITS.txt and CREDITS.txt.
 """
 
@@ -38,7 +44,7 @@ def retarget(
     ],
     to: Annotated[list[str], typer.Option("--to", metavar="BODY", help="Body of person A, then of B, ...")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files; made when missing.")],
-    store: Annotated[Path, typer.Option(metavar="DIR", help="Store that TAKE is looked up in.")] = Path("store"),
+    store: Annotated[Path, typer.Option(metavar="DIR", help="Store of TAKE and NAME.")] = Path("store"),
     unit: Annotated[
         list[float] | None,
         typer.Option("--unit", min=1e-6, metavar="M", help="Metres per unit of the motion files, where not told."),
@@ -51,6 +57,9 @@ def retarget(
         float | None,
         typer.Option(min=1.0, max=1000.0, metavar="HZ", help="True rate of the motion files, if they lie."),
     ] = None,
+    model: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Trained model: NAME, NAME@STUDY/SPLIT or a .safetensors file.")
+    ] = None,
     rest_pose: Annotated[RestPose, typer.Option(help="The source's, or a standing T-pose.")] = "source",
     units: Annotated[Units, typer.Option(help="Lengths of BVH files; `source`: as in each source's file.")] = "cm",
 ) -> None:
@@ -59,4 +68,4 @@ def retarget(
     from flows.console.retargeting import FileOptions, retarget_take
 
     options = FileOptions(units_m=tuple(unit or ()), body_units_m=tuple(body_unit or ()), rate_hz=rate)
-    retarget_take(tuple(take), tuple(to), store, out, options, rest_pose=rest_pose, units=units)
+    retarget_take(tuple(take), tuple(to), store, out, options, rest_pose=rest_pose, units=units, model=model)

@@ -16,8 +16,10 @@ import typer
 from flows.console.context import open_store
 from flows.console.display import print_table
 from flows.exports import RestPose, Units, write_credits
+from flows.exports.model_weights import stored_weights
 from flows.exports.own_skeletons import Person, RigFiles, people_of_take
 from pasdedeux.augmentation import Augmenter
+from pasdedeux.augmentation.source import complete_scales
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.verdicts import verdict_words
@@ -29,6 +31,7 @@ from pasdedeux.formats.registry import MOTION_FORMATS
 from pasdedeux.formats.source_motion import SourceMotion
 from pasdedeux.formats.target_body import BodyFit, TargetBody, body_of_skeleton, fit_body, read_body
 from pasdedeux.formats.working_poses import check_layout
+from pasdedeux.learning import VariantRequest, Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Store, parse_reference, resolve
@@ -71,17 +74,20 @@ def retarget_take(
     *,
     rest_pose: RestPose = "source",
     units: Units = "cm",
+    model: str | None = None,
 ) -> None:
-    """Find take and bodies, solve, write, and say what came of it.
+    """Find take and bodies, solve or ask a trained model, write, and say what came of it.
 
     Raises:
-        InputError: The take is not there, there are more bodies than people, or a body cannot be read or be anybody's.
+        InputError: The take is not there, there are more bodies than people, a body cannot be read or be anybody's, or
+            the model is not there, cannot be read, or is of pairs and the take is none.
     """
+    weights = None if model is None else _find_model(model, store_root)
     body_units = iter(options.body_units_m)
     targets = [None if body == KEPT else _read_target(Path(body), body_units) for body in bodies]
     if len(take) > 1 or Path(take[0]).is_file():
         with _take_of_files(take, options) as (store, ref):
-            _retarget(store, ref, targets, out, rest_pose, units)
+            _retarget(store, ref, targets, out, rest_pose, units, weights)
         return
     store = open_store(store_root)
     text = take[0] if re.match(r"\w+[:@]", take[0]) else f"poses:{take[0]}"
@@ -91,7 +97,7 @@ def retarget_take(
         raise InputError(
             f"'{take[0]}' names {len(refs)} artifacts of {reference.table}; one take is needed: STUDY/TAKE"
         )
-    _retarget(store, refs[0], targets, out, rest_pose, units)
+    _retarget(store, refs[0], targets, out, rest_pose, units, weights)
 
 
 @contextmanager
@@ -153,6 +159,28 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
         raise type(error)(said if said.startswith(path.name) else f"{path.name}: {said}") from None
 
 
+def _find_model(text: str, store_root: Path) -> Weights:
+    """Read a trained model from a file, or from the store: the only one of this name, or that of one split."""
+    path = Path(text)
+    if path.suffix == ".safetensors":
+        return read_weights(load_file(path).data, path.name)
+    store, (name, _, where) = open_store(store_root), text.partition("@")
+    if where:
+        refs = resolve(where if re.match(r"\w+[:@]", where) else f"models:{where}", store)
+        manifests = [store.manifest(ref) for ref in refs]
+    else:
+        manifests = list(store.artifacts("training"))
+    models = [manifest for manifest in manifests if "models" in manifest.tables]
+    found = [manifest for manifest in models if manifest.facts["model"] == name]
+    if len(found) != 1:
+        there = [f"{one.facts['model']}@models@{one.ref.key[:12]} ({one.facts['split']})" for one in found or models]
+        raise InputError(
+            f"--model {text}: {len(found)} models of the store have this name"
+            + (f"; say which: {', '.join(there[:12])}" if there else "; the store has none")
+        )
+    return stored_weights(store, found[0])
+
+
 def _retarget(
     store: Store,
     ref: ArtifactRef,
@@ -160,6 +188,7 @@ def _retarget(
     out: Path,
     rest_pose: RestPose,
     units: Units,
+    weights: Weights | None,
 ) -> None:
     manifest = store.manifest(ref)
     take_id, num_persons = manifest.facts["take_id"], int(manifest.facts["num_persons"])
@@ -181,12 +210,23 @@ def _retarget(
         worst_m = max(map(abs, fit.misfit_m.values()))
         if worst_m > _MISFIT_M:
             contradictions.append((person, worst_m))
-    variant = Augmenter(source, user_contacts=known_contacts(manifest)).solve([Variation("retarget", bone_scale)])[0]
+    solver = Augmenter(source, user_contacts=known_contacts(manifest))
+    if weights is None:
+        variant = solver.solve([Variation("retarget", bone_scale)])[0]
+        positions_m, bone_scale, verdict = variant.positions_m, variant.bone_scale, variant.verdict
+    else:
+        bone_scale = complete_scales(source, bone_scale[None])[0]
+        # A take of the same name may be another one: what a model learned of a take holds for that take alone.
+        is_known = weights.takes.get(take_id) == ref.content_digest
+        name = take_id if is_known else f"{take_id} ({ref.key[:12]})"
+        positions_m = weights.model.predict(VariantRequest(name, source, bone_scale, contacts=known_contacts(manifest)))
+        verdict = solver.judge(bone_scale, positions_m)
+        typer.echo(f"{weights.model.name} {'was' if is_known else 'was not'} trained on take {take_id}", err=True)
     out.mkdir(parents=True, exist_ok=True)
     files = RigFiles(out, rest_pose=rest_pose, units=units)
     for index, person in enumerate(people):
-        wanted_m = variant.positions_m[:, index]
-        own = person.own.worn(wanted_m, variant.bone_scale[index])
+        wanted_m = positions_m[:, index]
+        own = person.own.worn(wanted_m, bone_scale[index])
         files.write(f"{take_id}_retarget_{person.letter}", person, own, wanted_m)
     for path in (*files.close(), write_credits(store, [ref], f"take {take_id}", out)):
         typer.echo(str(path))
@@ -203,7 +243,7 @@ def _retarget(
     captured = verdict_of(manifest)
     if captured is not None and captured.level is not Level.PASS:
         typer.echo(f"take {take_id}: {verdict_words(captured)}", err=True)
-    typer.echo(verdict_words(variant.verdict))
+    typer.echo(verdict_words(verdict))
 
 
 def _said(person: Person, target: TargetBody, fit: BodyFit) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ EXPORT_FORMATS = {
     "csv": "flows.exports.csv_table",
     "bvh": "flows.exports.bvh_motions",
     "json": "flows.exports.json_pairs",
+    "safetensors": "flows.exports.model_weights",
 }
 """Module of each format, by its name on the command line; imported when it is used, so that help comes at once."""
 

@@ -170,6 +170,22 @@ class Augmenter:
             )
         return variants
 
+    def judge(self, bone_scale: Array, positions_m: Array) -> Verdict:
+        """Return what is thought of a motion that something else than the solver gives.
+
+        Args:
+            bone_scale: The scales it is for (P, 22), the root's included.
+            positions_m: The motion (T, P, 22, 3), metres.
+        """
+        measured = self._meter.measure(
+            points_of(positions_m),
+            reference=points_of(reference_motion(self.source, bone_scale[None]))[0],
+            bone_scale=bone_scale,
+            lengths_m=scaled_lengths(self.source, bone_scale[None])[0],
+            squared_residual=np.zeros(self.source.num_frames),
+        )
+        return self._judge(measured.quality, measured.frames.judge(self.settings.frame_limits), "")
+
     def _longest_s(self, rate_hz: float) -> float:
         return min(self.settings.window_s, max(_LONGEST_FRAMES / rate_hz, 2.0 * OVERLAP_S))
 

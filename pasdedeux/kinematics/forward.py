@@ -52,34 +52,32 @@ def forward_kinematics(
 
 def bone_lengths(skeleton: Skeleton, positions: Array) -> Array:
     """Return the length (*batch, J) of the bone that ends in each joint, metres; 0 for the root."""
+    parents, children = _ends_of(skeleton)
     lengths = np.zeros(positions.shape[:-1])
-    for parent, child in skeleton.bones:
-        lengths[..., child] = np.linalg.norm(positions[..., child, :] - positions[..., parent, :], axis=-1)
+    lengths[..., children] = np.linalg.norm(positions[..., children, :] - positions[..., parents, :], axis=-1)
     return lengths
 
 
 def bone_directions(skeleton: Skeleton, positions: Array) -> Array:
     """Return the unit direction (*batch, J, 3) of the bone ending in each joint; 0 for the root and for empty bones."""
+    parents, children = _ends_of(skeleton)
     directions = np.zeros(positions.shape)
-    for parent, child in skeleton.bones:
-        vector = positions[..., child, :] - positions[..., parent, :]
-        length = np.linalg.norm(vector, axis=-1, keepdims=True)
-        directions[..., child, :] = vector / np.where(length > 1e-12, length, 1.0)
+    vectors = positions[..., children, :] - positions[..., parents, :]
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    directions[..., children, :] = vectors / np.where(lengths > 1e-12, lengths, 1.0)
     return directions
 
 
 def place_bones(skeleton: Skeleton, root_m: Array, directions: Array, lengths_m: Array) -> Array:
     """Return positions (*batch, J, 3) from root (*batch, 3), directions (*batch, J, 3) and lengths (*batch, J) in m."""
-    shape = np.broadcast_shapes(directions.shape[:-1], lengths_m.shape)
-    positions = np.empty((*shape, 3))
+    offsets = directions * lengths_m[..., None]
+    positions = np.empty(offsets.shape)
     for joint in skeleton.order:
         parent = skeleton.parents[joint]
         if parent < 0:
             positions[..., joint, :] = root_m
         else:
-            positions[..., joint, :] = (
-                positions[..., parent, :] + directions[..., joint, :] * lengths_m[..., joint, None]
-            )
+            np.add(positions[..., parent, :], offsets[..., joint, :], out=positions[..., joint, :])
     return positions
 
 
@@ -137,3 +135,9 @@ def _refine_rotation(start: Array, rest: Array, posed: Array) -> Array:
     source = np.concatenate([np.broadcast_to(rest, posed.shape), axes], axis=-2)
     target = np.concatenate([posed, turned], axis=-2)
     return unitquat_from_rotmat(best_rotation(source, target))
+
+
+def _ends_of(skeleton: Skeleton) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return parents and children of all bones."""
+    parents, children = np.array(skeleton.bones, np.int64).reshape(-1, 2).T
+    return parents, children

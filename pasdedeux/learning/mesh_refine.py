@@ -18,7 +18,7 @@ from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.errors import InputError
 from pasdedeux.fitting import FitSettings
-from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest
+from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest, check_arrays
 from pasdedeux.settings import Settings
 
 __all__ = ["MeshRefineModel", "MeshRefineSettings"]
@@ -26,11 +26,14 @@ __all__ = ["MeshRefineModel", "MeshRefineSettings"]
 Array = npt.NDArray[np.float64]
 
 
+_MOST_ITERATIONS = 1000
+
+
 class MeshRefineSettings(Settings):
     """From where, and how far."""
 
     start: str = Field("naive_fk", description="Model, or form of one, that gives the start")
-    num_iterations: int = Field(4, ge=0, le=1000, description="Iterations, whether accepted or refused")
+    num_iterations: int = Field(4, ge=0, le=_MOST_ITERATIONS, description="Iterations, whether accepted or refused")
 
 
 @dataclass
@@ -74,12 +77,11 @@ class MeshRefineModel(VariantModel):
     @classmethod
     def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model from its array and its start."""
-        if "num_iterations" not in arrays or built_on is None:
-            raise InputError(
-                "mesh_refine: array 'num_iterations' or the model it starts from is missing; found "
-                + (", ".join(arrays) or "none")
-            )
-        return cls(built_on, int(arrays["num_iterations"][0]))
+        check_arrays(cls.name, arrays, {"num_iterations": (1,)})
+        count = float(arrays["num_iterations"][0])
+        if built_on is None or not 0 <= count <= _MOST_ITERATIONS:
+            raise InputError(f"mesh_refine: the model it starts from is missing, or {count} iterations are asked for")
+        return cls(built_on, int(count))
 
     def predict(self, request: VariantRequest) -> Array:
         """Return where descent comes to; a long take is refined in the solver's windows."""

@@ -27,6 +27,7 @@ __all__ = [
     "TrainingItem",
     "VariantModel",
     "VariantRequest",
+    "check_arrays",
 ]
 
 S = TypeVar("S", bound=Settings)
@@ -64,10 +65,11 @@ class VariantRequest:
             )
         check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id)
 
-    def with_exact_bones(self, motion_m: Array) -> Array:
-        """Return a motion (T, 2, 22, 3), metres, with the directions it has and exactly the bones asked for."""
+    def with_exact_bones(self, motion_m: Array, *, is_aimed: bool = False) -> Array:
+        """Return a motion (T, 2, 22, 3), metres, with exactly the bones asked for, placed by `project_to_bones`."""
         lengths = scaled_lengths(self.source, complete_scales(self.source, self.bone_scale[None]))
-        return np.asarray(project_to_bones(points_of(motion_m)[None], lengths)[0].reshape(motion_m.shape))
+        placed = project_to_bones(points_of(motion_m)[None], lengths, is_aimed=is_aimed)
+        return np.asarray(placed[0].reshape(motion_m.shape))
 
 
 @dataclass(frozen=True)
@@ -215,3 +217,26 @@ class VariantModel(ABC):
         Raises:
             InputError: A take that it was trained on has another number of frames.
         """
+
+
+def check_arrays(name: str, arrays: Arrays, wanted: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse arrays that are not those of a model.
+
+    Args:
+        name: Name of the model.
+        arrays: What is given; more than is wanted is allowed.
+        wanted: Shape of each array that there must be.
+
+    Raises:
+        InputError: Names the array that is missing, of another shape, or of a type that no model has.
+    """
+    for key, shape in wanted.items():
+        if key not in arrays:
+            raise InputError(f"{name}: array '{key}' is missing; found {', '.join(arrays) or 'none'}")
+        if arrays[key].shape != shape:
+            raise InputError(
+                f"{name}: array '{key}' has shape {arrays[key].shape}, not {shape}: weights of another topology or size"
+            )
+    for key, values in arrays.items():
+        if values.dtype not in (np.float32, np.float64):
+            raise InputError(f"{name}: array '{key}' is of {values.dtype}, not float32 or float64")

@@ -25,6 +25,7 @@ from pasdedeux.learning.model import (
     TrainingItem,
     VariantModel,
     VariantRequest,
+    check_arrays,
 )
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22
@@ -120,11 +121,14 @@ class RidgeScaleModel(VariantModel):
     @classmethod
     def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model from its arrays."""
-        for name in ("mix", "is_by_group"):
-            if name not in arrays:
-                raise InputError(f"ridge_scale: array '{name}' is missing; found {', '.join(arrays) or 'none'}")
         takes = {name.removeprefix("take/"): values for name, values in arrays.items() if name.startswith("take/")}
-        return cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
+        wanted = {"mix": (_NUM_POINTS, _NUM_POINTS), "is_by_group": (1,)}
+        check_arrays(cls.name, arrays, wanted)
+        model = cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
+        shape = (len(model.features(np.ones((2, BODY22.num_joints)))), 2, BODY22.num_joints, 3)
+        of_takes = {f"take/{take}": (shape[0], *values.shape[1:2], *shape[1:]) for take, values in takes.items()}
+        check_arrays(cls.name, arrays, of_takes)
+        return model
 
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion: by the take's own quadratic where it was trained on, by the mix elsewhere."""

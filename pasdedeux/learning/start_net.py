@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
-from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, reference_motion
 from pasdedeux.augmentation.source import complete_scales, scaled_lengths
@@ -25,17 +24,17 @@ from pasdedeux.learning.model import (
     Training,
     VariantModel,
     VariantRequest,
+    check_arrays,
 )
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.torch_settings import TorchSettings, require_torch
+from pasdedeux.learning.windows import frames_looked_at, spread
 
 __all__ = ["StartNetModel", "StartNetSettings"]
 
 Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
 
-_RATE_HZ = 10.0
-"""Frames a second that are looked at; between them, displacements follow cubic splines."""
 _VALIDATED = 48
 """Frames of validation items that training looks at."""
 
@@ -105,9 +104,9 @@ class StartNetModel(VariantModel):
             for index in fixed.integers(max(len(validation), 1), size=_VALIDATED if validation else 0)
         ]
 
-        def validate(weights: Mapping[str, Narrow]) -> float:
+        def validate(weights: Mapping[str, Narrow]) -> dict[str, float]:
             errors = [local_mesh.error_m(weights, {name: one[name][None] for name in one}) for one in judged]
-            return 100.0 * float(np.mean(errors)) if errors else float("nan")
+            return {"validation_error_cm": 100.0 * float(np.mean(errors))} if errors else {}
 
         done = train_segment(
             cls.name,
@@ -131,22 +130,15 @@ class StartNetModel(VariantModel):
         require_torch(cls.name)
         from pasdedeux.learning.local_mesh import first_weights
 
-        wanted = {name: values.shape for name, values in first_weights().items()}
-        found = {name: values.shape for name, values in arrays.items()}
-        if found != wanted or not isinstance(built_on, RidgeScaleModel):
-            odd = sorted(name for name in {*wanted, *found} if wanted.get(name) != found.get(name))
-            raise InputError(
-                "start_net: arrays are missing or of another shape, or the ridge_scale it builds on is missing: "
-                + (", ".join(odd) or "ridge_scale")
-            )
-        if not all(np.isfinite(values).all() for values in arrays.values()):
-            raise InputError("start_net: a weight is not finite")
+        check_arrays(cls.name, arrays, {name: values.shape for name, values in first_weights().items()})
+        if not isinstance(built_on, RidgeScaleModel):
+            raise InputError("start_net: the ridge_scale that it builds on is missing")
         return cls(built_on, {name: values.astype(np.float32) for name, values in arrays.items()})
 
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion: by the take's own quadratic where it was trained on, by the network elsewhere."""
         if request.take_id in self.seen.coefficients:
-            return request.with_exact_bones(self.seen.predict(request))
+            return request.with_exact_bones(self.seen.predict(request), is_aimed=True)
         source = request.source
         if self._ready is None or self._ready[0] is not source:
             self._ready = (source, _Pass.over(source, self.weights))
@@ -173,12 +165,8 @@ class _Pass:
         """Do the pass."""
         from pasdedeux.learning.local_mesh import response
 
-        frames = _frames(source)
-        known = _known(source, frames)
-        spread = np.ones((source.num_frames, 1))
-        if len(frames) > 1:
-            spread = CubicSpline(frames, np.eye(len(frames)))(np.arange(source.num_frames))
-        return cls(frames, response(weights, known), np.asarray(spread))
+        frames = frames_looked_at(source)
+        return cls(frames, response(weights, _known(source, frames)), spread(source, frames))
 
     def displacement(self, missing_m: Array) -> Array:
         """Return x = p - r (T, 2, 22, 3) of d = q - r of the same shape, metres."""
@@ -207,7 +195,7 @@ def _gather(items: Items) -> list[_Frame]:
     found: dict[str, dict[str, list[Narrow]]] = {}
     for item in items():
         request, source = item.request, item.request.source
-        frames = _frames(sources.setdefault(request.take_id, source))
+        frames = frames_looked_at(sources.setdefault(request.take_id, source))
         scales = complete_scales(source, request.bone_scale[None])
         lengths = np.broadcast_to(scaled_lengths(source, scales).reshape(2, -1), (len(frames), *scales.shape[1:]))
         one = {
@@ -219,18 +207,13 @@ def _gather(items: Items) -> list[_Frame]:
             found.setdefault(request.take_id, {}).setdefault(name, []).append(values.astype(np.float32))
     gathered = []
     for take_id, source in sources.items():
-        frames = _frames(source)
+        frames = frames_looked_at(source)
         known = _known(source, frames)
         stacked = {name: np.stack(values, axis=1) for name, values in found[take_id].items()}
         for index in range(len(frames)):
             of_frame = {name: values[index] for name, values in stacked.items()}
             gathered.append(_Frame(take_id, {name: values[index] for name, values in known.items()}, of_frame))
     return gathered
-
-
-def _frames(source: Source) -> npt.NDArray[np.int64]:
-    stride = max(round(source.rate_hz / _RATE_HZ), 1)
-    return np.unique(np.append(np.arange(0, source.num_frames, stride), source.num_frames - 1))
 
 
 def _known(source: Source, frames: npt.NDArray[np.int64]) -> dict[str, Narrow]:

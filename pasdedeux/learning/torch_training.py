@@ -49,7 +49,7 @@ def train_segment(
     first: Callable[[], Mapping[str, Narrow]],
     draw: Callable[[], Batch],
     loss: Callable[[Tensors, Tensors], torch.Tensor],
-    validate: Callable[[Mapping[str, Narrow]], float],
+    validate: Callable[[Mapping[str, Narrow]], Mapping[str, float]],
 ) -> TrainedSegment:
     """Do the steps of one segment on one thread; a number that is not finite ends it, and the last segment stands.
 
@@ -60,8 +60,8 @@ def train_segment(
         state: What the segment before left; empty for the first.
         first: Gives the weights to begin with.
         draw: Gives the next batch.
-        loss: Loss of weights on a batch, metres.
-        validate: Error of weights on validation items, cm; the best weights by it are kept.
+        loss: Loss of weights on a batch.
+        validate: Figures of weights on validation items, if there are any; the best weights by the first are kept.
 
     Raises:
         InputError: A loss is not finite, or the device is not there.
@@ -100,16 +100,15 @@ def train_segment(
         optimiser.step()
         total += float(value.detach())
     now: dict[str, Narrow] = {key: tensor.detach().cpu().numpy() for key, tensor in weights.items()}
-    error = validate(now)
+    figures = validate(now)
+    error = next(iter(figures.values()), np.nan)
     before = float(state["best_error"][0]) if begin else np.inf
     is_best = not before <= error
     best = now if is_best else {key: state[f"best/{key}"].astype(np.float32) for key in now}
-    log = [
-        LogEntry(end, "train_error_cm", 100.0 * total / max(end - begin, 1)),
-        LogEntry(end, "validation_error_cm", error),
-    ]
+    log = [LogEntry(end, "train_loss", total / max(end - begin, 1))]
+    log += [LogEntry(end, quantity, value) for quantity, value in figures.items()]
     left: dict[str, npt.NDArray[Any]] = {"best_error": np.array([error if is_best else before])}
     for key, tensor in weights.items():
         left |= {f"weights/{key}": now[key], f"best/{key}": best[key]}
         left |= {f"{moment}/{key}": optimiser.state[tensor][moment].cpu().numpy() for moment in _MOMENTS}
-    return TrainedSegment(best, [entry for entry in log if np.isfinite(entry.value)], left)
+    return TrainedSegment(best, log, left)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pasdedeux.evaluation.models import key_contacts, model_errors, model_figure, model_scores
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, VariantKey, load_model
+from pasdedeux.learning import BASELINES, VariantKey
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.training.items import StoredVariants
-from tasks.training.run import read_arrays
+from tasks.training.run import load_stored, without_torch
 
 __all__ = ["TOPIC"]
 
@@ -30,13 +30,14 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
 
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score every model of a split on its test variants."""
-    manifests = [store.manifest(ref) for ref in shard.refs("models")]
-    facts = manifests[0].facts
+    stored = [store.manifest(ref) for ref in shard.refs("models")]
+    facts = stored[0].facts
+    manifests, left_out = without_torch(stored)
+    notes = [f"{name} is left out: torch is not installed where this was scored" for name in left_out]
+    if not manifests:
+        return TopicResult(notes=notes)
     variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
-    models = {
-        manifest.facts["model"]: load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
-        for manifest in manifests
-    }
+    models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
     keys_of = {take_id: key_contacts(take.source.contacts()) for take_id, take in variants.takes.items()}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in models}
     at: list[float] = []
@@ -61,6 +62,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores=scores,
         pictures={name: model_figure(at, errors, baselines=BASELINES, split=facts["split"])},
         captions={name: f"Error of each model on the {len(at)} test variants of split {facts['split']}.{shared}"},
+        notes=notes,
     )
 
 

@@ -17,9 +17,11 @@ from pasdedeux.learning import (
     TrainingItem,
     VariantKey,
     VariantModel,
+    has_torch,
     load_model,
     model_arrays,
     model_class,
+    needs_torch,
 )
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
@@ -28,7 +30,7 @@ from tasks.training.items import StoredVariants
 from tasks.training.parameters import LeftOutParameters, SegmentParameters
 from tasks.training.plan import split_variants
 
-__all__ = ["read_arrays", "run_shard"]
+__all__ = ["load_stored", "read_arrays", "run_shard", "without_torch"]
 
 _JUDGED = 24
 """Validation variants that the verdict looks at, spread evenly."""
@@ -62,7 +64,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             generator=stream(shard.seed, "training", told.split, told.model, told.segment),
             segment=told.segment,
             state={} if before is None else read_arrays(store, before.ref, "model_states"),
-            start=None if start is None else _load(store, start),
+            start=None if start is None else load_stored(store, start),
         )
     )
     log = [
@@ -86,6 +88,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             "model": told.name,
             "class": told.model,
             "segment": told.segment,
+            "needs_torch": needs_torch(trained.model),
             "takes": sorted({key.take_id for key in train}),
             "shares_takes": split.shares_takes,
             "train": _by_take(train),
@@ -109,8 +112,16 @@ def read_arrays(store: Store, ref: ArtifactRef, table: str = "models") -> dict[s
     }
 
 
-def _load(store: Store, manifest: Manifest) -> VariantModel:
+def load_stored(store: Store, manifest: Manifest) -> VariantModel:
+    """Return the model that an artifact holds; InputError where it needs torch, and that is not installed."""
     return load_model(manifest.facts["class"], read_arrays(store, manifest.ref))
+
+
+def without_torch(manifests: Sequence[Manifest]) -> tuple[list[Manifest], list[str]]:
+    """Return those of some models that can be asked here, and the names of those that need torch, which is missing."""
+    left_out = [] if has_torch() else [manifest for manifest in manifests if manifest.facts["needs_torch"]]
+    found = [manifest for manifest in manifests if manifest not in left_out]
+    return found, [manifest.facts["model"] for manifest in left_out]
 
 
 def _done(shard: Shard, store: Store) -> Iterator[Manifest]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,14 @@ from storage_schema import Manifest, Store, artifact_key
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters, read_take
 from tasks.evaluation.augmentation import TOPIC
+from tasks.evaluation.models import TOPIC as MODELS_TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
 from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
 from tasks.training.run import read_arrays
+from tests.builders.dying_training import train_until_killed
 from tests.builders.moving_pairs import standing_person, swaying_people
 
 FRAMES = 12
@@ -369,30 +372,42 @@ def test_variants_that_failed_are_tested_on_and_not_learned_from(store: Store) -
         train(store, plan_training(takes, all_fail, models=("ridge_scale",)))
 
 
-def test_a_network_is_trained_segment_by_segment_and_goes_on_to_the_same_bytes(store: Store, tmp_path: Path) -> None:
-    chosen = {
-        "models": ("start_net",),
-        "start_net": {"num_steps": 5, "segment_steps": 2, "frames_per_step": 2, "variants_per_step": 2},
+def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed_and_left_out_where_torch_is_missing(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: dict[str, Any] = {
+        "models": ("paper_cvae", "start_net"),
+        "paper_cvae": {"num_steps": 3, "segment_steps": 2, "windows_per_step": 2, "width": 4, "hidden": 4},
+        "start_net": {"num_steps": 3, "segment_steps": 2, "frames_per_step": 2, "variants_per_step": 2},
     }
-    stores = [store, Store(tmp_path / "other")]
+    killed = Store(tmp_path / "other")
     done: list[list[Manifest]] = []
-    for one in stores:
+    for one in (store, killed):
         takes = [put_take(one, "one")]
         shards = plan_training(takes, augment(one, takes), **chosen)
-        assert [shard.name for shard in shards] == ["ridge_scale", *(f"start_net-segment{n}" for n in range(3))]
-        done.append([one.manifest(TRAINING.run_shard(shard, one)) for shard in shards])
+        names = [f"{name}-segment{n}" for name in chosen["models"] for n in range(2)]
+        names.insert(2, "ridge_scale")
+        assert [shard.name for shard in shards] == names
+        if one is killed:
+            assert train_until_killed(shards, one.root, step=3) == -signal.SIGKILL
+            assert [shard.name for shard in shards if one.find("training", shard.key)] == names[:1]
+        done.append(
+            [one.find("training", shard.key) or one.manifest(TRAINING.run_shard(shard, one)) for shard in shards]
+        )
     assert [made.ref for made in done[0]] == [made.ref for made in done[1]]
-    assert [sorted(set(made.tables) - {"training_log"}) for made in done[0]] == [
-        ["models"],
-        ["model_states"],
-        ["model_states"],
-        ["models"],
-    ]
+    tables = [(set(made.tables) - {"training_log"}).pop() for made in done[0]]
+    assert tables == ["model_states", "models", "models", "model_states", "models"]
     arrays = read_arrays(store, done[0][-1].ref)
     assert arrays["own"].dtype == np.float32
     assert arrays["on:ridge_scale/mix"].dtype == np.float64
-    steps = [set(store.read(made.ref, "training_log")["step"]) - {0} for made in done[0][1:]]
-    assert steps == [{2}, {4}, {5}]
+    steps = [set(store.read(made.ref, "training_log")["step"]) - {0} for made in done[0]]
+    assert steps == [{2}, {3}, set(), {2}, {3}]
+    made = {"models": [done[0][n] for n in (1, 2, 4)], "poses": takes, "variants": augment(store, takes)}
+    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
+    (shard,) = MODELS_TOPIC.plan(StageInputs(made, seed=3), Parameters())
+    scored = MODELS_TOPIC.run(shard, store)
+    assert {score.method for score in scored.scores} == {"ridge_scale"}
+    assert [note.partition(" is left out")[0] for note in scored.notes] == ["paper_cvae", "start_net"]
 
 
 def test_where_torch_is_missing_what_needs_it_is_left_out_and_named(

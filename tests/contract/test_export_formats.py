@@ -14,10 +14,12 @@ from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
+from pasdedeux.learning import load_model, read_weights
 from storage_schema import SourceCredit, Store, open_table, parse_reference
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tests.builders.storage_rows import random_columns
+from tests.builders.stored_models import put_model
 
 NUM_SEEDS = 2
 CREDIT = SourceCredit(name="a studio", licence="CC0", credit="Made by a studio")
@@ -47,6 +49,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
         tables={"seeds": columns},
         facts={},
         sources=[CREDIT],
+    )
+    put_model(
+        store, load_model("copy", {}), "random", [one for one in store.artifacts("ingest") if "poses" in one.tables]
     )
     return store
 
@@ -93,11 +98,21 @@ def check_json(paths: list[Path], text: str, store: Store) -> None:
     assert all(pair.sources[0].credit == CREDIT.credit for pair in pairs)
 
 
+def check_safetensors(paths: list[Path], text: str, store: Store) -> None:
+    weights, card = paths
+    assert [path.name for path in paths] == ["random_copy.safetensors", "random_copy.md"]
+    assert read_weights(weights.read_bytes(), weights.name).model.name == "copy"
+    (source,) = next(store.artifacts("training")).inputs
+    for wanted in (source.key, source.content_digest, "`random`, seed 0", '"reach": 0.15', "1.25 cm", "naive_fk 2 cm"):
+        assert wanted in card.read_text()
+
+
 READ_BACK: dict[str, Callable[[list[Path], str, Store], None]] = {
     "npz": check_npz,
     "csv": check_csv,
     "bvh": check_bvh,
     "json": check_json,
+    "safetensors": check_safetensors,
 }
 """How a program of others reads each format."""
 

@@ -1,5 +1,8 @@
 """What every registered model does, as `VariantModel` says."""
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -23,9 +26,16 @@ from tests.builders.moving_pairs import swaying_pair
 
 TAKE = Source(swaying_pair(8), 30.0, "sway")
 UNSEEN = Source(swaying_pair(5, seed=9), 30.0, "unseen")
-SMALL = {"start_net": lambda kind: kind(num_steps=12, segment_steps=5, frames_per_step=4, variants_per_step=4)}
+SMALL = {
+    "start_net": {"num_steps": 12, "segment_steps": 5, "frames_per_step": 4, "variants_per_step": 4},
+    "paper_cvae": {"num_steps": 25, "segment_steps": 10, "windows_per_step": 4, "num_blocks": 1, "kernel": 1}
+    | {"width": 8, "hidden": 8, "latent_size": 4, "learning_rate": 0.01},
+}
 """Settings of models that would take long."""
 KINDS = pytest.mark.parametrize("kind", MODELS.values(), ids=MODELS)
+
+
+Trainer = Callable[[type[VariantModel]], VariantModel]
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +47,15 @@ def variants() -> list[TrainingItem]:
     ]
 
 
+@pytest.fixture(scope="module")
+def trained(variants: list[TrainingItem]) -> Trainer:
+    """Return a function that trains a model on the variants, once for all tests."""
+    return cache(lambda kind: train(kind, variants))
+
+
 def train(kind: type[VariantModel], variants: list[TrainingItem]) -> VariantModel:
     """Train all segments, each from what the one before left as a store would keep it."""
-    settings = SMALL[kind.name](kind.settings) if kind.name in SMALL else kind.settings()
+    settings = kind.settings.model_validate(SMALL.get(kind.name, {}))
     start = kind.start(settings)
     built_on = None if start is None else train(MODELS[start], variants)
     state: Arrays = {}
@@ -67,9 +83,9 @@ def requests() -> list[VariantRequest]:
 
 @KINDS
 def test_a_model_predicts_finite_motions_of_both_people_for_seen_and_unseen_takes(
-    kind: type[VariantModel], variants: list[TrainingItem]
+    kind: type[VariantModel], trained: Trainer
 ) -> None:
-    model = train(kind, variants)
+    model = trained(kind)
     for request in requests():
         motion = model.predict(request)
         assert motion.shape == request.source.positions_m.shape
@@ -80,9 +96,9 @@ def test_a_model_predicts_finite_motions_of_both_people_for_seen_and_unseen_take
 
 @KINDS
 def test_training_again_gives_the_same_arrays_and_the_arrays_the_same_model(
-    kind: type[VariantModel], variants: list[TrainingItem]
+    kind: type[VariantModel], variants: list[TrainingItem], trained: Trainer
 ) -> None:
-    model, again = train(kind, variants), train(kind, variants)
+    model, again = trained(kind), train(kind, variants)
     arrays = model_arrays(model)
     assert arrays
     assert {name: values.tobytes() for name, values in arrays.items()} == {
@@ -95,8 +111,8 @@ def test_training_again_gives_the_same_arrays_and_the_arrays_the_same_model(
 
 
 @KINDS
-def test_bone_lengths_are_exact_where_promised(kind: type[VariantModel], variants: list[TrainingItem]) -> None:
-    model = train(kind, variants)
+def test_bone_lengths_are_exact_where_promised(kind: type[VariantModel], trained: Trainer) -> None:
+    model = trained(kind)
     errors = []
     for request in requests():
         wanted = request.source.lengths_m * request.bone_scale

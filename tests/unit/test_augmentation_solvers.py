@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from scipy.optimize import least_squares
 
 from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.bulk import BulkResult, BulkSolver
+from pasdedeux.augmentation.bulk import BulkResult, BulkSolver, project_to_bones
 from pasdedeux.augmentation.energy import descend, fit_terms, total_energy
 from pasdedeux.augmentation.factor import factorise, solve
 from pasdedeux.augmentation.problem import Problem, Targets
@@ -20,7 +20,7 @@ from pasdedeux.augmentation.variations import (
 )
 from pasdedeux.choreography import make_duet
 from pasdedeux.fitting import BoneForest, FitSettings
-from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
@@ -360,3 +360,24 @@ def test_the_result_does_not_depend_much_on_the_frame_rate() -> None:
 def test_bad_settings_are_refused(settings: dict[str, Any], found: str) -> None:
     with pytest.raises(ValidationError, match=found):
         AugmentationSettings.model_validate(settings)
+
+
+def test_the_compiled_projection_to_bones_is_plain_kinematics_to_the_last_bit() -> None:
+    generator = np.random.default_rng(0)
+    people, lengths = generator.normal(size=(3, 7, 2, 22, 3)), generator.uniform(0.1, 0.6, (3, 44))
+    people[:, :, 1, 5] = people[:, :, 1, BODY22.parents[5]]
+    directions = bone_directions(BODY22, people)
+    plain = place_bones(BODY22, people[..., BODY22.root, :], directions, lengths.reshape(3, 1, 2, 22))
+    points = plain.reshape(3, 7, 44, 3)
+    np.testing.assert_array_equal(project_to_bones(people.reshape(points.shape), lengths), points)
+
+
+def test_bones_that_are_aimed_are_exact_and_end_nearer_to_where_joints_are() -> None:
+    generator = np.random.default_rng(0)
+    points = swaying_pair(7).reshape(1, 7, 44, 3) + generator.normal(0.0, 0.01, (1, 7, 44, 3))
+    lengths = 1.02 * bone_lengths(BODY22, swaying_pair(7))[:1].reshape(1, 44)
+    kept, aimed = (project_to_bones(points, lengths, is_aimed=is_aimed) for is_aimed in (False, True))
+    found = bone_lengths(BODY22, aimed.reshape(7, 2, 22, 3)).reshape(7, 44)
+    np.testing.assert_allclose(found, np.broadcast_to(lengths, found.shape), atol=1e-12)
+    away = [np.linalg.norm(placed - points, axis=-1).mean() for placed in (kept, aimed)]
+    assert away[1] < 0.8 * away[0]

@@ -15,12 +15,15 @@ from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.kinematics import Motion
+from pasdedeux.learning import RidgeScaleModel, Weights, load_model, write_weights
 from pasdedeux.skeletons import BODY22
-from storage_schema import Store
+from storage_schema import Store, resolve
+from tasks.augmentation import read_take
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tests.builders.own_sources import write_walk
 from tests.builders.source_samples import bvh_text, figure_motion
+from tests.builders.stored_models import put_model
 
 ELBOWS, KNEES = BODY22.indices(["left_elbow", "right_elbow"]), BODY22.indices(["left_ankle", "right_ankle"])
 
@@ -203,3 +206,40 @@ def test_takes_that_are_none_end_with_a_sentence(
     ):
         assert run_command_line(["retarget", *words, *rest]) == 2
         assert sentence in capsys.readouterr().err
+
+
+def test_a_trained_model_of_a_store_or_a_file_gives_the_motion_and_what_it_learned_holds_for_its_own_takes(
+    store: tuple[Store, str], files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root, take = store[0], store[0].manifest(resolve(store[1], store[0])[0])
+    source = read_take(root, take.ref).source
+    still = RidgeScaleModel(coefficients={"waltz": np.zeros((5, *source.positions_m.shape))})
+    put_model(root, still, "random", [take])
+    of_scales = put_model(root, still, "cross_scale", [take])
+    put_model(root, load_model("naive_fk", {}), "random", [])
+    (tmp_path / "w.safetensors").write_bytes(write_weights(Weights(still, {"waltz": "another take"})))
+    words = ["retarget", store[1], "--to", str(files / "long.bvh"), "--store", str(root.root)]
+
+    def written_by(model: str) -> tuple[bytes, str]:
+        assert run_command_line([*words, "--model", model, "--out", str(tmp_path / "o")]) == 0
+        return (tmp_path / "o" / "waltz_retarget_B.bvh").read_bytes(), capsys.readouterr().err
+
+    known, said = written_by(f"ridge_scale@models@{of_scales.ref.key[:12]}")
+    assert "ridge_scale was trained on take waltz" in said
+    unknown, said = written_by(str(tmp_path / "w.safetensors"))
+    assert "ridge_scale was not trained on take waltz" in said
+    plain, _ = written_by("naive_fk")
+    assert known != unknown
+    assert unknown == plain
+    for model, sentence in (
+        ("ridge_scale", "2 models of the store have this name; say which: ridge_scale@models@"),
+        ("oracle", "0 models of the store have this name"),
+        (str(tmp_path / "none.safetensors"), "does not exist"),
+        (str(files / "legs.csv"), "0 models of the store have this name"),
+    ):
+        assert run_command_line([*words, "--model", model, "--out", str(tmp_path / "no")]) == 2
+        assert sentence in capsys.readouterr().err
+        assert not (tmp_path / "no").exists()
+    alone = ["retarget", str(files / "a.bvh"), *words[2:], "--model", "naive_fk", "--out", str(tmp_path / "no")]
+    assert run_command_line(alone) == 2
+    assert "models are of takes of two people, this one has 1" in capsys.readouterr().err

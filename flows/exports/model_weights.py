@@ -1,0 +1,85 @@
+"""Trained models as safetensors, each with a card that says what it was trained on and how good it is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from flows.exports.export_format import Export, ExportFormat, FileNames, write_text
+from pasdedeux.learning import Weights, write_weights
+from storage_schema import Manifest, Reference, Store
+from tasks.stage import verdict_of
+from tasks.training.run import load_stored
+
+__all__ = ["ModelWeights", "stored_weights"]
+
+
+class ModelWeights(ExportFormat):
+    """A file of weights for each model, `retarget --model` reads it back, and a model card in markdown beside it."""
+
+    writes = "models"
+
+    def can_write(self, reference: Reference) -> bool:
+        """Tell whether the reference names models."""
+        return reference.table == "models" and reference.row is None
+
+    def write(self, export: Export, out: Path) -> Iterable[Path]:
+        """Write weights and cards."""
+        names = FileNames()
+        paths = []
+        for ref in export.refs:
+            manifest = export.store.manifest(ref)
+            path = out / f"{names.free('{split}_{model}'.format_map(manifest.facts))}.safetensors"
+            path.write_bytes(write_weights(stored_weights(export.store, manifest)))
+            paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
+        return paths
+
+
+FORMAT = ModelWeights()
+
+
+def stored_weights(store: Store, manifest: Manifest) -> Weights:
+    """Return a stored model and the takes that it was trained on."""
+    takes = {
+        str(read.facts["take_id"]): read.ref.content_digest
+        for read in _read(store, manifest)
+        if read.ref.stage == "ingest" and read.facts["take_id"] in manifest.facts["takes"]
+    }
+    return Weights(load_stored(store, manifest), takes)
+
+
+def _read(store: Store, manifest: Manifest) -> list[Manifest]:
+    """Return what a model was trained on, as far as it is still in the store."""
+    found = (store.find(ref.stage, ref.key) for ref in manifest.inputs)
+    return [one for one in found if one is not None]
+
+
+def _card(store: Store, manifest: Manifest) -> Iterator[str]:
+    facts, told = manifest.facts, manifest.parameters
+    yield from (f"# {facts['model']}, split {facts['split']}", "")
+    counted = {part: sum(map(len, facts[part].values())) for part in ("train", "validation", "test")}
+    yield f"- class: `{facts['class']}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
+    yield f"- split: `{facts['split']}`, seed {manifest.seed}; variants: " + ", ".join(
+        f"{part} {count}" for part, count in counted.items()
+    )
+    yield f"- takes trained on: {', '.join(facts['takes']) or 'none'}"
+    if facts["shares_takes"]:
+        yield "- the takes of its test variants are those it was trained on, at other scales"
+    yield f"- trained by pasdedeux {manifest.code_version}, stage version {manifest.version}"
+    yield from ("", "## Parameters", "", "```json", json.dumps(told.get("settings", {}), indent=1), "```", "")
+    yield from ("## Metrics", "", "| what | value | baseline |", "|---|---|---|")
+    said = verdict_of(manifest)
+    if said is not None and said.figure:
+        beside = f"{said.baseline_name} {said.baseline:.4g} {said.unit}" if said.baseline_name else ""
+        yield f"| {said.figure} | {said.value:.4g} {said.unit} | {beside} |"
+    for scores in store.artifacts("evaluation"):
+        if manifest.ref in scores.inputs and "scores" in scores.tables:
+            rows = store.read(scores.ref, "scores")
+            for row in map(rows.row, range(rows.num_rows)):
+                if row["method"] == facts["model"] and row["item"] == "all" and np.isnan(row["at"]):
+                    yield f"| {row['metric']}, {row['split']} | {row['value']:.4g} {row['unit']} | |"
+    yield from ("", "## Data", "", "Stage, key, content digest of what was read:", "")
+    yield from (f"- {ref.stage} {ref.key} {ref.content_digest}" for ref in manifest.inputs)

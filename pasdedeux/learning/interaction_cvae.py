@@ -1,0 +1,168 @@
+"""The networks of `paper_cvae`, in torch: three autoencoders, equations 1 to 8 of Li et al. (2024).
+
+p(q'_A, q'_B, B_s | q_A, q_B) = p(q'_A | q'_B, q_A) p(q'_B | B_s, q_B) p(B_s): scales from z by MLP2; B's change from z,
+the scales and the template's first and last frame by G-GRU1; A's change from z, B's motion as ST-GCN3 sees it and the
+template's first and last frame by G-GRU2.  The second person is the scaled one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from pasdedeux.learning.paper_settings import PaperCvaeSettings
+from pasdedeux.learning.torch_layers import (
+    Shapes,
+    Tensors,
+    dense,
+    divergence,
+    draw_latent,
+    graph_gru,
+    mlp,
+    shapes_of_dense,
+    shapes_of_graph_gru,
+    shapes_of_mlp,
+    shapes_of_st_gcn,
+    st_gcn,
+)
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["InteractionCvae"]
+
+Narrow = npt.NDArray[np.float32]
+
+_JOINTS = BODY22.num_joints
+_BONES = [joint for joint in range(_JOINTS) if joint != BODY22.root]
+_CHILDREN, _PARENTS = [child for _, child in BODY22.bones], [parent for parent, _ in BODY22.bones]
+_ENDS = 6 * _JOINTS
+_MLP1 = (16, 32, 64, 128, 256)
+_MLP2 = (256, 128, 64, 32, len(_BONES))
+_W1, _W2, _W3 = 0.75, 0.1, 0.05
+_W4 = 1.0 - _W1 - _W2 - _W3
+
+
+@dataclass(frozen=True)
+class InteractionCvae:
+    """What the networks compute for sizes that the settings say.
+
+    Batches hold `template_m`, `motion_m` (W, T, 2, 22, 3), metres, and `scale` (W, 22), standardised; in training also
+    unit noise `noise_s` (W, 256), `noise_b`, `noise_a` (W, latent).
+    """
+
+    settings: PaperCvaeSettings
+
+    def shapes(self) -> Shapes:
+        """Return the shapes of all weights."""
+        s = self.settings
+        size = s.latent_size
+        shapes = shapes_of_mlp("mlp1", (len(_BONES), *_MLP1)) | shapes_of_dense("mlp1/z", _MLP1[-1], 2 * _MLP2[0])
+        shapes |= shapes_of_mlp("mlp2", _MLP2)
+        for name, inputs in (("st_gcn1", 4), ("st_gcn2", 3), ("st_gcn3", 3)):
+            shapes |= shapes_of_st_gcn(name, inputs, s.width, s.num_blocks, s.kernel)
+        shapes |= shapes_of_dense("z_b", _JOINTS * s.width + _ENDS, 2 * size)
+        shapes |= shapes_of_dense("z_a", 2 * _JOINTS * s.width + _ENDS, 2 * size)
+        for name, known in (("g_gru1", size + 6 + 1), ("g_gru2", size + 6 + s.width)):
+            shapes |= shapes_of_graph_gru(name, known, s.hidden, 3)
+        return shapes
+
+    def loss(self, weights: Tensors, batch: Tensors) -> torch.Tensor:
+        """Return equation 4: the sum of the losses of scales, of B and of A, means over the windows."""
+        template, motion = batch["template_m"], batch["motion_m"]
+        scale = batch["scale"][:, _BONES]
+        found = self._encode_scale(weights, scale)
+        again = self.decode_scale(weights, draw_latent(found, batch["noise_s"]))
+        of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
+        found_b, found_a = self._encode(weights, batch)
+        b = self._decode_b(weights, batch, draw_latent(found_b, batch["noise_b"]))
+        a = self._decode_a(weights, batch, draw_latent(found_a, batch["noise_a"]), motion[:, :, 1])
+        of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * divergence(found_b)
+        of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * divergence(found_a)
+        return of_scales + of_b + of_a
+
+    def posterior(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> tuple[Narrow, Narrow]:
+        """Return the means of z of B and of A (W, latent) that the encoders see in motions: they know the answer."""
+        tensors = _tensors(weights), _tensors(batch)
+        with torch.no_grad():
+            b, a = (found.chunk(2, -1)[0].numpy() for found in self._encode(*tensors))
+        return b, a
+
+    def displacement(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> Narrow:
+        """Return how far both move from the template (W, T, 2, 22, 3), metres, for `z_b`, `z_a` of the batch."""
+        torch.set_num_threads(1)
+        own, given = _tensors(weights), _tensors(batch)
+        with torch.no_grad():
+            b = self._decode_b(own, given, given["z_b"])
+            a = self._decode_a(own, given, given["z_a"], given["template_m"][:, :, 1] + b)
+            return np.asarray(torch.stack([a, b], 2).numpy())
+
+    def scales(self, weights: Mapping[str, Narrow], z: Narrow) -> Narrow:
+        """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
+        with torch.no_grad():
+            found = np.zeros((len(z), _JOINTS), np.float32)
+            found[:, _BONES] = self.decode_scale(_tensors(weights), torch.from_numpy(z)).numpy()
+        return found
+
+    def decode_scale(self, weights: Tensors, z: torch.Tensor) -> torch.Tensor:
+        """Return scales (W, 21) of latents: MLP2."""
+        return mlp(weights, "mlp2", z, len(_MLP2) - 1)
+
+    def _encode_scale(self, weights: Tensors, scale: torch.Tensor) -> torch.Tensor:
+        return dense(weights, "mlp1/z", torch.relu(mlp(weights, "mlp1", scale, len(_MLP1))))
+
+    def _encode(self, weights: Tensors, batch: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return means and logarithms of variances of z of B and of A: equations 2 and 3, the first lines."""
+        template, motion = batch["template_m"], batch["motion_m"]
+        change = motion - template
+        scale = batch["scale"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
+        b = self._gcn(weights, "st_gcn1", torch.cat([change[:, :, 1], scale], -1))
+        a, partner = self._gcn(weights, "st_gcn2", change[:, :, 0]), self._gcn(weights, "st_gcn3", motion[:, :, 1])
+        ends = _ends(template).flatten(2)
+        return (
+            dense(weights, "z_b", torch.cat([b.flatten(1), ends[:, 1]], -1)),
+            dense(weights, "z_a", torch.cat([a.flatten(1), ends[:, 0], partner.flatten(1)], -1)),
+        )
+
+    def _decode_b(self, weights: Tensors, batch: Tensors, z: torch.Tensor) -> torch.Tensor:
+        return self._unroll(weights, "g_gru1", batch, 1, z, batch["scale"][..., None])
+
+    def _decode_a(self, weights: Tensors, batch: Tensors, z: torch.Tensor, b_m: torch.Tensor) -> torch.Tensor:
+        return self._unroll(weights, "g_gru2", batch, 0, z, self._gcn(weights, "st_gcn3", b_m))
+
+    def _unroll(
+        self, weights: Tensors, name: str, batch: Tensors, person: int, z: torch.Tensor, seen: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the change of one person frame after frame (W, T, 22, 3): equations 2 and 3, the second lines."""
+        template = batch["template_m"]
+        known = torch.cat([z[:, None].expand(-1, _JOINTS, -1), _ends(template)[:, person], seen], -1)
+        return graph_gru(weights, name, known, template.shape[1])
+
+    def _gcn(self, weights: Tensors, name: str, x: torch.Tensor) -> torch.Tensor:
+        return st_gcn(weights, name, x, self.settings.num_blocks, self.settings.kernel)
+
+    def _motion_loss(self, found_m: torch.Tensor, motion_m: torch.Tensor) -> torch.Tensor:
+        """Return equations 6 and 8 without z: norms summed as printed, or the mean over frames, joints and axes."""
+        terms = (
+            (_W1, (found_m - motion_m).abs()),
+            (_W2, (found_m.diff(dim=1) - motion_m.diff(dim=1)).abs()),
+            (_W3, (_lengths(found_m) - _lengths(motion_m)) ** 2),
+        )
+        if self.settings.norm == "averaged":
+            return torch.stack([share * values.mean() for share, values in terms if values.numel()]).sum()
+        return torch.stack([share * values.flatten(1).sum(1).mean() for share, values in terms]).sum()
+
+
+def _ends(template: torch.Tensor) -> torch.Tensor:
+    """Return the first and the last frame of each person's template (W, 2, 22, 6)."""
+    return torch.cat([template[:, 0], template[:, -1]], -1)
+
+
+def _lengths(motion_m: torch.Tensor) -> torch.Tensor:
+    return (motion_m[..., _CHILDREN, :] - motion_m[..., _PARENTS, :]).norm(dim=-1)
+
+
+def _tensors(arrays: Mapping[str, Narrow]) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in arrays.items()}

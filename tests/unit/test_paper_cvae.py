@@ -1,0 +1,105 @@
+"""The published conditional VAE: what it keeps whatever it learned, its losses as printed, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pasdedeux.augmentation import Source, uniform_variations
+from pasdedeux.errors import InputError
+from pasdedeux.learning import Training, TrainingItem, VariantRequest, load_model, model_arrays
+from pasdedeux.learning.interaction_cvae import InteractionCvae
+from pasdedeux.learning.paper_cvae import PaperCvaeModel
+from pasdedeux.learning.torch_layers import divergence, draw_latent
+from pasdedeux.skeletons import BODY22
+from tests.builders.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(48), 20.0, "sway")
+SMALL = PaperCvaeModel.settings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
+SCALED_A, SCALED_B, BOTH = (v.bone_scale for v in uniform_variations([0.8], ["A", "B", "AB"]))
+
+
+def _model(seed: int = 5) -> PaperCvaeModel:
+    """Return a model with weights that somebody might have learned."""
+    generator = np.random.default_rng(seed)
+    weights = {
+        name: generator.normal(0.0, 0.1, shape).astype(np.float32)
+        for name, shape in InteractionCvae(SMALL).shapes().items()
+    }
+    standard = np.stack([np.ones(22), np.full(22, 0.1)]).astype(np.float32)
+    return PaperCvaeModel(SMALL, SMALL.length, standard, weights)
+
+
+def _ask(source: Source, scale: np.ndarray) -> np.ndarray:
+    return np.asarray(_model().predict(VariantRequest("another", source, scale)))
+
+
+def test_a_turned_or_swapped_pair_is_answered_by_the_turned_or_swapped_motion() -> None:
+    plain, source = _ask(TAKE, SCALED_A), TAKE.positions_m
+    assert np.abs(plain - source).max() > 0.01
+    turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
+    turned = replace(TAKE, positions_m=source @ turn.T + (3.0, 0.0, -2.0))
+    np.testing.assert_allclose(_ask(turned, SCALED_A), plain @ turn.T + (3.0, 0.0, -2.0), atol=1e-4)
+    swapped = replace(TAKE, positions_m=np.ascontiguousarray(source[:, ::-1]))
+    np.testing.assert_allclose(_ask(swapped, SCALED_A[::-1]), plain[:, ::-1], atol=1e-12)
+
+
+def test_where_both_are_scaled_what_it_says_of_either_is_added() -> None:
+    moved = [_ask(TAKE, scale) - TAKE.positions_m for scale in (SCALED_A, SCALED_B, BOTH)]
+    np.testing.assert_allclose(moved[0] + moved[1], moved[2], atol=1e-12)
+
+
+def test_takes_shorter_than_a_window_or_a_little_longer_are_answered_smoothly() -> None:
+    for count in (1, 2, 19, 21, 23, 48):
+        motion = _ask(TAKE.take_frames(slice(0, count)), SCALED_B)
+        assert motion.shape == (count, 2, 22, 3)
+        assert np.isfinite(motion).all()
+    moved = motion - TAKE.positions_m
+    # Where one window ends another goes on: no frame moves further from the one before than ten times the median.
+    step = np.linalg.norm(np.diff(moved, axis=0), axis=-1).mean(axis=(1, 2))
+    assert step.max() < 10.0 * np.median(step)
+
+
+def test_losses_are_those_of_the_paper() -> None:
+    generator = torch.Generator().manual_seed(0)
+    true, found = torch.randn(2, 3, 4, 22, 3, generator=generator)
+    lengths = [
+        torch.stack([(m[..., child, :] - m[..., parent, :]).norm(dim=-1) for parent, child in BODY22.bones], -1)
+        for m in (found, true)
+    ]
+    speeds = [motion[:, 1:] - motion[:, :-1] for motion in (found, true)]
+    terms = (found - true).abs(), (speeds[0] - speeds[1]).abs(), (lengths[0] - lengths[1]) ** 2
+    for norm, reduced in (("summed", lambda x: x.sum() / len(true)), ("averaged", torch.mean)):
+        wanted = 0.75 * reduced(terms[0]) + 0.1 * reduced(terms[1]) + 0.05 * reduced(terms[2])
+        cvae = InteractionCvae(SMALL.model_copy(update={"norm": norm}))
+        torch.testing.assert_close(cvae._motion_loss(found, true), wanted)
+
+
+def test_the_divergence_is_that_of_normals() -> None:
+    found = torch.tensor([[0.3, -1.0, 0.5, -0.2]])
+    normal = torch.distributions.Normal(found[:, :2], torch.exp(0.5 * found[:, 2:]))
+    unit = torch.distributions.Normal(torch.zeros(1, 2), torch.ones(1, 2))
+    torch.testing.assert_close(divergence(found), torch.distributions.kl_divergence(normal, unit).sum())
+    torch.testing.assert_close(draw_latent(found, torch.ones(1, 2)), normal.mean + normal.stddev)
+
+
+def test_a_generated_pair_has_scales_of_its_own_and_the_same_seed_gives_the_same() -> None:
+    (scale, motion), again, other = (_model().generate(TAKE, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(motion, again[1])
+    assert np.abs(motion - other[1]).max() > 1e-4
+    assert scale.shape == (22,)
+    assert scale.min() > 0.0
+
+
+def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_refused() -> None:
+    both = [TrainingItem("AB", VariantRequest("sway", TAKE, BOTH), TAKE.positions_m)]
+    with pytest.raises(InputError, match="no variant of one scaled person"):
+        PaperCvaeModel.train(Training(lambda: iter(both), settings=SMALL))
+    arrays = model_arrays(_model())
+    with pytest.raises(InputError, match=r"'st_gcn1/0/edges' has shape \(18, 18\), not \(22, 22\)"):
+        load_model("paper_cvae", {**arrays, "st_gcn1/0/edges": np.ones((18, 18), np.float32)})
+    with pytest.raises(InputError, match=r"sizes .* are out of range"):
+        load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3], np.float32)})
+    with pytest.raises(ValueError, match="is even"):
+        PaperCvaeModel.settings.model_validate({"kernel": 4})

@@ -1,0 +1,99 @@
+"""Trained models as files: they come back the same, and what is no model of ours is refused in a sentence."""
+
+import contextlib
+import json
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load, save
+
+from pasdedeux.augmentation import Source, uniform_variations
+from pasdedeux.errors import InputError
+from pasdedeux.learning import (
+    RidgeAdaptedModel,
+    RidgeScaleModel,
+    Training,
+    TrainingItem,
+    VariantRequest,
+    Weights,
+    load_model,
+    model_arrays,
+    read_weights,
+    write_weights,
+)
+from pasdedeux.skeletons import BODY22
+from tests.builders.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(6), 30.0, "sway")
+SCALES = [variation.bone_scale for variation in uniform_variations([0.9, 1.1], ["A"])]
+ITEMS = [TrainingItem("v", VariantRequest("sway", TAKE, scale), TAKE.positions_m * scale[0, 1]) for scale in SCALES]
+RIDGE = RidgeScaleModel.train(Training(lambda: iter(ITEMS))).model
+MODEL = RidgeAdaptedModel.train(Training(lambda: iter(ITEMS), start=RIDGE)).model
+DATA = write_weights(Weights(MODEL, {"sway": "digest"}))
+
+
+def _forged(change: dict[str, np.ndarray], **said: str) -> bytes:
+    """Return the file with other arrays or other words in it."""
+    words = {"model": "ridge_adapted", "joints": ",".join(BODY22.joint_names), "takes": "{}"} | said
+    return bytes(save(load(DATA) | change, metadata={"pasdedeux": json.dumps(words)}))
+
+
+def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes_are_the_same() -> None:
+    again = read_weights(DATA, "w")
+    assert again.takes == {"sway": "digest"}
+    request = ITEMS[0].request
+    np.testing.assert_array_equal(again.model.predict(request), MODEL.predict(request))
+    assert write_weights(again) == DATA
+    assert {name: a.tobytes() for name, a in model_arrays(again.model).items()} == {
+        name: a.tobytes() for name, a in model_arrays(MODEL).items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        (b"", "no weights of a model"),
+        (DATA[:-7], "no weights of a model"),
+        (pickle.dumps({"mix": np.eye(44)}), "no weights of a model"),
+        ((2**62).to_bytes(8, "little") + DATA[8:], "no weights of a model"),
+        (bytes(save({"mix": np.eye(44)})), "no weights of a model"),
+        (bytes(save({"mix": np.eye(44)}, metadata={"pasdedeux": "[" * 100_000})), "no weights of a model"),
+        (_forged({}, joints="hips,head"), "another topology, 2 joints: hips,head"),
+        (_forged({}, model="oracle"), "model 'oracle' is not known"),
+        (
+            _forged({"on:ridge_scale/mix": np.eye(36)}),
+            r"'mix' has shape \(36, 36\), not \(44, 44\): weights of another",
+        ),
+        (_forged({"on:ridge_scale/take/sway": np.ones((5, 6, 2, 18, 3))}), "'take/sway' has shape"),
+        (_forged({"on:ridge_scale/mix": np.full((44, 44), np.nan)}), "'mix' has a value that is not finite"),
+        (_forged({"adaptation": np.array([1e9, 1.0])}), "is out of range"),
+        (_forged({"adaptation": np.array([1, 1])}), "is of int64, not float32 or float64"),
+        (_forged({"on:ridge_adapted/adaptation": np.ones(2)}), "builds on itself"),
+        (_forged({"on:copy/" * 5_000 + "form": np.ones(1)}), "builds on itself"),
+        (_forged({"num_iterations": np.array([1e12])}, model="mesh_refine"), "iterations are asked for"),
+    ],
+)
+def test_what_is_no_model_of_ours_ends_with_one_sentence_that_names_the_file(data: bytes, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence) as found:
+        read_weights(data, "w.safetensors")
+    assert str(found.value).startswith("w.safetensors: ")
+    assert "\n" not in str(found.value)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_whatever_is_changed_in_the_head_of_a_file_it_is_read_or_refused(data: st.DataObject) -> None:
+    size = 8 + int.from_bytes(DATA[:8], "little")
+    place, byte = data.draw(st.integers(0, size - 1)), data.draw(st.integers(0, 255))
+    with contextlib.suppress(InputError):
+        assert read_weights(DATA[:place] + bytes([byte]) + DATA[place + 1 :], "w").model.name == "ridge_adapted"
+
+
+def test_a_take_that_a_model_does_not_know_is_another_whatever_its_name() -> None:
+    with pytest.raises(InputError, match="learned take sway with 6 frames, asked for 4"):
+        load_model("ridge_scale", model_arrays(RIDGE)).predict(
+            VariantRequest("sway", TAKE.take_frames(slice(0, 4)), SCALES[0])
+        )

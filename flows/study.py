@@ -36,7 +36,7 @@ class StudyHead(BaseModel):
         description="Study whose keys hold where this one does not say otherwise: one that ships, or a path from here",
     )
     title: str = Field(
-        "", description="One line for people, shown where studies are listed; the report has `evaluation.title`"
+        "", description="One line for people, where studies are listed and on the report without `evaluation.title`"
     )
     seed: int = Field(0, ge=0, lt=2**63, description="Seed of every random stream of the study")
     stages: tuple[str, ...] | None = Field(None, description="Stages to build; all of them when not given")
@@ -142,6 +142,8 @@ def study_from_tree(
     parameters: dict[str, Parameters] = {}
     for stage in graph.stages:
         values = tree.values.get(stage.name, {})
+        if head is not None and head.title and "title" in stage.parameters.model_fields and isinstance(values, dict):
+            values = {"title": head.title, **values}
         for name, settings_of in shared.items():
             if settings_of is not None and isinstance(values, dict):
                 taken = shared_keys(stage.parameters, [type(settings_of)])

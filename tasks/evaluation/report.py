@@ -32,7 +32,10 @@ READS = ("takes", "take_quality", "training_log")
 class PageSettings(Parameters):
     """What the page says of the study."""
 
-    title: str = Field("A dataset of close two-person motion", description="Title of the report and the card")
+    title: str = Field(
+        "A dataset of close two-person motion",
+        description="Title of the report and the card; that of the study by default",
+    )
     max_page_mb: float = Field(
         4.5, gt=0, le=50, description="Size of the report's page; pictures that do not fit lie beside it, in megabytes"
     )
@@ -76,7 +79,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
             f"{num_out} pictures would make the page larger than {settings.max_page_mb:g} MB and lie beside it; "
             "`evaluation.max_page_mb` says how large it may be."
         )
-    skipped += [_unasked(topic) for topic, section in zip(topics, every, strict=True) if section is None]
+    skipped += _unasked([topic for topic, section in zip(topics, every, strict=True) if section is None])
     page = render_report(
         Report(
             title=settings.title,
@@ -104,10 +107,14 @@ def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None
     return next((drawn for one in topic.yardsticks if (drawn := one.picture(scores)) is not None), None)
 
 
-def _unasked(topic: Topic) -> str:
-    """Say that a topic has no section, and which keys ask for it."""
-    keys = ", ".join(f"`evaluation.{name}`" for name in topic.settings.model_fields)
-    return f"{topic.heading}: there was nothing to show" + (f"; what is asked for is set by {keys}." if keys else ".")
+def _unasked(topics: Sequence[Topic]) -> list[str]:
+    """Say which topics have no section, and which keys ask for those that must be asked for."""
+    keys = {topic.heading: [f"`evaluation.{name}`" for name in topic.settings.model_fields] for topic in topics}
+    silent = [heading for heading, names in keys.items() if not names]
+    return [
+        *([f"Nothing to show: {', '.join(silent)}."] if silent else []),
+        *(f"{heading}: nothing to show; {', '.join(names)} ask for it." for heading, names in keys.items() if names),
+    ]
 
 
 def _scores(store: Store, found: Sequence[Manifest], topic: Topic) -> list[Score]:

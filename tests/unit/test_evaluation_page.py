@@ -37,7 +37,7 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
         "Sources and licences",
     ]
     assert "<script>alert" not in text
-    assert "Reconstruction: there was nothing to show" in text
+    assert "Nothing to show: Views, Chains, Reconstruction" in text
     assert "`evaluation.num_completed_pairs`" in text
     assert "1 take" in card
     assert "walkers (CC0)" in text

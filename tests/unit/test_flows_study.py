@@ -280,3 +280,12 @@ def test_every_study_that_ships_can_be_run_or_is_extended_by_one_that_can() -> N
         assert name in extended if "name" not in head else head["name"] == name
         if "name" in head:
             assert load_study(name, load_graph(), environment={})[0].name == name
+
+
+def test_the_title_of_a_study_heads_its_report_where_the_report_has_none_of_its_own(tmp_path: Path) -> None:
+    text = '[study]\nname = "s"\ntitle = "Two people"\n[evaluation]\n'
+    for own, title in (("", "Two people"), ('title = "Other"\n', "Other")):
+        file = tmp_path / "s.toml"
+        file.write_text(text + own)
+        study, _ = load_study(str(file), load_graph())
+        assert study.parameters["evaluation"].model_dump()["title"] == title

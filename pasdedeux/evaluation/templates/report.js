@@ -50,7 +50,6 @@ class Player {
   play() {
     this.isPlaying = true;
     this.button.textContent = "Pause";
-    this.began = performance.now() - (1000 * this.frame) / (this.scene.rate_hz * this.speed);
     let before = performance.now(), at = this.frame;
     const step = (now) => {
       if (!this.isPlaying) return;

@@ -69,8 +69,8 @@ def load_model(name: str, arrays: Arrays) -> VariantModel:
     inner: dict[str, dict[str, npt.NDArray[Any]]] = {}
     for key in sorted(set(arrays) - set(own)):
         below, _, rest = key.removeprefix(_BUILT_ON).partition("/")
-        if below == name or rest.count(_BUILT_ON) > len(MODELS):
-            raise InputError(f"{name}: array '{key[:60]}' is of a model that builds on itself")
+        if rest.count(_BUILT_ON) > len(MODELS):
+            raise InputError(f"{name}: array '{key[:60]}' is of a model that builds on too many others")
         inner.setdefault(below, {})[rest] = arrays[key]
     kind = model_class(name)
     for key, values in own.items():

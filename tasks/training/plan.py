@@ -15,7 +15,7 @@ from tasks.training.parameters import LeftOutParameters, SegmentParameters, Trai
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
 
-VERSION = 4
+VERSION = 5
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:

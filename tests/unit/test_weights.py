@@ -13,6 +13,7 @@ from safetensors.numpy import load, save
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
 from pasdedeux.learning import (
+    MeshRefineModel,
     RidgeAdaptedModel,
     RidgeScaleModel,
     Training,
@@ -47,6 +48,8 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
     request = ITEMS[0].request
     np.testing.assert_array_equal(again.model.predict(request), MODEL.predict(request))
     assert write_weights(again) == DATA
+    refined = MeshRefineModel(MeshRefineModel(load_model("naive_fk", {}), 1), 2)
+    assert model_arrays(load_model("mesh_refine", model_arrays(refined))) == model_arrays(refined)
     assert {name: a.tobytes() for name, a in model_arrays(again.model).items()} == {
         name: a.tobytes() for name, a in model_arrays(MODEL).items()
     }
@@ -71,8 +74,8 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
         (_forged({"on:ridge_scale/mix": np.full((44, 44), np.nan)}), "'mix' has a value that is not finite"),
         (_forged({"adaptation": np.array([1e9, 1.0])}), "is out of range"),
         (_forged({"adaptation": np.array([1, 1])}), "is of int64, not float32 or float64"),
-        (_forged({"on:ridge_adapted/adaptation": np.ones(2)}), "builds on itself"),
-        (_forged({"on:copy/" * 5_000 + "form": np.ones(1)}), "builds on itself"),
+        (_forged({"on:ridge_adapted/adaptation": np.ones(2)}), "the ridge_scale that it builds on is missing"),
+        (_forged({"on:copy/" * 5_000 + "form": np.ones(1)}), "builds on too many others"),
         (_forged({"num_iterations": np.array([1e12])}, model="mesh_refine"), "iterations are asked for"),
     ],
 )

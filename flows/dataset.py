@@ -83,12 +83,13 @@ def dataset(
     scheduler: str | None = None,
     folder: str | None = None,
     oversubscribe: bool = False,
+    cluster: str | None = None,
 ) -> dict[str, int]:
     """Bring a study up to date: the entry point of deployments (see `deploy/`); gives the shards computed per stage.
 
     Relative paths of settings and of a study that ships start from `folder`: a worker's own is another each time.
     """
-    cluster = cluster_settings(workers, worker_memory_gb, scheduler, oversubscribe=oversubscribe)
+    where = cluster_settings(workers, worker_memory_gb, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     chosen, graph = load_study(study, load_graph(), settings=settings, folder=None if folder is None else Path(folder))
     run = Run(chosen, graph, Store(store))
     with in_use(run.store):
@@ -97,7 +98,7 @@ def dataset(
             outcome = outcome_of_fresh(run, plan)
         else:
             run.store.prepare()
-            with in_use(run.store), _pool(run, cluster) as pool:
+            with in_use(run.store), _pool(run, where) as pool:
                 record = begin(run, plan)
                 with _Shown(record.run_id) as shown:
                     outcome = execute(run, record, plan, pool, shown.stage)
@@ -250,13 +251,15 @@ def _pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     """Return who computes shards for this block."""
     root = str(run.store.root)
     Path(root).mkdir(parents=True, exist_ok=True)
-    if settings.scheduler is None and settings.num_workers == 0:
+    if not settings.is_shared and settings.num_workers == 0:
         os.environ.update(worker_environment())
         yield HerePool(root)
         return
-    if settings.scheduler is None:
+    if settings.profile is not None:
+        run.listener.note(f"starting {settings.profile.cluster}, waiting for its first worker")
+    elif settings.scheduler is None:
         run.listener.note(f"starting {settings.num_workers} local workers")
     else:
         run.listener.note(f"connecting to the Dask scheduler at {settings.scheduler}")
     with connect(settings, store_root=root) as client:
-        yield ClusterPool(client, root, is_shared=settings.scheduler is not None)
+        yield ClusterPool(client, root, is_shared=settings.is_shared)

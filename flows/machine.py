@@ -9,6 +9,7 @@ from typing import Any
 
 from pasdedeux.errors import InputError
 from tasks.shards import ClusterSettings, worker_environment
+from tasks.shards.profiles import read_profile
 
 __all__ = [
     "GIB",
@@ -67,12 +68,21 @@ def cluster_settings(
     worker_memory_gb: float = WORKER_MEMORY_GB,
     scheduler: str | None = None,
     *,
+    cluster: str | Path | None = None,
     oversubscribe: bool = False,
 ) -> ClusterSettings:
-    """Return where shards run; of somebody's scheduler the workers are its own.  Raises what `num_workers` raises."""
+    """Return where shards run; somebody's scheduler, or the cluster of a profile, has workers of its own.
+
+    Raises:
+        InputError: As `num_workers`, both a scheduler and a profile are given, or the profile cannot be read.
+    """
+    if scheduler is not None and cluster is not None:
+        raise InputError("--scheduler is a cluster that runs, --cluster starts one; give one of them")
     worker_bytes = int(worker_memory_gb * GIB)
-    count = 0 if scheduler is not None else num_workers(workers, worker_bytes, oversubscribe=oversubscribe)
-    return ClusterSettings(count, worker_bytes, scheduler)
+    is_elsewhere = scheduler is not None or cluster is not None
+    count = 0 if is_elsewhere else num_workers(workers, worker_bytes, oversubscribe=oversubscribe)
+    profile = None if cluster is None else read_profile(Path(cluster))
+    return ClusterSettings(count, worker_bytes, scheduler, profile)
 
 
 def processor() -> dict[str, Any]:

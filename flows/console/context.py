@@ -16,6 +16,7 @@ from storage_schema import Store
 from tasks.graph import Graph, load_graph
 
 __all__ = [
+    "ClusterOption",
     "Context",
     "JsonOption",
     "OversubscribeOption",
@@ -42,6 +43,12 @@ WorkersOption = Annotated[
 SchedulerOption = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDRESS", help="Use this Dask cluster, for example tcp://host:8786."),
+]
+ClusterOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--cluster", metavar="PROFILE", help="Start the Dask cluster that this file describes; it ends with the run."
+    ),
 ]
 OversubscribeOption = Annotated[
     bool, typer.Option("--oversubscribe", help="Allow more workers than there are cores to use.")

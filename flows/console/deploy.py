@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from flows.console.context import (
+    ClusterOption,
     OversubscribeOption,
     SchedulerOption,
     SettingOption,
@@ -53,10 +54,11 @@ def deploy(
     workers: WorkersOption = None,
     oversubscribe: OversubscribeOption = False,
     scheduler: SchedulerOption = None,
+    cluster: ClusterOption = None,
     pool: Annotated[str, typer.Option(help="Work pool; made where it is missing.")] = "pasdedeux",
 ) -> None:
     """Put a study on Prefect's server."""
-    cluster_settings(workers, scheduler=scheduler, oversubscribe=oversubscribe)
+    cluster_settings(workers, scheduler=scheduler, cluster=cluster, oversubscribe=oversubscribe)
     graph = graph_of(context)
     chosen, known = load_study(study, graph, settings=settings or ())
     make_plan(chosen, known, open_store(store))
@@ -90,6 +92,7 @@ def deploy(
         "workers": workers,
         "oversubscribe": oversubscribe,
         "scheduler": scheduler,
+        "cluster": None if cluster is None else str(cluster.resolve()),
         "folder": str(Path.cwd()),
     }
     name = put(chosen.name, parameters, cron=cron, every=None if every is None else timedelta(seconds=every), pool=pool)

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from flows.console.context import (
+    ClusterOption,
     JsonOption,
     OversubscribeOption,
     SchedulerOption,
@@ -54,6 +55,7 @@ Examples:
   pasdedeux run my.toml --set chains.num_chains=4 --until chains
   pasdedeux run my.toml --preview                on a few seconds of each take, to look at first
   pasdedeux run my.toml --scheduler tcp://cluster:8786
+  pasdedeux run my.toml --cluster deploy/clusters/slurm.toml
 """
 _PLAN = """Say what a run would compute and why, stage by stage and partition by partition; starts nothing.
 
@@ -86,6 +88,7 @@ def run(
         float, typer.Option(min=0.25, metavar="GB", help="Memory of one local worker.")
     ] = WORKER_MEMORY_GB,
     scheduler: SchedulerOption = None,
+    cluster: ClusterOption = None,
     only: OnlyOption = None,
     start: FromOption = None,
     until: UntilOption = None,
@@ -101,8 +104,8 @@ def run(
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
     if is_preview:
         chosen = chosen.model_copy(update={"head": chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})})
-    cluster = cluster_settings(workers, worker_memory, scheduler, oversubscribe=oversubscribe)
-    build_and_report(chosen, graph, open_store(store), selection, cluster, as_json=as_json)
+    where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
+    build_and_report(chosen, graph, open_store(store), selection, where, as_json=as_json)
     if is_preview and not as_json:
         typer.echo(f"all of it: {next_command('run', study, store=store, settings=settings)}")
 

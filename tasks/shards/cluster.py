@@ -16,12 +16,24 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from storage_schema.provenance import code_version, package_versions, source_digest
 from tasks.shards.errors import ClusterError, in_one_line
+from tasks.shards.profiles import ClusterProfile, await_workers, started
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["DEATHS_ALLOWED", "ClusterSettings", "connect", "peak_memory_bytes", "worker_environment"]
+__all__ = [
+    "DEATHS_ALLOWED",
+    "ClusterSettings",
+    "connect",
+    "installed",
+    "peak_memory_bytes",
+    "refusals",
+    "refuse_other",
+    "same_code",
+    "worker_environment",
+]
 
 DEATHS_ALLOWED = 2  # workers that may die under one shard before it is given up: the third death is its fault
 _ONE_THREAD = (
@@ -37,21 +49,29 @@ _ONE_THREAD = (
 )
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 CONNECT_TIMEOUT_S = 30.0
+refusals: list[str] = []
+"""Why this process, a worker, may compute nothing for the run that it joined; empty where it may."""
 _GREETINGS = 3
 
 
 @dataclass(frozen=True)
 class ClusterSettings:
-    """Where shards run: `scheduler` when given, else `num_workers` local processes of one thread each."""
+    """Where shards run: on `scheduler` or a cluster of a profile when given, else `num_workers` local processes."""
 
     num_workers: int = 2
     memory_bytes: int = 2 * 1024**3
     scheduler: str | None = None
+    profile: ClusterProfile | None = None
+
+    @property
+    def is_shared(self) -> bool:
+        """Tell whether workers may come and go, and lie elsewhere."""
+        return self.scheduler is not None or self.profile is not None
 
 
 @contextmanager
 def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
-    """Return a client of the named scheduler, or of a local cluster that ends with this block or with this process.
+    """Return a client of the named scheduler, of a profile's cluster, or of a local one that ends with this process.
 
     Raises:
         ClusterError: The scheduler does not answer, or a worker does not have this code or this store.
@@ -71,6 +91,12 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
         if settings.scheduler is not None:
             with _client_of(settings.scheduler) as client:
                 _check_workers(client, settings.scheduler, store_root)
+                yield client
+            return
+        if settings.profile is not None:
+            with started(settings.profile) as cluster, _client_of(cluster) as client:
+                await_workers(client, settings.profile)
+                _check_workers(client, settings.profile.cluster, store_root)
                 yield client
             return
         with _no_ctrl_c_for_children():
@@ -204,6 +230,55 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
         raise ClusterError(
             f"worker {without[0]} cannot write to the store {store_root}; it must be on a shared file system"
         )
+    try:
+        found: Mapping[str, dict[str, str]] = client.run(installed)
+    except (ImportError, AttributeError) as error:
+        raise ClusterError(
+            f"the workers at {address} do not have this version of pasdedeux: {in_one_line(error)}"
+        ) from None
+    mine = installed()
+    for worker in sorted(found):
+        refuse_other(mine, found[worker], f"worker {worker}")
+    # Workers that come later: one that has something else leaves.
+    client.register_plugin(same_code(mine), name="pasdedeux-same-code")
+
+
+def installed() -> dict[str, str]:
+    """Return what decides results here: versions of the packages, and the digest of the program's sources."""
+    return {"pasdedeux": code_version(), **package_versions(), "sources of pasdedeux": source_digest()[:12]}
+
+
+def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -> None:
+    """Refuse a worker that has other packages or other sources; ClusterError names the first."""
+    for name in sorted({*mine, *theirs}):
+        if mine.get(name) != theirs.get(name):
+            raise ClusterError(
+                f"{who} has {name} {theirs.get(name, 'not installed')}, here it is {mine.get(name, 'not installed')}: "
+                "results would differ; install the same everywhere (deploy/constraints.txt)"
+            )
+
+
+def same_code(mine: Mapping[str, str]) -> Any:
+    """Return a Dask worker plugin by which a worker leaves that has something else than this machine.
+
+    Dask goes on with a worker whose plugin fails, so it is told to close; a shard that comes in between is refused.
+    """
+    from distributed import WorkerPlugin
+
+    class SameCode(WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            _leave_if_other(mine, worker)
+
+    return SameCode()
+
+
+def _leave_if_other(mine: Mapping[str, str], worker: Any) -> None:
+    # A function of the module: what is inside the plugin travels as a copy, and so would the list.
+    try:
+        refuse_other(mine, installed(), f"worker {worker.address}")
+    except ClusterError as error:
+        refusals.append(str(error))
+        worker.loop.add_callback(worker.close, nanny=True, reason="other packages or sources")
 
 
 def _peak_memory_bytes() -> int:

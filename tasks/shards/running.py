@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from storage_schema import ArtifactRef, Store
-from tasks.shards.cluster import DEATHS_ALLOWED, peak_memory_bytes
+from tasks.shards.cluster import DEATHS_ALLOWED, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
 from tasks.stage import Shard
 
@@ -57,6 +57,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     The linear algebra has one thread, also where the process was started with more: sums of several threads are
     rounded otherwise, and the bytes would differ.
     """
+    if refusals:
+        raise ShardError(_where(shard), "ClusterError", refusals[0])
     started = time.perf_counter()
     try:
         store = Store(store_root)

@@ -8,14 +8,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from distributed import Client, Future
 
+from flows.machine import cluster_settings
 from flows.scheduling import Schedule
+from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Store
 from storage_schema.errors import FullDisk
+from storage_schema.provenance import package_versions
 from tasks.shards import (
     ClusterError,
     ClusterPool,
@@ -27,6 +31,7 @@ from tasks.shards import (
     connect,
     worker_environment,
 )
+from tasks.shards.cluster import installed, same_code
 from tasks.stage import Shard, StageInputs
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
@@ -251,6 +256,81 @@ def test_workers_that_do_not_see_the_store_are_refused(client: Client, tmp_path:
         connect(ClusterSettings(scheduler=address), store_root=str(tmp_path / "nowhere")),
     ):
         pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # dask-jobqueue leaves its jobs' pipes
+def test_jobs_of_a_profile_compute_the_same_with_their_memory_limit(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.toml"
+    path.write_text(f"""
+cluster = "dask_jobqueue.local.LocalCluster"
+[options]
+cores = 1
+processes = 1
+memory = "1GiB"
+interface = "lo"
+log_directory = "{tmp_path}"
+""")
+    (tmp_path / "far").mkdir()
+    with connect(cluster_settings(None, cluster=path), store_root=str(tmp_path / "far")) as client:
+        (worker,) = client.scheduler_info()["workers"].items()
+        assert worker[0].startswith("tcp://127.0.0.1:")
+        assert worker[1]["memory_limit"] == 1024**3
+        found = compute(run_grow, shards(), ClusterPool(client, str(tmp_path / "far"), is_shared=True))
+    own = compute(run_grow, shards(), here(tmp_path / "near"))
+    assert {key: done.ref for key, done in found.items()} == {key: done.ref for key, done in own.items()}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('cluster = "dask_jobqueue.SLURM"', "dask_jobqueue.SLURM is not there"),
+        ('cluster = "nowhere.Cluster"', "install nowhere here"),
+        ('cluster = "pathlib.Path"', "pathlib.Path is no Dask cluster"),
+        ("workers = 3", "cluster: Field required; keys: cluster, options, min_workers"),
+        ("cluster = ", "is not valid TOML"),
+    ],
+)
+def test_a_profile_that_cannot_be_used_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "jobs.toml"
+    path.write_text(text)
+    with (
+        pytest.raises((ClusterError, InputError), match=words),
+        connect(cluster_settings(None, cluster=path), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+def test_workers_with_another_version_of_a_package_are_refused(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address = client.scheduler_info()["address"]
+    monkeypatch.setattr("tasks.shards.cluster.package_versions", lambda: {**package_versions(), "numpy": "1.0"})
+    with (
+        pytest.raises(ClusterError, match=r"worker tcp://.* has numpy [2-9].*, here it is 1\.0: results would differ"),
+        connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+def test_a_worker_that_comes_later_with_other_sources_leaves_and_computes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leaving: list[dict[str, object]] = []
+    worker = SimpleNamespace(
+        address="tcp://late",
+        close="close",
+        loop=SimpleNamespace(add_callback=lambda call, **said: leaving.append({"call": call, **said})),
+    )
+    monkeypatch.setattr("tasks.shards.cluster.refusals", refused := [])
+    monkeypatch.setattr("tasks.shards.running.refusals", refused)
+    same_code(installed()).setup(worker)
+    assert compute(run_grow, shards(1, 1), here(tmp_path))
+    same_code({**installed(), "sources of pasdedeux": "other"}).setup(worker)
+    with pytest.raises(
+        ShardError, match=r"worker tcp://late has sources of pasdedeux .*, here it is other: results would"
+    ):
+        compute(run_grow, shards(1, 2), here(tmp_path))
+    assert [(one["call"], one["nanny"]) for one in leaving] == [("close", True)]
 
 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

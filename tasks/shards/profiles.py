@@ -1,0 +1,96 @@
+"""Profiles of clusters: which kind of Dask cluster a run starts for itself, with what arguments, and how large."""
+
+from __future__ import annotations
+
+import importlib
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import Field, ValidationError
+
+from pasdedeux.errors import InputError
+from pasdedeux.settings import Settings
+from tasks.shards.errors import ClusterError, in_one_line
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["ClusterProfile", "await_workers", "read_profile", "started"]
+
+_LOOK_AGAIN_S = 0.5
+
+
+class ClusterProfile(Settings):
+    """A file of TOML that says how a cluster is started; `deploy/clusters/` has some."""
+
+    cluster: str = Field(
+        pattern=r"^\w+(\.\w+)+$",
+        description="Class of a Dask cluster: dask_jobqueue.SLURMCluster, dask_jobqueue.PBSCluster, "
+        "dask_kubernetes.operator.KubeCluster, ...",
+    )
+    options: dict[str, Any] = Field({}, description="Arguments of that class; memory of a worker is among them")
+    min_workers: int = Field(1, ge=1, description="Workers that are kept as long as the run lasts")
+    max_workers: int = Field(1, ge=1, description="Workers that there may be where there is work for them")
+    start_s: float = Field(900.0, gt=0, description="Longest time to wait for the first worker, seconds")
+
+
+def read_profile(path: Path) -> ClusterProfile:
+    """Read a profile.
+
+    Raises:
+        InputError: There is none, or a key of it is wrong; says which, and which there are.
+    """
+    try:
+        return ClusterProfile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cluster profile {path} cannot be read: {in_one_line(error)}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"cluster profile {path} is not valid TOML: {error}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(
+            f"cluster profile {path}: {key}: {first['msg']}; keys: {', '.join(ClusterProfile.model_fields)}"
+        ) from None
+
+
+@contextmanager
+def started(profile: ClusterProfile) -> Iterator[Any]:
+    """Start the cluster for this block; it keeps to its number of workers by itself.
+
+    Raises:
+        ClusterError: The class is not installed or is none, or the cluster cannot be started.
+    """
+    from distributed.deploy.cluster import Cluster
+
+    module, _, name = profile.cluster.rpartition(".")
+    try:
+        kind = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ClusterError(
+            f"{profile.cluster} is not there ({in_one_line(error)}): install {module.partition('.')[0]} here"
+        ) from None
+    if not (isinstance(kind, type) and issubclass(kind, Cluster)):
+        raise ClusterError(f"{profile.cluster} is no Dask cluster")
+    try:
+        cluster = kind(**profile.options)
+    except Exception as error:  # noqa: BLE001 - whatever a scheduler of jobs says becomes one sentence
+        raise ClusterError(f"{profile.cluster} cannot be started: {in_one_line(error)}") from None
+    with cluster:
+        cluster.adapt(minimum=profile.min_workers, maximum=max(profile.min_workers, profile.max_workers))
+        yield cluster
+
+
+def await_workers(client: Client, profile: ClusterProfile) -> None:
+    """Wait for the first worker; ClusterError where none comes in time."""
+    deadline = time.monotonic() + profile.start_s
+    while not client.scheduler_info(n_workers=-1)["workers"]:
+        if time.monotonic() > deadline:
+            raise ClusterError(
+                f"{profile.cluster} had no worker after {profile.start_s:g} s: look at its queue of jobs"
+            )
+        time.sleep(_LOOK_AGAIN_S)

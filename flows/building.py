@@ -168,17 +168,19 @@ class Build:
 
     def _begin(self, name: str) -> None:
         """Plan a stage of which all that it reads is there, and have it computed."""
-        first, run, done = self._first[name], self._run, self._schedule.done
+        first, run = self._first[name], self._run
+        # What this run began is its work, also where it is committed and that was not heard of yet.
+        begun = self._schedule.done | self._schedule.running.keys()
         stage, plan, is_forced = first.stage, first, name in run.selection.force
         if first.is_pending:
             inputs = stage_inputs(stage, run.study.head.seed, {n: self._whole[n] for n in self._upstream(name)})
             plan = plan_stage(stage, run.study, inputs, run.store, is_forced=is_forced)
-            shards = tuple(replace(i, state=State.MISSING) if i.shard.key in done else i for i in plan.shards)
+            shards = tuple(replace(i, state=State.MISSING) if i.shard.key in begun else i for i in plan.shards)
             plan = replace(plan, is_asked=first.is_asked, shards=shards)
         for manifest in plan.manifests:
             if is_forced:
                 run.store.discard(manifest.ref)
-            elif manifest.ref.key not in done:
+            elif manifest.ref.key not in begun:
                 self._tell(manifest)
         run.listener.stage_started(plan)
         work = self._in_work[name] = _StageInWork(plan)

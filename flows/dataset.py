@@ -48,6 +48,7 @@ from prefect.artifacts import create_link_artifact, create_markdown_artifact, cr
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
+    PREFECT_CLIENT_MAX_RETRIES,
     PREFECT_FLOWS_HEARTBEAT_FREQUENCY,
     get_current_settings,
     temporary_settings,
@@ -243,7 +244,9 @@ def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[ob
     run.listener.note("starting Prefect's local server (the first time on a machine this takes 10 to 20 s)")
     with starting_server() as server:
         # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
-        yield lambda: temporary_settings({PREFECT_API_URL: server.wait(), PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None})
+        # Nobody starts it again either, so each request waits some seconds for that and not a minute.
+        settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 2}
+        yield lambda: temporary_settings({PREFECT_API_URL: server.wait(), **settings})
 
 
 @contextmanager

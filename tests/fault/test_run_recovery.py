@@ -5,15 +5,25 @@ Real store, real two-process Dask cluster, real Prefect, in a process of its own
 
 from __future__ import annotations
 
+import json
 import os
 import signal
-from collections.abc import Callable
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import psutil
 import pytest
+from distributed import Client
 
-from tests.builders.toy_runs import Started, digests, run_toys, wait_until, write_study
+from flows.records import describe_runs
+from storage_schema import Store
+from tasks.shards import ClusterError, ClusterPool, ClusterSettings, connect
+from tests.builders.toy_runs import ROOT, Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
 
@@ -117,20 +127,92 @@ def test_ctrl_c_ends_everything_and_the_next_run_goes_on(
     assert digests(tmp_path / "store") == undisturbed
 
 
-def test_a_killed_worker_costs_its_shard_a_second_try_and_nothing_else(
+def test_all_workers_killed_in_mid_shard_cost_their_shards_a_second_try_and_nothing_else(
     start: Start, tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    held = ("grow-t0-s1", "grow-t1-s1")
+    gates = [hold(tmp_path, name) for name in held]
+    run = start()
+    for name in held:
+        run.wait_for(name)
+    for name in held:
+        os.kill(run.worker_of(name), signal.SIGKILL)
+    wait_until(lambda: all(run.ran().count(name) == 2 for name in held), "the shards' second try")
+    for gate in gates:
+        gate.unlink()
+    code, _, err = run.finish()
+    assert code == 0, err
+    assert len(set(run.ran())) == EVERYTHING
+    assert len(run.ran()) <= EVERYTHING + 4, "the killed workers may have held one more shard each"
+    assert digests(tmp_path / "store") == undisturbed
+
+
+def test_prefects_locked_database_and_its_killed_server_cost_the_run_nothing(
+    start: Start, tmp_path: Path, undisturbed: dict[str, list[str]], prefect_home: Path
 ) -> None:
     gate = hold(tmp_path, "grow-t0-s1")
     run = start()
     run.wait_for("grow-t0-s1")
-    os.kill(run.worker_of("grow-t0-s1"), signal.SIGKILL)
-    wait_until(lambda: run.ran().count("grow-t0-s1") == 2, "the shard's second try")
-    gate.unlink()
-    code, _, err = run.finish()
+    (server,) = [p for p in descendants(run) if "flows.prefect_server" in p.cmdline()]
+    with closing(sqlite3.connect(prefect_home / "prefect.db", timeout=60)) as database:
+        database.execute("BEGIN IMMEDIATE")
+        gate.unlink()
+        wait_until(lambda: "judge-all-all" in run.ran(), "all other work")
+        database.rollback()
+    server.kill()
+    code, out, err = run.finish()
     assert code == 0, err
-    assert len(set(run.ran())) == EVERYTHING
-    assert len(run.ran()) <= EVERYTHING + 2, "the killed worker may have held one more shard"
+    assert f"done: {EVERYTHING} shards computed" in out
     assert digests(tmp_path / "store") == undisturbed
+
+
+def test_a_killed_scheduler_is_one_sentence_and_the_run_can_be_finished(
+    tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    (tmp_path / "gates").mkdir()
+    hold(tmp_path, "grow-t0-s1")
+    study, store = write_study(tmp_path), tmp_path / "store"
+    with outside_cluster(tmp_path) as (scheduler, address), ThreadPoolExecutor(1) as here:
+        store.mkdir()
+        with connect(ClusterSettings(scheduler=address), store_root=str(store)) as client:
+            run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True))
+            ran = tmp_path / "gates" / "ran.txt"
+            wait_until(lambda: ran.exists() and "grow-t0-s1" in ran.read_text(), "a shard in work")
+            scheduler.kill()
+            with pytest.raises(
+                ClusterError, match=r"^the Dask scheduler is gone; the same command continues the work$"
+            ):
+                run.result(timeout=60)
+    assert [one["status"] for one in describe_runs(Store(store))] == ["failed"]
+    assert run_toys(study, store).num_computed < EVERYTHING
+    assert digests(store) == undisturbed
+
+
+@contextmanager
+def outside_cluster(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start a scheduler and a worker that no run has started; gives the scheduler and its address."""
+    file = folder / "scheduler.json"
+    environment = {**os.environ, "TOY_FOLDER": str(folder / "gates")}
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    commands = (
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)],
+        ["worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--no-nanny"],
+    )
+    processes = [
+        subprocess.Popen([*dask, *command], cwd=ROOT, env=environment, **quiet)  # type: ignore[call-overload]
+        for command in commands
+    ]
+    try:
+        wait_until(file.exists, "the scheduler")
+        address = json.loads(file.read_text())["address"]
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(1)
+        yield processes[0], address
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be_finished(

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import pytest
 from hypothesis import given, settings
@@ -33,38 +33,38 @@ from tests.builders.toys import TOYS
 
 
 class ManyWorkers(HerePool):
-    """Several workers, of whom any may be done first; shards of some names fail.
+    """Several workers; what they commit is there at once, and told in any order; shards of some names fail.
 
     Args:
-        order: Which of those in work ends next, one number for each; after the last the first that was started.
+        order: Which of those in work is told of next, one number for each; after the last the first that was started.
     """
 
     def __init__(
-        self, store: Path, num_workers: int = 1, order: list[int] | None = None, fail: frozenset[str] = frozenset()
+        self,
+        store: Path,
+        num_workers: int = 1,
+        order: list[int] | None = None,
+        fail: frozenset[str] = frozenset(),
     ) -> None:
         super().__init__(str(store))
         self.num_workers, self.order, self.fail = num_workers, list(order or []), fail
         self.started: list[str] = []
+        self._ended: list[ShardDone | ShardFailed | None] = []
 
     def has_room(self, shard: Shard) -> bool:
-        return len(self._waiting) < self.num_workers
+        return len(self._ended) < self.num_workers
 
-    def start(self, run_shard: object, shard: Shard) -> None:
+    def start(self, run_shard: Any, shard: Shard) -> None:
         self.started.append(name_of(shard))
-        super().start(run_shard, shard)  # type: ignore[arg-type]
+        if name_of(shard) in self.fail:
+            where = f"stage {shard.stage}, {shard.partition}, shard {shard.name}"
+            self._ended.append(ShardFailed(shard, ShardError(where, "Error", "broken")))
+        else:
+            super().start(run_shard, shard)
+            self._ended.append(super().next())
 
     def next(self) -> ShardDone | ShardFailed | None:
-        if not self._waiting:
-            return None
-        at = self.order.pop(0) % len(self._waiting) if self.order else 0
-        self._waiting.append(self._waiting.pop(at))
-        shard = self._waiting[-1][1]
-        if name_of(shard) in self.fail:
-            self._waiting.pop()
-            return ShardFailed(
-                shard, ShardError(f"stage {shard.stage}, {shard.partition}, shard {shard.name}", "Error", "broken")
-            )
-        return super().next()
+        return self._ended.pop(self.order.pop(0) % len(self._ended) if self.order else 0) if self._ended else None
 
 
 def name_of(shard: Shard) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from string import ascii_uppercase
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,7 @@ class DuetStyle(Settings):
     variation: int = Field(
         0, ge=0, description="0 for the duet as written; another number gives another take with slightly other style"
     )
+    speed: float = Field(1.0, ge=0.5, le=1.5, description="Speed of everything, over that of the duet as written")
 
     @model_validator(mode="after")
     def _has_these_people(self) -> Self:
@@ -124,6 +125,9 @@ class Stance:
     stop_s: float
 
 
+Interval = TypeVar("Interval", Contact, Stance)
+
+
 @dataclass(frozen=True)
 class Duet:
     """The motion of two people or more with its truth.
@@ -163,6 +167,19 @@ class Duet:
         time_s = np.arange(self.num_frames) / self.rate_hz
         holds = (time_s >= interval.start_s - 1e-9) & (time_s < interval.stop_s - 1e-9)
         return np.flatnonzero(holds)
+
+    def at_speed(self, speed: float) -> Duet:
+        """Return the same frames, played faster: the rate grows, and all that lasts is shorter."""
+
+        def sooner(interval: Interval) -> Interval:
+            return replace(interval, start_s=interval.start_s / speed, stop_s=interval.stop_s / speed)
+
+        return replace(
+            self,
+            motions=tuple(replace(motion, rate_hz=motion.rate_hz * speed) for motion in self.motions),
+            contacts=tuple(map(sooner, self.contacts)),
+            stances=tuple(map(sooner, self.stances)),
+        )
 
     def known_contacts(self, rate_hz: float) -> tuple[UserContact, ...]:
         """Return the known contacts of the motion resampled to a rate, as they are stated to what keeps contacts."""

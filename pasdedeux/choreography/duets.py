@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
@@ -23,7 +23,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.skeletons.layouts import LAYOUTS
 
-__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "duet_torso_basis", "make_duet", "style_of"]
+__all__ = ["DEFAULT_DUETS", "DUETS", "Dance", "draw_styles", "duet_torso_basis", "make_duet", "style_of"]
 
 S = TypeVar("S", bound=DuetStyle)
 
@@ -48,6 +48,11 @@ DUETS: dict[str, Dance[Any]] = {
 }
 """The built-in duets by name."""
 
+DRAWN_HEIGHTS_M = (1.5, 1.95)
+"""Heights of drawn bodies, metres."""
+DRAWN_SPEEDS = (0.85, 1.15)
+"""Speeds of drawn duets."""
+
 DEFAULT_DUETS = ("waltz", "hug", "judo", "push_hands")
 """What a study that names no motion gets, and what the torso basis is learned from."""
 
@@ -66,7 +71,29 @@ def make_duet(name: str, **style: object) -> Duet:
     60
     """
     chosen = style_of(name, **style)
-    return DUETS[name].make(chosen)
+    if chosen.speed == 1.0:
+        return DUETS[name].make(chosen)
+    # Sampled coarsely over a longer time, and played faster: the same number of frames.
+    slow = {"duration_s": chosen.duration_s * chosen.speed, "rate_hz": chosen.rate_hz / chosen.speed}
+    made = DUETS[name].make(chosen.model_copy(update=slow)).at_speed(chosen.speed)
+    return replace(made, parameters=chosen.model_dump())
+
+
+def draw_styles(num_people: int, count: int, generator: np.random.Generator) -> list[dict[str, Any]]:
+    """Draw variation, speed and heights of everybody for so many takes of a duet.
+
+    Nobody is as tall as anybody else: each height is from a part of `DRAWN_HEIGHTS_M` of its own.
+    """
+    low, high = DRAWN_HEIGHTS_M
+    bodies = count * num_people
+    place = (generator.permutation(bodies) + generator.uniform(0.05, 0.95, bodies)) / bodies
+    heights = np.round(low + (high - low) * place, 6).reshape(count, num_people)
+    speeds = np.round(generator.uniform(*DRAWN_SPEEDS, count), 6)
+    variations = generator.integers(1, 2**31, size=count)
+    return [
+        {"variation": int(variation), "speed": float(speed), "heights_m": tuple(map(float, row))}
+        for variation, speed, row in zip(variations, speeds, heights, strict=True)
+    ]
 
 
 def style_of(name: str, **style: object) -> DuetStyle:

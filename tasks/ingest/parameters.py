@@ -10,13 +10,13 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle
+from pasdedeux.choreography import DEFAULT_DUETS, DUETS, DuetStyle, draw_styles
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
 from pasdedeux.plausibility.capture import CaptureLimits
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import SourceCredit
-from tasks.stage import Parameters
+from tasks.stage import Parameters, stream
 
 __all__ = [
     "AnnotationOptions",
@@ -24,6 +24,7 @@ __all__ = [
     "CaptureOptions",
     "CommonOptions",
     "DetectorOptions",
+    "DuetEntry",
     "DuetOptions",
     "DuetParameters",
     "IngestParameters",
@@ -214,6 +215,37 @@ class DuetOptions(DuetStyle, Parameters):
         return {**self.model_dump(exclude={"id", "name", "style"}), **self.style}
 
 
+class DuetEntry(DuetOptions):
+    """A built-in duet, or many takes of it that are drawn."""
+
+    count: int | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="Draw so many takes: variation, speed and everybody's height, no two of the same bodies; their "
+        "names get -001 and so on, another `variation` draws others",
+    )
+
+    @model_validator(mode="after")
+    def _draws_what_is_not_told(self) -> Self:
+        told = sorted({"heights_m", "speed"} & self.model_fields_set)
+        if self.count is not None and told:
+            raise ValueError(f"{told[0]} is drawn where count is told")
+        return self
+
+    def takes(self) -> list[DuetOptions]:
+        """Return the takes, each with what was drawn."""
+        plain = DuetOptions(**self.model_dump(exclude={"count"}))
+        if self.count is None:
+            return [plain]
+        generator = stream(self.variation, "duets", self.id or self.name)
+        drawn = draw_styles(self.style_model.num_people, self.count, generator)
+        return [
+            plain.model_copy(update={**style, "id": f"{self.id or self.name}-{number:03d}"})
+            for number, style in enumerate(drawn, start=1)
+        ]
+
+
 class CaptureOptions(CaptureLimits, Parameters):
     """What is asked of the capture of takes: limits, each `[warn, fail]`."""
 
@@ -340,7 +372,7 @@ class IngestParameters(Parameters):
     """What comes in.  A study that names no source at all gets the four built-in duets."""
 
     rate_hz: float = Field(default=30.0, gt=0, le=1000, description="Frame rate of all poses of the study")
-    duets: tuple[DuetOptions, ...] | None = Field(default=None, description="Built-in duets")
+    duets: tuple[DuetEntry, ...] | None = Field(default=None, description="Built-in duets")
     takes: tuple[TakeOptions, ...] = Field(default=(), description="Takes of one person or more, file by file")
     pairs: dict[str, PairOptions] = Field(default={}, description="Families of takes in a folder")
     take_seconds: float | None = Field(
@@ -403,7 +435,7 @@ class IngestParameters(Parameters):
     def resolved_duets(self) -> tuple[DuetOptions, ...]:
         """Return the duets: those named, or the default ones when nothing else comes in."""
         if self.duets is not None:
-            return self.duets
+            return tuple(take for entry in self.duets for take in entry.takes())
         if self.takes or self.pairs or self.annotations:
             return ()
         return tuple(DuetOptions(name=name) for name in DEFAULT_DUETS)

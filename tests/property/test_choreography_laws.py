@@ -41,6 +41,7 @@ def test_laws_hold_for_all_heights_takes_and_styles(name, data):
         rate_hz=20.0,
         heights_m=data.draw(st.tuples(*[HEIGHT] * DUETS[name].style.num_people), label="heights_m"),
         variation=data.draw(st.integers(0, 50), label="variation"),
+        speed=data.draw(st.sampled_from([1.0, 0.85, 1.15]), label="speed"),
         **style,
     )
     measured = measure(duet)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from pasdedeux.choreography import DUETS, Duet, make_duet
 from pasdedeux.errors import InputError
@@ -11,6 +12,7 @@ from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.kinematics import bone_lengths, forward_kinematics, local_rotations
 from pasdedeux.kinematics.rotations import rotate, rotvec_from_unitquat
 from pasdedeux.skeletons import BODY22
+from tasks.ingest.parameters import IngestParameters
 from tests.builders.choreography_laws import Measured, measure
 
 NAMES = tuple(DUETS)
@@ -258,3 +260,34 @@ def test_unknown_names_are_answered_with_the_nearest_known_one():
 def test_values_out_of_range_are_refused(changes, message):
     with pytest.raises(InputError, match=message):
         make_duet("waltz", **changes)
+
+
+def test_a_faster_duet_is_the_same_motion_in_less_time() -> None:
+    told = {"rate_hz": 24.0, "variation": 3}
+    slow = make_duet("push_hands", duration_s=2.5, **told)
+    fast = make_duet("push_hands", duration_s=2.0, speed=1.25, **(told | {"rate_hz": 30.0}))
+    assert (fast.num_frames, fast.rate_hz) == (60, 30.0)
+    np.testing.assert_allclose(fast.positions_m(), slow.positions_m(), atol=1e-12)
+    for soon, late in zip((*fast.contacts, *fast.stances), (*slow.contacts, *slow.stances), strict=True):
+        assert (1.25 * soon.start_s, 1.25 * soon.stop_s) == pytest.approx((late.start_s, late.stop_s))
+
+
+def test_drawn_takes_have_nobody_of_the_same_size_and_are_always_the_same() -> None:
+    told = [{"name": "hug", "count": 5}, {"name": "waltz", "count": 4}, {"name": "trio", "count": 2}, {"name": "hug"}]
+    made = IngestParameters.model_validate({"duets": told}).resolved_duets()
+    names = [one.take_id for one in made]
+    assert names[:5] == ["hug-001", "hug-002", "hug-003", "hug-004", "hug-005"]
+    assert len(set(names)) == len(names) == 12
+    drawn = made[:-1]
+    heights = [height for one in drawn for height in one.heights_m]
+    assert len(set(heights)) == len(heights) == 24
+    assert min(heights) >= 1.5
+    assert max(heights) <= 1.95
+    assert len({(one.variation, one.speed) for one in drawn}) == 11
+    for one in drawn:
+        make_duet(one.name, **(one.told | {"duration_s": 0.5, "rate_hz": 4.0}))
+    assert IngestParameters.model_validate({"duets": told}).resolved_duets() == made
+    others = IngestParameters.model_validate({"duets": [{"name": "hug", "count": 5, "variation": 1}]}).resolved_duets()
+    assert not {one.heights_m for one in others} & {one.heights_m for one in made}
+    with pytest.raises(ValidationError, match="heights_m is drawn where count is told"):
+        IngestParameters.model_validate({"duets": [{"name": "hug", "count": 5, "heights_m": [1.7, 1.8]}]})

@@ -172,7 +172,9 @@ def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
     for batch in iter_rows(text, store):
         for index in range(batch.num_rows):
             row = batch.row(index)
-            values = {name: row[name].item() if hasattr(row[name], "item") else row[name] for name in COLUMNS}
+            # Scores of an earlier version have no intervals.
+            found = {name: row[name] for name in COLUMNS if name in row}
+            values = {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
             topics.setdefault(str(row["topic"]), []).append(Score(**values))
     lines = ["* is the best of a row, where it is known what is better"]
     for topic, scores in topics.items():

@@ -14,6 +14,11 @@ _METHODS = {
     "ridge_scale": ("ridge regression on scales", "linear in the bone scales, fitted for each take"),
     "ridge_adapted": ("adapted ridge regression", "the same, adapted to the nearest interactions it knows"),
     "start_net": ("starting network", "a small network that answers at once, from which a fit can go on"),
+    "solver": ("the solver", "the converged variant itself, which models are asked for: a bound"),
+    "with_augmentation": ("with augmentation", "learned from takes and their variants"),
+    "without_augmentation": ("without augmentation", "learned from the same takes alone"),
+    "last_pose_held": ("last pose held", "nobody moves any more: the trivial way"),
+    "largest_class": ("largest class", "always the same answer: the trivial way"),
     "nearest": ("nearest pose", "each frame alone: the pose of the database, or the draw, whose image is nearest"),
     "viterbi": ("best path", "the candidates of all frames that follow each other best"),
     "window": ("window rule", "the published rule: the candidate that fits a window of frames"),
@@ -116,6 +121,26 @@ _METRICS = {
     "rhat": ("R-hat", "how far the chains of a seed disagree; 1 is agreement", ""),
     "travelled": ("travelled", "how far a chain came from its seed", ""),
     "log_density": ("log density", "what the chains climb", ""),
+    "E_r_of_best_baseline": (
+        "share of the best baseline's E_r",
+        "below 100 % is better than any trivial way",
+        "smaller",
+    ),
+    "contact_error": (
+        "contact error",
+        "how far contacts come from the distance that they had in the source",
+        "smaller",
+    ),
+    "energy_gap": ("energy gap", "the mesh's energy over that of the solver's answer", "smaller"),
+    "foot_slide": ("slide of feet", "how far the worst standing foot slides", "smaller"),
+    "KID": ("KID", "distance of distributions without bias, times 1000; that of the solver is chance", "smaller"),
+    "FID": ("FID", "the same for normal distributions, which grows with few clips", "smaller"),
+    "density": ("density", "how many real neighbourhoods a clip lies in; about 1 for real ones", ""),
+    "coverage": ("coverage of real clips", "share of real neighbourhoods with a clip inside", "larger"),
+    "recognised": ("recognised", "share of clips whose interaction a classifier of real clips finds", "larger"),
+    "accuracy": ("accuracy", "share of clips whose interaction is found", "larger"),
+    "JME": ("JME", "error of predicted joints where the pair is", "smaller"),
+    "AME": ("AME", "error of predicted poses laid onto the true ones", "smaller"),
     "E_r": ("joint error E_r", "mean joint distance from the true variant", "smaller"),
     "E_b": ("bone error E_b", "how far predicted bones are from their length", "smaller"),
     "JPD": ("JPD", "difference of joint distances between the people", "smaller"),
@@ -157,7 +182,7 @@ def meanings(names: Iterable[str]) -> tuple[tuple[str, str, str], ...]:
 
 def is_bound(method: str) -> bool:
     """Tell whether a method knows what nobody knows, so that it is no answer but a bound for answers."""
-    return method in {"truth", "real_frames", "standing_still", "best_hypothesis", "best_of_50"}
+    return method in {"truth", "solver", "real_frames", "standing_still", "best_hypothesis", "best_of_50"}
 
 
 def better_sign(metric: str) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from pasdedeux.evaluation.names import better_sign, in_words, is_bound
 from pasdedeux.evaluation.scores import Score
 
-__all__ = ["TextTable", "format_value", "mean_table", "score_table", "shown_as"]
+__all__ = ["TextTable", "format_score", "format_value", "mean_table", "score_table", "shown_as"]
 
 _HUNDREDTHS = {"m": ("cm", 100.0), "": ("", 1.0)}
 """Lengths are shown in centimetres."""
@@ -41,6 +41,15 @@ def shown_as(unit: str) -> tuple[str, float]:
     return _HUNDREDTHS.get(unit, (unit, 1.0))
 
 
+def format_score(score: Score) -> str:
+    """Return the figure of a score with its unit, and its interval where it has one."""
+    shown = format_value(score.value, score.unit)
+    if not np.isfinite([score.low, score.high]).all():
+        return shown
+    low, high = (format_value(value, score.unit).split(" ")[0] for value in (score.low, score.high))
+    return f"{shown} ({low} to {high})"
+
+
 def score_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False) -> TextTable:
     """Lay out the single figures of a topic; points of curves (`at` given) are left to the pictures.
 
@@ -53,7 +62,7 @@ def score_table(scores: Sequence[Score], *, caption: str, has_marks: bool = Fals
         return _by_item(single, caption)
     methods = sorted({(score.is_baseline, score.method) for score in single})
     keys = sorted({(score.metric, score.split, score.item) for score in single}, key=_all_first)
-    cells = {(s.metric, s.split, s.item, s.method): format_value(s.value, s.unit) for s in single}
+    cells = {(s.metric, s.split, s.item, s.method): format_score(s) for s in single}
     for key in keys if has_marks else ():
         found = [s for s in single if (s.metric, s.split, s.item) == key and np.isfinite(s.value)]
         own = {score.method: score.value for score in found if not is_bound(score.method)}
@@ -96,7 +105,8 @@ def mean_table(scores: Sequence[Score], *, caption: str, has_marks: bool = False
             # A method that is there for some items only is no mean over all of them.
             if len(found) == count:
                 value = float(np.mean([score.value for score in found]))
-                rows.append(replace(found[0], metric=metric, split=split, item=f"mean of {count}", value=value))
+                plain = replace(found[0], low=float("nan"), high=float("nan"))
+                rows.append(replace(plain, metric=metric, split=split, item=f"mean of {count}", value=value))
     return score_table(rows, caption=caption, has_marks=has_marks) if counts and max(counts) > 1 else None
 
 
@@ -104,7 +114,7 @@ def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
     """Lay out the figures of one method: a row per item, a column per figure."""
     metrics = sorted({score.metric for score in scores})
     rows = sorted({(score.split, score.item) for score in scores}, key=lambda row: (row[0], _natural(row[1])))
-    cells = {(score.split, score.item, score.metric): format_value(score.value, score.unit) for score in scores}
+    cells = {(score.split, score.item, score.metric): format_score(score) for score in scores}
     return TextTable(
         caption=caption,
         headings=("part", "item", *(in_words(metric) for metric in metrics)),

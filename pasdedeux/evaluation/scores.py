@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["COLUMNS", "Score", "columns_of", "scores_of", "summarise"]
+__all__ = ["COLUMNS", "Score", "bootstrap_interval", "columns_of", "scores_of", "summarise"]
 
-COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count")
+COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count", "low", "high")
 """Columns of the `scores` table beside `topic`, which says who measured."""
+
+_NUM_DRAWS = 1000
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class Score:
         item: Take, sequence, variant or model it is of; `all` where it is over everything.
         at: Position on a curve; NaN for a single figure.
         count: Number of things the figure is over.
+        low: Lower end of its interval; NaN where none was estimated.
+        high: Upper end.
     """
 
     metric: str
@@ -40,12 +44,36 @@ class Score:
     item: str = "all"
     at: float = float("nan")
     count: int = 1
+    low: float = float("nan")
+    high: float = float("nan")
 
 
 def columns_of(topic: str, scores: Iterable[Score]) -> dict[str, list[object]]:
     """Return scores as columns of the `scores` table, sorted so that the same figures always give the same bytes."""
     rows = sorted(scores, key=lambda s: (s.metric, s.method, s.split, s.item, np.nan_to_num(s.at, nan=-1.0)))
     return {"topic": [topic] * len(rows), **{name: [getattr(row, name) for row in rows] for name in COLUMNS}}
+
+
+def bootstrap_interval(
+    values: npt.NDArray[np.float64], over: npt.NDArray[np.float64] | None = None
+) -> tuple[float, float]:
+    """Return where the mean of values (n,) lies in 95 % of 1000 draws with repetition; NaN of fewer than two.
+
+    With `over` (n,), values of the same things, it is where the one mean over the other lies.
+
+    The percentile bootstrap (Efron 1979), with draws that are always the same.
+
+    >>> bootstrap_interval(np.array([1.0, 1.0, 1.0]))
+    (1.0, 1.0)
+    """
+    if len(values) < 2:
+        return float("nan"), float("nan")
+    drawn = np.random.default_rng(0).integers(len(values), size=(_NUM_DRAWS, len(values)))
+    means = np.asarray(values)[drawn].mean(axis=1)
+    if over is not None:
+        means = means / np.maximum(np.asarray(over)[drawn].mean(axis=1), 1e-12)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def scores_of(figures: Mapping[str, float], method: str, unit: str = "", **more: Any) -> list[Score]:

@@ -21,7 +21,7 @@ from pasdedeux.fitting import FitSettings
 from pasdedeux.learning.model import Arrays, Trained, Training, VariantModel, VariantRequest, check_arrays
 from pasdedeux.settings import Settings
 
-__all__ = ["MeshRefineModel", "MeshRefineSettings"]
+__all__ = ["MeshRefineModel", "MeshRefineSettings", "window_problems"]
 
 Array = npt.NDArray[np.float64]
 
@@ -103,12 +103,18 @@ class MeshRefineModel(VariantModel):
         source, last = request.source, self._ready
         if last is not None and last[0].source is source and last[0].solving == request.solving:
             return last[1:]
-        windows = plan_windows(source.num_frames, source.rate_hz, request.solving.window_s)
-        problems = []
-        for window in windows:
-            part: Source = source if len(windows) == 1 else source.take_frames(window)
-            within = (contact.within(window.start, window.stop) for contact in request.contacts)
-            contacts = [contact for contact in within if contact is not None]
-            problems.append(build_problem(part, request.solving, user_contacts=contacts))
-        self._ready = (request, windows, problems)
-        return windows, problems
+        self._ready = (request, *window_problems(request))
+        return self._ready[1:]
+
+
+def window_problems(request: VariantRequest) -> tuple[list[slice], list[Problem]]:
+    """Return the windows in which the solver solves a take, and the problem of each."""
+    source = request.source
+    windows = plan_windows(source.num_frames, source.rate_hz, request.solving.window_s)
+    problems = []
+    for window in windows:
+        part: Source = source if len(windows) == 1 else source.take_frames(window)
+        within = (contact.within(window.start, window.stop) for contact in request.contacts)
+        contacts = [contact for contact in within if contact is not None]
+        problems.append(build_problem(part, request.solving, user_contacts=contacts))
+    return windows, problems

@@ -220,6 +220,8 @@ SCORES = Table(
         float64("value", "The figure"),
         text("unit", "Unit of the figure"),
         integer("count", "Number of things the figure is over"),
+        float64("low", "Lower end of the figure's 95 % interval; NaN where none was estimated"),
+        float64("high", "Upper end of it"),
     ),
 )
 

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 29
+VERSION = 30
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -9,10 +9,15 @@ import numpy as np
 
 from pasdedeux.augmentation import AugmentationSettings
 from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import TakeMotion, batch_of, read_take
 
-__all__ = ["StoredVariants"]
+__all__ = ["StoredVariants", "interaction_of"]
+
+
+def interaction_of(take: Manifest) -> str:
+    """Return what a take is a performance of: the built-in duet that it was made from, or itself."""
+    return str(take.parameters.get("duet", {}).get("name", "") or take.facts["take_id"])
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,10 @@ class StoredVariants:
     def sound(self, keys: Sequence[VariantKey]) -> list[VariantKey]:
         """Return the variants that did not fail."""
         return [key for key in keys if not self._homes[key.take_id, key.variant_id].is_failed]
+
+    def sound_names(self, take_id: str) -> list[tuple[str, str]]:
+        """Return the variants of a take that did not fail, by take and variant."""
+        return [key for key, home in self._homes.items() if key[0] == take_id and not home.is_failed]
 
     def items(self, wanted: Sequence[tuple[str, str]]) -> Iterator[TrainingItem]:
         """Read variants, named by take and variant, one at a time, artifact by artifact."""

@@ -11,6 +11,7 @@ from pasdedeux.learning import Split, VariantKey, has_torch, make_split, model_c
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
 from tasks.stage import Shard, StageInputs, named_refs, stream
+from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
@@ -101,7 +102,7 @@ def split_variants(
     Raises:
         InputError: The training or the test set is empty.
     """
-    interactions = {take.facts["take_id"]: take.parameters.get("duet", {}).get("name", "") for take in takes}
+    interactions = {take.facts["take_id"]: interaction_of(take) for take in takes}
     keys: list[VariantKey] = []
     held_out: set[str] = set()
     for manifest in variants:

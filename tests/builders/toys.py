@@ -201,6 +201,8 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
                 "value": [total],
                 "unit": [""],
                 "count": [len(shard.refs("models"))],
+                "low": [float("nan")],
+                "high": [float("nan")],
             }
         },
         facts={"takes": []},

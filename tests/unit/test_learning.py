@@ -4,13 +4,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, reference_motion, uniform_variations
+from pasdedeux.augmentation import (
+    AugmentationSettings,
+    Augmenter,
+    Source,
+    UserContact,
+    reference_motion,
+    uniform_variations,
+)
 from pasdedeux.augmentation.energy import fit_terms, total_energy
 from pasdedeux.augmentation.source import complete_scales, points_of
 from pasdedeux.augmentation.terms import build_problem, build_targets
 from pasdedeux.augmentation.variations import PAPER_SCALES, bone_variations, group_variations
 from pasdedeux.errors import InputError
-from pasdedeux.evaluation.models import key_contacts, model_errors
+from pasdedeux.evaluation.model_meter import ModelMeter
+from pasdedeux.evaluation.models import UNITS, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.learning import (
     SPLIT_NAMES,
@@ -183,6 +191,38 @@ def test_naive_fk_has_exact_bones_and_copy_has_the_sources() -> None:
     assert fk["E_b"] < 1e-6
     assert copy["E_b"] > 10.0
     assert fk["JPD"] > 1.0
+
+
+def test_a_meter_finds_the_solver_good_and_plain_kinematics_apart_from_it_in_every_respect() -> None:
+    variation = uniform_variations([0.8], ["A"])[0]
+    (truth,) = Augmenter(TAKE).solve([variation])
+    request = VariantRequest("sway", TAKE, variation.bone_scale)
+    fk = load_model("naive_fk", {}).predict(request)
+    meter = ModelMeter(request)
+    found = meter.measure(variation.bone_scale, {"naive_fk": fk, "same": truth.positions_m}, truth.positions_m)
+    solver, plain, same = found["solver"], found["naive_fk"], found["same"]
+    assert set(plain) | {"E_r_of_best_baseline"} == set(UNITS)
+    assert {name: same[name] for name in solver} == solver
+    assert {same[name] for name in set(same) - set(solver)} == {0.0}
+    assert solver["energy_gap"] == 0.0
+    assert plain["energy_gap"] > 5.0
+    assert solver["contact_error"] < 0.3 * plain["contact_error"]
+    assert plain["E_r"] == model_errors(fk, truth.positions_m)["E_r"]
+    assert "wrist" in meter.key_names()
+
+
+def test_contacts_that_are_known_of_a_take_are_measured_in_place_of_those_found() -> None:
+    contact = UserContact(joint_a="head", joint_b="head", stop_frame=6)
+    request = VariantRequest("sway", TAKE, np.ones((2, 22)), contacts=(contact,))
+    meter = ModelMeter(request)
+    assert meter.key_names() == "A's head and B's head"
+    lifted = TAKE.positions_m.copy()
+    heads = lifted[:, :, BODY22.index("head")]
+    heads[:, 0] += 0.01 * (heads[:, 0] - heads[:, 1]) / np.linalg.norm(heads[:, 0] - heads[:, 1], axis=-1)[:, None]
+    found = meter.measure(np.ones((2, 22)), {"lifted": lifted}, TAKE.positions_m)
+    assert found["lifted"]["contact_error"] == pytest.approx(10.0)
+    assert found["lifted"]["JPD"] == pytest.approx(1.0)
+    assert found["solver"]["contact_error"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_metrics_are_in_the_papers_units() -> None:

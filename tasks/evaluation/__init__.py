@@ -14,8 +14,10 @@ from tasks.evaluation import (
     clips,
     coverage,
     detector,
+    downstream,
     lifted_pairs,
     models,
+    realism,
     reconstruction,
     report,
     takes,
@@ -43,6 +45,9 @@ TOPICS: tuple[Topic, ...] = (
     people.TOPIC,
     augmentation.TOPIC,
     models.TOPIC,
+    realism.TOPIC,
+    downstream.RECOGNITION,
+    downstream.PREDICTION,
 )
 """Every topic, in the order of the page."""
 

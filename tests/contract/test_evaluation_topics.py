@@ -15,8 +15,8 @@ import pytest
 
 from pasdedeux.evaluation.figures import grid_figure
 from pasdedeux.evaluation.report import PLAYER
-from pasdedeux.evaluation.score_tables import format_value
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.score_tables import format_score
+from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, Store
@@ -39,6 +39,10 @@ EVERYTHING = {
     "unseen_views_deg": (0.0,),
     "has_left_out_clips": True,
     "num_crowd_views": 1,
+    "num_realism_variants": 2,
+    "num_downstream_seeds": 1,
+    "classifier": {"num_steps": 1, "clips_per_step": 2},
+    "predictor": {"num_steps": 1, "clips_per_step": 2},
 }
 """Settings under which every topic has something to do on the small study."""
 
@@ -71,8 +75,19 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
     for shard in projections.plan(takes, projections.ProjectionsParameters(pitches_deg=(0.0, 20.0), heights_m=())):
         projections.run_shard(shard, store)
     _detect(store)
+    _dance_again(store)
     made = evaluate(store, STAGE, **EVERYTHING)
     return store, made, page_of(store, made)
+
+
+def _dance_again(store: Store) -> None:
+    """Put another take of each duet into the small study's store, as what is split by take needs two."""
+    again = [duet | {"variation": 1} for duet in tomllib.loads(SMALL)["ingest"]["duets"]]
+    planned = ingest.plan(
+        StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"duets": again, "rate_hz": 12.0})
+    )
+    for shard in planned:
+        ingest.run_shard(shard, store)
 
 
 def _detect(store: Store) -> None:
@@ -108,8 +123,9 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
             assert set(table["topic"]) == {topic.name}
             stray = [name for name in set(table["metric"]) if not any(fnmatch(name, known) for known in topic.metrics)]
             assert not stray, f"the topic does not name these metrics, so no gate can: {stray}"
-            for value, unit, at in zip(table["value"], table["unit"], table["at"], strict=True):
-                assert not np.isnan(at) or f"<td>{format_value(value, unit)}</td>" in section
+            for row in zip(*(table[name].tolist() for name in COLUMNS), strict=True):
+                score = Score(**dict(zip(COLUMNS, row, strict=True)))
+                assert not np.isnan(score.at) or f"<td>{format_score(score)}</td>" in section
             shown += table.num_rows
     assert shown > 0
 
@@ -154,6 +170,17 @@ def test_sections_come_in_the_order_of_the_registry_and_verdicts_first(
     for name in judged:
         assert f"evaluation: {name.replace('_', ' ')}" in page
         assert f"- evaluation: {name.replace('_', ' ')}: " in card
+
+
+def test_without_torch_what_needs_it_is_left_out_and_the_page_says_so(
+    evaluated: tuple[Store, list[Manifest], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, _, _ = evaluated
+    monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
+    stage = evaluation_stage([topic for topic in TOPICS if topic.name in ("realism", "recognition", "prediction")])
+    made = evaluate(store, stage, num_realism_variants=2, num_downstream_seeds=1)
+    assert [one.name for one in made[:-1]] == ["without_torch"] * 3
+    assert page_of(store, made).count("Left out: torch is not installed") == 3
 
 
 class ToySettings(Parameters):

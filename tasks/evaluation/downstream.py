@@ -1,0 +1,213 @@
+"""Topics `recognition` and `prediction`: what variants of the training takes bring to other tasks, beside none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pasdedeux.evaluation.downstream import (
+    STILL,
+    WITH,
+    WITHOUT,
+    prediction_scores,
+    prediction_table,
+    recognition_table,
+)
+from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.learning import has_torch
+from pasdedeux.learning.clip_classifier import ClipClassifier, clips_of
+from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredictor, joint_errors
+from storage_schema import Manifest, Store
+from tasks.evaluation.realism import LEFT_OUT, WITHOUT_TORCH, LearnedSettings
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.training.items import StoredVariants, interaction_of
+
+__all__ = ["PREDICTION", "RECOGNITION"]
+
+_SHARES = {"80/10/10": (0.8, 0.1), "50/20/30": (0.5, 0.3)}
+"""Shares of the takes of every interaction that are learned from and tested on; the rest is left for validation, which
+nothing here looks at, as nothing is chosen."""
+
+
+class OneTraining(Parameters):
+    """One repetition: which shares, and with which seed."""
+
+    shares: str
+    seed: int
+    learned: LearnedSettings
+
+
+def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+    """Plan a shard for each repetition; interactions of one take cannot be split by take and are left out."""
+    takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
+    kinds = [interaction_of(take) for take in takes]
+    used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
+    if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:
+        return []
+    if not has_torch():
+        return [topic.shard(inputs, WITHOUT_TORCH)]
+    ids = {take.facts["take_id"] for take in used}
+    variants = [manifest for manifest in inputs.of("variants") if manifest.facts["take_id"] in ids]
+    return [
+        topic.shard(
+            inputs,
+            f"{name} seed {seed}",
+            OneTraining(shares=name, seed=seed, learned=settings.part(LearnedSettings)),
+            takes=used,
+            variants=variants,
+        )
+        for name in shares
+        for seed in range(settings.num_downstream_seeds)
+    ]
+
+
+def _plan_recognition(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+    """Plan both shares of takes, with every seed."""
+    return _plan(RECOGNITION, tuple(_SHARES), inputs, settings)
+
+
+def _plan_prediction(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+    """Plan the first shares of takes, with every seed."""
+    return _plan(PREDICTION, tuple(_SHARES)[:1], inputs, settings)
+
+
+def _recognise(shard: Shard, store: Store) -> TopicResult:
+    """Train the classifier twice on the same takes, once with their variants, and test it on clips of other takes."""
+    if shard.name == WITHOUT_TORCH:
+        return LEFT_OUT
+    told = shard.options(OneTraining)
+    train, test = _split(shard, store, told)
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    real, tested = _clips(variants, train, num_frames=None), _clips(variants, test, num_frames=None)
+    made = _clips(variants, train, num_frames=None, is_augmented=True)
+    scores = []
+    for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real)):
+        generator = stream(shard.seed, "evaluation", "recognition", told.shares, told.seed)
+        classifier = ClipClassifier.train(clips, told.learned.classifier, generator)
+        scores.append(_accuracy(method, classifier.accuracy(tested), told, tested))
+    largest = max(map(len, tested.values())) / sum(map(len, tested.values()))
+    scores.append(_accuracy("largest_class", 100.0 * largest, told, tested, is_baseline=True))
+    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)])
+
+
+def _accuracy(
+    method: str, value: float, told: OneTraining, tested: dict[str, np.ndarray], *, is_baseline: bool = False
+) -> Score:
+    count = sum(map(len, tested.values()))
+    return Score("accuracy", method, value, "%", is_baseline, told.shares, f"seed {told.seed}", count=count)
+
+
+def _predict(shard: Shard, store: Store) -> TopicResult:
+    """Train the predictor twice on the same takes, once with their variants, and test it on clips of other takes."""
+    if shard.name == WITHOUT_TORCH:
+        return LEFT_OUT
+    told = shard.options(OneTraining)
+    train, test = _split(shard, store, told)
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    frames = HISTORY + HORIZON
+    real, tested = _clips(variants, train, num_frames=frames), _clips(variants, test, num_frames=frames)
+    made = _clips(variants, train, num_frames=frames, is_augmented=True)
+    guesses = {
+        method: MotionPredictor.train(
+            np.concatenate(list(clips.values())),
+            told.learned.predictor,
+            stream(shard.seed, "evaluation", "prediction", told.shares, told.seed),
+        ).predict
+        for method, clips in ((WITH, _joined(real, made)), (WITHOUT, real))
+    }
+    guesses[STILL] = lambda known: np.repeat(known[:, -1:], HORIZON, axis=1)
+    scores = []
+    for kind, clips in tested.items():
+        for method, guess in guesses.items():
+            jme, ame = joint_errors(guess(clips[:, :HISTORY]), clips[:, HISTORY:])
+            scores += prediction_scores(jme, ame, method, split=told.shares, item=f"{kind}, seed {told.seed}")
+    return TopicResult(scores=scores, notes=[_said(told, train, test, real, made)])
+
+
+def _split(shard: Shard, store: Store, told: OneTraining) -> tuple[list[Manifest], list[Manifest]]:
+    """Return the takes learned from and tested on, drawn among those of every interaction; held out takes only test."""
+    learn, judge = _SHARES[told.shares]
+    generator = stream(shard.seed, "evaluation", "takes", told.shares, told.seed)
+    by_kind: dict[str, list[Manifest]] = {}
+    for ref in shard.refs("takes"):
+        take = store.manifest(ref)
+        by_kind.setdefault(interaction_of(take), []).append(take)
+    train: list[Manifest] = []
+    test: list[Manifest] = []
+    for kind in sorted(by_kind):
+        takes = sorted(by_kind[kind], key=lambda take: str(take.facts["take_id"]))
+        takes = [takes[at] for at in generator.permutation(len(takes))]
+        takes.sort(key=lambda take: bool(take.facts["is_held_out"]))
+        num_test = max(round(judge * len(takes)), 1)
+        num_train = min(max(round(learn * len(takes)), 1), len(takes) - num_test)
+        train += [take for take in takes[:num_train] if not take.facts["is_held_out"]]
+        test += takes[len(takes) - num_test :]
+    return train, test
+
+
+def _clips(
+    variants: StoredVariants, takes: Sequence[Manifest], *, num_frames: int | None, is_augmented: bool = False
+) -> dict[str, np.ndarray]:
+    """Return clips by interaction: of recognition, or of prediction, in the pair's frame where that begins."""
+    cut = {} if num_frames is None else {"num_frames": num_frames, "frame": HISTORY - 1}
+    found: dict[str, list[np.ndarray]] = {}
+    for take in takes:
+        take_id = take.facts["take_id"]
+        source = variants.takes[take_id].source
+        motions = [source.positions_m]
+        if is_augmented:
+            motions = [item.motion_m for item in variants.items(variants.sound_names(take_id))]
+        found.setdefault(interaction_of(take), []).extend(clips_of(one, source.rate_hz, **cut) for one in motions)
+    return {kind: np.concatenate(clips) for kind, clips in found.items() if clips}
+
+
+def _joined(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {kind: np.concatenate([clips, *(other[kind] for _ in [0] if kind in other)]) for kind, clips in one.items()}
+
+
+def _said(
+    told: OneTraining,
+    train: Sequence[Manifest],
+    test: Sequence[Manifest],
+    real: dict[str, np.ndarray],
+    made: dict[str, np.ndarray],
+) -> str:
+    return (
+        f"{told.shares}, seed {told.seed}: {len(train)} takes to learn from with {sum(map(len, real.values()))} clips, "
+        f"and {sum(map(len, made.values()))} of their variants; {len(test)} takes to test on. With and without have as "
+        "many steps."
+    )
+
+
+RECOGNITION = Topic(
+    name="recognition",
+    heading="Recognition of interactions",
+    introduction="A two-person ST-GCN tells clips of 2 s apart by interaction, trained with the variants of its "
+    "training takes or without them, tested on clips of takes that neither saw.",
+    reads=("poses", "variants", "variant_quality"),
+    plan=_plan_recognition,
+    run=_recognise,
+    metrics=("accuracy",),
+    settings=LearnedSettings,
+    yardsticks=(Yardstick("accuracy", "accuracy of recognition", (WITHOUT,), (WITH,), is_larger_better=True),),
+    tables=lambda scores: recognition_table(scores["recognition"]),
+)
+
+PREDICTION = Topic(
+    name="prediction",
+    heading="Prediction of motion",
+    introduction="What comes in the next second, from the 2 s before (DCT, graph convolutions and attention to motion "
+    "history), trained with the variants of the training takes or without them, tested on takes that neither saw. JME "
+    "is the error of joints where the pair is, AME that of poses laid onto the true ones.",
+    reads=("poses", "variants", "variant_quality"),
+    plan=_plan_prediction,
+    run=_predict,
+    metrics=("JME*", "AME*"),
+    settings=LearnedSettings,
+    yardsticks=(Yardstick("JME_mean", "mean error of prediction", (WITHOUT, STILL), (WITH,)),),
+    has_means_first=True,
+    tables=lambda scores: prediction_table(scores["prediction"]),
+)

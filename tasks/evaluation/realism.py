@@ -1,0 +1,141 @@
+"""Topic `realism`: what models predict as a distribution beside the solver's, seen by a classifier of real clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from pasdedeux.evaluation.distributions import distances
+from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.learning import BASELINES, has_torch
+from pasdedeux.learning.clip_classifier import ClassifierSettings, ClipClassifier, clips_of
+from pasdedeux.learning.motion_predictor import PredictorSettings
+from storage_schema import Manifest, Store
+from tasks.augmentation import read_take
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.stage import Parameters, Shard, StageInputs, stream
+from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.run import load_stored
+
+__all__ = ["LEFT_OUT", "TOPIC", "WITHOUT_TORCH", "LearnedSettings"]
+
+SOLVER = "solver"
+"""The converged variants themselves: what chance gives between two halves of them."""
+
+
+WITHOUT_TORCH = "without_torch"
+"""Name of the shard of a topic that is asked for and cannot be answered."""
+LEFT_OUT = TopicResult(notes=["Left out: torch is not installed (pip install 'pasdedeux[learning]')."])
+
+
+class LearnedSettings(Parameters):
+    """What is judged by networks that are trained for it; needs torch."""
+
+    num_realism_variants: int = Field(
+        0, ge=0, description="Test variants of each split that models are compared on as distributions"
+    )
+    num_downstream_seeds: int = Field(
+        0, ge=0, le=20, description="Trainings of each kind that recognition and prediction of motion are repeated in"
+    )
+    classifier: ClassifierSettings = Field(ClassifierSettings(), description="Training of the classifier of clips")
+    predictor: PredictorSettings = Field(PredictorSettings(), description="Training of the predictor of motion")
+
+
+def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
+    """Plan one shard over all splits and models where there are two interactions to tell apart."""
+    models = inputs.of("models")
+    takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
+    if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
+        return []
+    if not has_torch():
+        return [TOPIC.shard(inputs, WITHOUT_TORCH)]
+    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
+    return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
+
+
+def _run(shard: Shard, store: Store) -> TopicResult:
+    """Train the classifier on real clips, and look with it at what every model predicts."""
+    if shard.name == WITHOUT_TORCH:
+        return LEFT_OUT
+    settings = shard.options(LearnedSettings)
+    takes = [store.manifest(ref) for ref in shard.refs("takes")]
+    real = _real_clips(store, takes)
+    classifier = ClipClassifier.train(real, settings.classifier, stream(shard.seed, "evaluation", "classifier"))
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    kinds = {take.facts["take_id"]: interaction_of(take) for take in takes}
+    splits: dict[str, list[Manifest]] = {}
+    for ref in shard.refs("models"):
+        manifest = store.manifest(ref)
+        splits.setdefault(manifest.facts["split"], []).append(manifest)
+    scores = []
+    halves = stream(shard.seed, "evaluation", "halves")
+    for split, manifests in splits.items():
+        test = [(take_id, name) for take_id, names in manifests[0].facts["test"].items() for name in names]
+        step = max(len(test) / settings.num_realism_variants, 1.0)
+        chosen = [test[int(at)] for at in np.arange(0.0, len(test), step)]
+        order = halves.permutation(len(chosen))
+        models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
+        clips: dict[str, list[tuple[str, np.ndarray]]] = {name: [] for name in (*models, SOLVER)}
+        for item in variants.items(chosen):
+            rate_hz, kind = item.request.source.rate_hz, kinds[item.request.take_id]
+            clips[SOLVER].append((kind, clips_of(item.motion_m, rate_hz)))
+            for name, model in models.items():
+                clips[name].append((kind, clips_of(model.predict(item.request), rate_hz)))
+        mixed = {name: [found[at] for at in order] for name, found in clips.items()}
+        scores += _compare(classifier, mixed, f"{split} test")
+    counted = ", ".join(f"{kind} {len(found)}" for kind, found in real.items())
+    return TopicResult(
+        scores=scores,
+        notes=[
+            f"The classifier learned from {sum(map(len, real.values()))} real clips of 2 s ({counted}), names "
+            f"{classifier.accuracy(real):.0f} % of them right, and has the digest {classifier.digest}."
+        ],
+    )
+
+
+def _real_clips(store: Store, takes: Sequence[Manifest]) -> dict[str, np.ndarray]:
+    """Return the clips of takes by interaction."""
+    found: dict[str, list[np.ndarray]] = {}
+    for take in takes:
+        source = read_take(store, take.ref).source
+        found.setdefault(interaction_of(take), []).append(clips_of(source.positions_m, source.rate_hz))
+    return {kind: np.concatenate(clips) for kind, clips in found.items()}
+
+
+def _compare(
+    classifier: ClipClassifier, clips: Mapping[str, Sequence[tuple[str, np.ndarray]]], split: str
+) -> list[Score]:
+    """Score what models predict of one half of the variants beside what the solver made of the other."""
+    scores: list[Score] = []
+    half = len(clips[SOLVER]) // 2
+    real = classifier.features(np.concatenate([some for _, some in clips[SOLVER][half:]]))
+    for name, found in clips.items():
+        more: dict[str, Any] = {"is_baseline": name in BASELINES, "split": split}
+        made = classifier.features(np.concatenate([some for _, some in found[: max(half, 1)]]))
+        if half and min(len(real), len(made)) > 1:
+            scores += scores_of(distances(real, made), name, count=len(made), **more)
+        by_kind: dict[str, list[np.ndarray]] = {}
+        for kind, some in found:
+            by_kind.setdefault(kind, []).append(some)
+        share = classifier.accuracy({kind: np.concatenate(some) for kind, some in by_kind.items()})
+        scores.append(Score("recognised", name, share, "%", count=sum(len(some) for _, some in found), **more))
+    return scores
+
+
+TOPIC = Topic(
+    name="realism",
+    heading="Models as distributions",
+    introduction="Test variants that a model predicts, beside others that the solver made, in 32 features of a "
+    "two-person ST-GCN that learned to tell real clips apart. The method `solver` is chance: what the solver made of "
+    "the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias and means something "
+    "only beside that of the solver. Density and coverage are about 1 for draws of the same distribution. Recognised, "
+    "as table 6 of the paper: the share of predicted clips whose interaction is found.",
+    reads=("models", "poses", "variants", "variant_quality"),
+    plan=_plan,
+    run=_run,
+    settings=LearnedSettings,
+    metrics=("KID", "FID", "density", "coverage", "recognised"),
+)

@@ -1,0 +1,49 @@
+"""Distances of distributions: laws of each, and what two halves of one distribution give."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.evaluation.distributions import density_coverage, distances, frechet_distance, kernel_distance
+
+
+def _normal(seed: int, count: int = 200, size: int = 4, shift: float = 0.0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((count, size)) + shift
+
+
+def test_the_frechet_distance_of_normals_is_known() -> None:
+    mean, spread = np.array([1.0, -2.0]), np.array([2.0, 0.5])
+    one, other = _normal(0, 200_000, 2), _normal(1, 200_000, 2) * spread + mean
+    assert frechet_distance(one, other) == pytest.approx(5.0 + 1.0 + 0.25, abs=0.1)
+    assert frechet_distance(one, one) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_kernel_distance_has_no_bias_and_the_frechet_distance_of_few_has() -> None:
+    pairs = [(_normal(2 * seed, 20), _normal(2 * seed + 1, 20)) for seed in range(300)]
+    kernel = np.array([kernel_distance(*pair) for pair in pairs])
+    assert abs(kernel.mean()) < 3.0 * kernel.std() / np.sqrt(len(kernel))
+    assert np.mean([frechet_distance(*pair) for pair in pairs]) > 0.3
+    apart = [kernel_distance(one, other + 0.5) for one, other in pairs]
+    assert np.mean(apart) > 30.0 * kernel.std() / np.sqrt(len(kernel))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), turn=st.floats(-3.0, 3.0))
+def test_no_distance_knows_how_features_are_turned_or_ordered(seed: int, turn: float) -> None:
+    one, other = _normal(seed, 30, 2), _normal(seed + 1, 25, 2, 0.3)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = distances(one[::-1] @ rotation.T, other @ rotation.T)
+    for name, value in distances(one, other).items():
+        assert moved[name] == pytest.approx(value, abs=1e-6)
+
+
+def test_density_and_coverage_see_what_is_far_off_and_what_collapsed() -> None:
+    real = _normal(0)
+    density, coverage = density_coverage(real, _normal(1))
+    assert density == pytest.approx(1.0, abs=0.2)
+    assert coverage > 0.9
+    assert density_coverage(real, _normal(1, shift=20.0)) == (0.0, 0.0)
+    collapsed = density_coverage(real, np.zeros((200, 4)))
+    assert collapsed[0] > 1.0
+    assert collapsed[1] < 0.5

@@ -1,0 +1,125 @@
+"""What `deploy/` ships fits together: composed services, pods, jobs, units; closed, limited, and without a secret."""
+
+from __future__ import annotations
+
+import configparser
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import kubernetes_validate
+import pytest
+import yaml
+from dask_jobqueue import PBSCluster, SLURMCluster
+
+from flows.dataset import dataset
+from tasks.shards.profiles import ClusterProfile, read_profile
+from tests.builders.toy_runs import ROOT
+
+DEPLOY = ROOT / "deploy"
+COMPOSE: dict[str, Any] = yaml.safe_load((DEPLOY / "compose.yaml").read_text())
+KUBERNETES = "1.30"
+
+
+@pytest.mark.parametrize("name", COMPOSE["services"])
+def test_a_composed_service_is_limited_watched_and_open_to_this_machine_at_most(name: str) -> None:
+    service = COMPOSE["services"][name]
+    limits = service["deploy"]["resources"]["limits"]
+    assert set(limits) == {"cpus", "memory"}
+    assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ()))
+    assert service["restart"] == "unless-stopped"
+    needed = service.get("depends_on", {})
+    for other, said in needed.items():
+        assert said == {"condition": "service_healthy"}
+        assert "healthcheck" in COMPOSE["services"][other]
+        assert set(service["networks"]) & set(COMPOSE["services"][other]["networks"]), f"{name} cannot reach {other}"
+    for volume in service.get("volumes", ()):
+        source = volume.split(":")[0]
+        assert source.startswith("..") or source in COMPOSE["volumes"]
+    for key, value in service.get("environment", {}).items():
+        if re.search("PASSWORD|AUTH|CONNECTION", key):
+            assert re.search(r"\$\{PASDEDEUX_\w+[:}]", value), f"{key} must come from the environment"
+
+
+def test_the_image_is_locked_and_runs_as_nobody_in_particular() -> None:
+    lines = (DEPLOY / "Dockerfile").read_text().splitlines()
+    assert any("pip install --constraint deploy/constraints.txt" in line for line in lines)
+    assert [line for line in lines if line.startswith("USER ")] == ["USER builder"]
+    for line in lines:
+        if line.startswith("COPY "):
+            assert all((ROOT / source).exists() for source in line.split()[1:-1]), line
+
+
+def test_the_composed_builder_asks_for_what_a_deployment_knows() -> None:
+    command = COMPOSE["services"]["builder"]["command"]
+    options = {option.removeprefix("--") for option in re.findall(r"--[a-z]+", command)}
+    assert options - {"cron", "pool"} <= set(dataset.fn.__annotations__)
+
+
+@pytest.mark.parametrize("path", sorted((DEPLOY / "clusters").glob("*.toml")), ids=lambda path: path.stem)
+def test_a_profile_is_one(path: Path) -> None:
+    profile = read_profile(path)
+    assert isinstance(profile, ClusterProfile)
+    assert profile.min_workers <= profile.max_workers
+    spec = profile.options.get("custom_cluster_spec")
+    assert spec is None or (ROOT / Path(spec).relative_to("/opt/pasdedeux")).is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("slurm", SLURMCluster, ("#SBATCH --cpus-per-task=8", "#SBATCH --mem=16G", "#SBATCH -t 04:00:00")),
+        ("pbs", PBSCluster, ("#PBS -l select=1:ncpus=8:mem=16GB", "#PBS -l walltime=04:00:00")),
+    ],
+)
+def test_jobs_of_a_profile_have_one_thread_a_worker_and_its_memory(
+    name: str, kind: Any, words: tuple[str, ...]
+) -> None:
+    options = tomllib.loads((DEPLOY / "clusters" / f"{name}.toml").read_text())["options"]
+    for elsewhere in ("interface", "security", "shared_temp_directory"):
+        options.pop(elsewhere)  # of the cluster's machines
+    assert options["scheduler_options"]["dashboard_address"].startswith("127.0.0.1:")
+    options["scheduler_options"]["host"] = "127.0.0.1"
+    with kind(**options) as cluster:
+        script = cluster.job_script()
+    for line in (*words, "--nthreads 1 ", "--nworkers 8 ", "--memory-limit 2.00GiB", "export OMP_NUM_THREADS=1 "):
+        assert line in script
+
+
+def test_manifests_of_kubernetes_follow_its_schemas_and_their_containers_are_limited() -> None:
+    claim, build = yaml.safe_load_all((DEPLOY / "kubernetes" / "build.yaml").read_text())
+    for manifest in (claim, build):
+        kubernetes_validate.validate(manifest, KUBERNETES, strict=True)
+    cluster = yaml.safe_load((DEPLOY / "kubernetes" / "cluster.yaml").read_text())
+    assert cluster["kind"] == "DaskCluster"
+    parts = [cluster["spec"][part]["spec"] for part in ("worker", "scheduler")]
+    for spec in parts:  # the operator makes pods of these
+        pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "pod"}, "spec": spec}
+        kubernetes_validate.validate(pod, KUBERNETES, strict=True)
+    job = build["spec"]["jobTemplate"]["spec"]["template"]["spec"]
+    assert job["securityContext"]["runAsNonRoot"] is True
+    for spec in (*parts, job):
+        for container in spec["containers"]:
+            assert set(container["resources"]["limits"]) == {"cpu", "memory"}
+            assert container["securityContext"]["allowPrivilegeEscalation"] is False
+        for volume in spec.get("volumes", ()):
+            assert volume["persistentVolumeClaim"]["claimName"] == claim["metadata"]["name"]
+    command = job["containers"][0]["command"]
+    profile = Path(command[command.index("--cluster") + 1]).relative_to("/opt/pasdedeux")
+    assert (ROOT / profile).is_file()
+
+
+@pytest.mark.parametrize("path", sorted((DEPLOY / "systemd").glob("*.service")), ids=lambda path: path.stem)
+def test_a_unit_is_closed_and_its_secrets_are_in_a_file_of_its_own(path: Path) -> None:
+    unit = configparser.ConfigParser(strict=False, interpolation=None)
+    unit.optionxform = str  # type: ignore[method-assign,assignment]
+    unit.read_string(path.read_text())
+    service = unit["Service"]
+    assert service["User"] == "pasdedeux"
+    assert service["NoNewPrivileges"] == "true"
+    assert service["EnvironmentFile"] == "/etc/pasdedeux.env"
+    assert "AUTH" not in service["Environment"]
+    assert "--host 127.0.0.1" in service["ExecStart"] or " worker start " in service["ExecStart"]
+    for name in unit["Unit"].get("Requires", "").split():
+        assert (path.parent / name).is_file()

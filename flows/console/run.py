@@ -103,7 +103,8 @@ def run(
     short = [f"ingest.take_seconds={PREVIEW_S}"] if is_preview else []
     chosen, graph = load_study(study, graph_of(context), settings=[*short, *(settings or ())])
     if is_preview:
-        chosen = chosen.model_copy(update={"head": chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})})
+        head = chosen.head.model_copy(update={"name": f"{chosen.name}-preview"})
+        chosen = chosen.model_copy(update={"head": head, "publish": None})
     where = cluster_settings(workers, worker_memory, scheduler, cluster=cluster, oversubscribe=oversubscribe)
     build_and_report(chosen, graph, open_store(store), selection, where, as_json=as_json)
     if is_preview and not as_json:

@@ -67,11 +67,11 @@ def test_a_preview_is_of_a_few_seconds_and_on_record_under_a_name_of_its_own(
     monkeypatch.setattr(run_module, "build_and_report", lambda chosen, *rest, **more: built.append(chosen))
     store = str(tmp_path / "store")
     with pytest.raises(SystemExit) as ended:
-        main(["run", "duets", "--preview", "--store", store, "--set", "seeds.num_seeds=1"])
+        main(["run", "duets", "--preview", "--store", store, "--set", "publish.name=kept"])
     assert ended.value.code == 0
     (chosen,) = built
-    assert chosen.name == "duets-preview"
-    assert capsys.readouterr().out == f"all of it: pasdedeux run duets --store {store} --set seeds.num_seeds=1\n"
+    assert (chosen.name, chosen.publish) == ("duets-preview", None), "a preview is no version of the dataset"
+    assert capsys.readouterr().out == f"all of it: pasdedeux run duets --store {store} --set publish.name=kept\n"
     planned = ingest.plan(StageInputs({}, seed=1), chosen.parameters["ingest"])
     take = next(shard for shard in planned if shard.name == "take")
     made = Store(tmp_path / "made")

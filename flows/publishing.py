@@ -13,7 +13,8 @@ from flows.outcomes import Outcome, Run
 from flows.planning import PlanError
 from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE
-from storage_schema import ArtifactRef, Dataset, StorageError, Store, canonical_json, create_dataset, list_datasets
+from storage_schema import ArtifactRef, Dataset, StorageError, canonical_json, create_dataset
+from storage_schema.datasets import newest_version
 from storage_schema.errors import DatasetExists
 
 __all__ = ["CHANGES_FILE", "GateError", "Published", "publish", "refuse_failed_gates"]
@@ -74,7 +75,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         words = f"{name} is not published: {len(failures)} of {len(gates)} gates do not hold"
         return Published(name, words, failures=failures)
     while True:
-        before = _newest(store, name)
+        before = newest_version(store, name)
         if before is not None and _content(before.refs) == _content(refs):
             return Published(name, f"{before.label} stays: nothing has changed since", before)
         version = str(int(before.version) + 1) if before is not None else "1"
@@ -95,10 +96,6 @@ def refuse_failed_gates(published: Published | None) -> None:
     """
     if published is not None and published.failures:
         raise GateError("\n       ".join([published.words, *published.failures]))
-
-
-def _newest(store: Store, name: str) -> Dataset | None:
-    return next((one for one in list_datasets(store)[::-1] if one.name == name and one.version.isdecimal()), None)
 
 
 def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:

@@ -20,7 +20,16 @@ from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["Dataset", "add_dataset", "create_dataset", "dataset_from_json", "list_datasets", "open_dataset"]
+__all__ = [
+    "Dataset",
+    "add_dataset",
+    "create_dataset",
+    "dataset_from_json",
+    "digest_of",
+    "list_datasets",
+    "newest_version",
+    "open_dataset",
+]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 _FILE = "dataset.json"
@@ -89,9 +98,8 @@ def create_dataset(
     while True:
         chosen = version or _next_version(store, name)
         path = store.root / "datasets" / f"{name}@{chosen}"
-        digest = hashlib.sha256(canonical_json([asdict(ref) for ref in refs])).hexdigest()
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        dataset = Dataset(name, chosen, tuple(refs), digest, note, created_at, path)
+        dataset = Dataset(name, chosen, tuple(refs), digest_of(refs), note, created_at, path)
         if add_dataset(store, dataset, attachments or {}):
             return dataset
         if version is not None:
@@ -100,10 +108,17 @@ def create_dataset(
 
 def list_datasets(store: Store) -> list[Dataset]:
     """Return all datasets of a store, by name and version."""
-    return sorted(
-        (dataset_from_json((path / _FILE).read_bytes, path) for path in (store.root / "datasets").glob("*@*")),
-        key=_order,
-    )
+    return list(map(_read, _folders(store)))
+
+
+def newest_version(store: Store, name: str) -> Dataset | None:
+    """Return the numbered version of a dataset with the greatest number; None where there is none.
+
+    Raises:
+        CorruptArtifact: Its list cannot be read.
+    """
+    numbered = [path for path in _folders(store, name) if _version(path).isdecimal()]
+    return _read(numbered[-1]) if numbered else None
 
 
 def open_dataset(store: Store, label: str) -> Dataset:
@@ -113,11 +128,16 @@ def open_dataset(store: Store, label: str) -> Dataset:
         UnknownReference: There is no such dataset; says which there are.
         CorruptArtifact: Its list cannot be read.
     """
-    named = [dataset for dataset in list_datasets(store) if label in (dataset.label, dataset.name)]
+    named = [path for path in _folders(store) if label in (path.name, path.name.rpartition("@")[0])]
     if not named:
-        there = ", ".join(dataset.label for dataset in list_datasets(store)) or "none"
+        there = ", ".join(path.name for path in _folders(store)) or "none"
         raise UnknownReference(f"there is no dataset '{label}' in the store {store.root}; there are: {there}")
-    return named[-1]
+    return _read(named[-1])
+
+
+def digest_of(refs: Sequence[ArtifactRef]) -> str:
+    """Return the sha256 over the stages, keys and content digests of artifacts."""
+    return hashlib.sha256(canonical_json([asdict(ref) for ref in refs])).hexdigest()
 
 
 def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
@@ -161,18 +181,31 @@ def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection
         raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
 
 
+def _read(path: Path) -> Dataset:
+    return dataset_from_json((path / _FILE).read_bytes, path)
+
+
 def _next_version(store: Store, name: str) -> str:
-    numbers = [int(dataset.version) for dataset in list_datasets(store) if dataset.name == name and _is_number(dataset)]
+    numbers = [int(_version(path)) for path in _folders(store, name) if _version(path).isdecimal()]
     return str(max(numbers, default=0) + 1)
 
 
-def _order(dataset: Dataset) -> tuple[str, bool, int, str]:
-    """Numbered versions by number, after those with names."""
-    return (dataset.name, _is_number(dataset), int(dataset.version) if _is_number(dataset) else 0, dataset.version)
+def _folders(store: Store, name: str = "*") -> list[Path]:
+    """Return the folders of datasets: by name, versions that are numbers by number, after those with names.
+
+    Their lists, of 100,000 artifacts perhaps, are not read.
+    """
+    return sorted((store.root / "datasets").glob(f"{name}@*"), key=_order)
 
 
-def _is_number(dataset: Dataset) -> bool:
-    return dataset.version.isdecimal()
+def _order(path: Path) -> tuple[str, bool, int, str]:
+    version = _version(path)
+    is_number = version.isdecimal()
+    return (path.name.rpartition("@")[0], is_number, int(version) if is_number else 0, version)
+
+
+def _version(path: Path) -> str:
+    return path.name.rpartition("@")[2]
 
 
 def _check_names(*names: str) -> None:

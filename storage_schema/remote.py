@@ -11,6 +11,7 @@ them is in what is written or said.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -24,7 +25,7 @@ from typing import Any, TypeVar
 from obstore.exceptions import AlreadyExistsError, BaseError
 from obstore.store import S3Store
 
-from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, list_datasets
+from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import HashingFile, sync_folder, write_errors, write_file
 from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
 from storage_schema.keys import content_digest, file_sha256
@@ -118,6 +119,17 @@ class RemoteStore:
 
         return self._asked(f"read {path}", stream)
 
+    def read_whole(self, sha256: str) -> bytes:
+        """Return the file of this digest; CorruptArtifact where its bytes have another."""
+        data = self.read(f"files/{sha256}")
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise self.corrupt(sha256)
+        return data
+
+    def corrupt(self, sha256: str) -> CorruptArtifact:
+        """Return the error of a file whose bytes have another digest."""
+        return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
+
     def _asked(self, what: str, ask: Callable[[], T]) -> T:
         try:
             return ask()
@@ -170,8 +182,10 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     data = remote.read(f"datasets/{label}")
     dataset = dataset_from_json(lambda: data, store.root / "datasets" / label, less=("attachments",))
     attachments: dict[str, str] = json.loads(data)["attachments"]
-    known = [one for one in list_datasets(store) if one.label == dataset.label]
-    if known and known[0].digest != dataset.digest:
+    if dataset.label != label or dataset.digest != digest_of(dataset.refs):
+        raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
+    known = open_dataset(store, label) if dataset.path.is_dir() else None
+    if known is not None and known.digest != dataset.digest:
         raise DatasetExists(f"the store {store.root} has another {dataset.label} already, which never changes")
     store.prepare()
 
@@ -180,15 +194,15 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         manifest = Manifest.from_json(remote.read(_place(ref)).decode(), where=where)
         digests = {name: entry.sha256 for name, entry in manifest.data_files.items()}
         names = {ref.stage, *digests}
-        if manifest.ref != ref or content_digest(digests) != ref.content_digest or any("/" in name for name in names):
+        if manifest.ref != ref or content_digest(digests) != ref.content_digest or any(map(_is_elsewhere, names)):
             raise CorruptArtifact(f"{where} is the manifest of something else")
         return manifest
 
     manifests = _closure(dataset.refs, manifest_of)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
-    if not known:
-        add_dataset(store, dataset, {name: remote.read(f"files/{sha256}") for name, sha256 in attachments.items()})
+    if known is None:
+        add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
     return dataset, num_new
 
 
@@ -201,6 +215,11 @@ def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], M
             found |= zip(waiting, pool.map(manifest_of, waiting), strict=True)
             waiting = [ref for ref in {ref for one in waiting for ref in found[one].inputs} if ref not in found]
     return list(found.values())
+
+
+def _is_elsewhere(name: str) -> bool:
+    """Tell whether a name would lead out of the folder it is meant for."""
+    return "/" in name or name.startswith(".")
 
 
 def _place(ref: ArtifactRef) -> str:
@@ -238,7 +257,7 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, entry in manifest.data_files.items():
             if remote.fetch(f"files/{entry.sha256}", staging.path / name) != entry.sha256:
-                raise CorruptArtifact(f"{remote.url}/files/{entry.sha256} does not hold what its name says")
+                raise remote.corrupt(entry.sha256)
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
         store.put_in_place(staging.path, ref)

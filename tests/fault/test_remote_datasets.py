@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import threading
 from collections.abc import Iterator
@@ -140,7 +141,7 @@ def test_two_that_push_at_once_leave_one_whole_dataset(
 def test_bytes_that_are_not_what_was_made_are_refused_on_both_ways(server: S3Server, tmp_path: Path) -> None:
     store, other = Store(tmp_path / "store"), Store(tmp_path / "other")
     ref = commit_rows(store, name="one")
-    dataset = create_dataset(store, "toys", [ref])
+    dataset = create_dataset(store, "toys", [ref], attachments={"card.md": b"# Card"})
     remote = remote_of(server)
     push_dataset(store, dataset, remote)
     (sha256,) = {entry.sha256 for entry in store.manifest(ref).data_files.values()}
@@ -148,6 +149,14 @@ def test_bytes_that_are_not_what_was_made_are_refused_on_both_ways(server: S3Ser
     with pytest.raises(CorruptArtifact, match="does not hold what its name says"):
         pull_dataset(remote, "toys", other)
     assert list_datasets(other) == list(other.artifacts()) == []
+    remote.write(f"files/{sha256}", store.folder(ref.stage, ref.key) / next(iter(store.manifest(ref).data_files)))
+    remote.write(f"files/{hashlib.sha256(b'# Card').hexdigest()}", b"# Curd")
+    with pytest.raises(CorruptArtifact, match="does not hold what its name says"):
+        pull_dataset(remote, "toys", other)
+    remote.write("datasets/toys@2", remote.read("datasets/toys@1").replace(ref.key[:8].encode(), b"01234567"))
+    with pytest.raises(CorruptArtifact, match="toys@2 is not the list that was pushed"):
+        pull_dataset(remote, "toys", other)
+    assert list_datasets(other) == []
     path = next(store.folder(ref.stage, ref.key).glob("*.parquet"))
     path.write_bytes(path.read_bytes()[:-1] + b"!")
     assert isinstance(ref, ArtifactRef)

@@ -13,6 +13,7 @@ import typer.core
 
 from flows.console import (
     bench,
+    complete,
     datasets,
     deploy,
     diff,
@@ -130,7 +131,7 @@ def command_line() -> typer.Typer:
     reconstruct.register(reconstruction)
     retargeting = typer.Typer(rich_markup_mode=None)
     retarget.register(retargeting)
-    parts = (run, status, show, datasets, diff, rerun, gc, studies, restart, deploy, reconstruction, retargeting, bench)
-    for part in (*parts, doctor):
+    parts = (run, status, show, datasets, diff, rerun, gc, studies, restart, complete, deploy, reconstruction)
+    for part in (*parts, retargeting, bench, doctor):
         app.add_typer(part if isinstance(part, typer.Typer) else part.app)
     return app

@@ -22,8 +22,8 @@ from pasdedeux.interaction import align_plane, interaction_dissimilarity, plane_
 from pasdedeux.interaction.shape_context import NUM_SECTORS, NUM_SHELLS
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
-from pasdedeux.sampling.density import ImageKind, ImageSettings, Match
-from pasdedeux.sampling.likelihood import log_mean
+from pasdedeux.sampling.density import ImageKind, ImageSettings, Match, Pooling
+from pasdedeux.sampling.likelihood import pooled_log
 from pasdedeux.spread import evenly_spread
 
 __all__ = [
@@ -90,6 +90,7 @@ class MeasuredLikelihood:
         bank: Views and their candidates, all of which show every joint.
         measure: The dissimilarity.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres of d_I, to which the dissimilarity is scaled.
+        pooling: How the views are pooled.
         num_ranked: Shape contexts of a view that are compared, nearest by rigid residual; Cartesian distances are all.
         is_exact: Compare all shape contexts, to the end: the oracle.
 
@@ -104,6 +105,7 @@ class MeasuredLikelihood:
         measure: ImageMeasure,
         *,
         sigma_l: float = PUBLISHED_SIGMA_L,
+        pooling: Pooling = Pooling.MEAN,
         num_ranked: int = 64,
         is_exact: bool = False,
     ) -> None:
@@ -117,7 +119,7 @@ class MeasuredLikelihood:
         self._num_ranked = num_ranked
         self._is_exact = is_exact
         self._pairs, self._bank, self.sigma_l = pairs, bank, sigma_l
-        self.directions = bank.directions
+        self.directions, self._pooling = bank.directions, pooling
         used = np.unique(bank.candidates[bank.candidates >= 0])
         points = pairs.points_m[used].reshape(len(used), -1, 2)
         self._used = used
@@ -138,10 +140,14 @@ class MeasuredLikelihood:
 
         The least dissimilarities of the views are in metres, scaled to d_I; inf where they cannot matter.
         """
-        # The mean over views is at most the best view: it alone must reach the floor.
-        self._search(pair_m, np.inf if at_least == -np.inf else -at_least / self._exponent, self._margin)
-        least = float(self._best.min())
-        log_likelihood = -np.inf
+        least, log_likelihood = np.inf, -np.inf
+        if self._pooling is Pooling.EVERY_VIEW:
+            self._search(pair_m, np.inf, np.inf)
+            log_likelihood = pooled_log(self._best * self.scale, self.sigma_l, self._pooling)
+        else:
+            # The mean over views is at most the best view: it alone must reach the floor.
+            self._search(pair_m, np.inf if at_least == -np.inf else -at_least / self._exponent, self._margin)
+            least = float(self._best.min())
         if np.isfinite(least):
             is_near = self._best <= least + self._margin
             self._best[~is_near], self._slot[~is_near] = np.inf, -1
@@ -164,7 +170,7 @@ class MeasuredLikelihood:
             own = self._bank.candidates[view, : self._bank.counts[view]]
             fixed = self._pairs.points_m[own].reshape(len(own), -1, 2)
             best[view] = image_dissimilarity(image, fixed, self.measure).min(initial=np.inf)
-        return log_mean(best * self.scale, self.sigma_l)
+        return pooled_log(best * self.scale, self.sigma_l, self._pooling)
 
     def nearest(self, pair_m: Array) -> npt.NDArray[np.int64]:
         """Return the entry nearest to the pair (2, 17, 3) under every view, (m,); -1 for a view without any."""
@@ -199,7 +205,7 @@ class CartesianKind(ImageKind[ImageSettings]):
         self, settings: ImageSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
     ) -> MeasuredLikelihood:
         """Return the likelihood of a bandwidth over a bank of views."""
-        return MeasuredLikelihood(pairs, bank, ImageMeasure.CARTESIAN, sigma_l=sigma_l)
+        return MeasuredLikelihood(pairs, bank, ImageMeasure.CARTESIAN, sigma_l=sigma_l, pooling=settings.pooling)
 
 
 class ShapeContextSettings(ImageSettings):
@@ -223,5 +229,10 @@ class ShapeContextKind(ImageKind[ShapeContextSettings]):
     ) -> MeasuredLikelihood:
         """Return the likelihood of a bandwidth over a bank of views."""
         return MeasuredLikelihood(
-            pairs, bank, ImageMeasure.SHAPE_CONTEXT, sigma_l=sigma_l, num_ranked=settings.num_ranked
+            pairs,
+            bank,
+            ImageMeasure.SHAPE_CONTEXT,
+            sigma_l=sigma_l,
+            pooling=settings.pooling,
+            num_ranked=settings.num_ranked,
         )

@@ -80,10 +80,10 @@ def write_pair_json(pair: PairFile) -> str:
     return _TRIPLE.sub(lambda found: f"[{', '.join(found.groups())}]", text) + "\n"
 
 
-def read_pair_json(data: bytes | str) -> PairFile:
+def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
     """Read what `write_pair_json` wrote, edited or not.
 
-    `made_from`, `takes` and `sources` may be left out.
+    `made_from`, `takes` and `sources` may be left out; so may joints, or be null, where `is_partial`: they are NaN.
 
     Raises:
         FormatError: It is no such file, a joint is missing, unknown or not three finite numbers, or a bone has a length
@@ -104,7 +104,7 @@ def read_pair_json(data: bytes | str) -> PairFile:
     persons = tree.get("persons")
     if not isinstance(persons, dict) or sorted(persons) != list(_PERSONS):
         raise FormatError("the key 'persons' must hold the two people 'A' and 'B'")
-    pair = np.array([_joints(name, persons[name]) for name in _PERSONS])
+    pair = np.array([_joints(name, persons[name], is_partial=is_partial) for name in _PERSONS])
     _check_bones(pair)
     return PairFile(
         pair_m=pair,
@@ -156,17 +156,19 @@ def _posed(name: str, data: bytes | str, frame: int, metres_per_unit: float) -> 
     return derive_working_poses(motion, layout).pair17_m[0]
 
 
-def _joints(name: str, joints: Any) -> Array:
+def _joints(name: str, joints: Any, *, is_partial: bool) -> Array:
     if not isinstance(joints, dict):
         raise FormatError(f"person {name}: expected an object of joints, each [x, y, z]")
     missing = [joint for joint in PAIR17.joint_names if joint not in joints]
-    if missing:
+    if missing and not is_partial:
         raise FormatError(f"person {name}: joint '{missing[0]}' is missing")
     unknown = sorted(set(joints) - set(PAIR17.joint_names))
     if unknown:
         raise FormatError(f"person {name}: joint '{unknown[0]}' is not in {PAIR17.name}")
-    positions = np.empty((PAIR17.num_joints, 3))
+    positions = np.full((PAIR17.num_joints, 3), np.nan)
     for index, joint in enumerate(PAIR17.joint_names):
+        if is_partial and joints.get(joint) is None:
+            continue
         values = joints[joint]
         is_number = isinstance(values, list) and all(type(value) in (int, float) for value in values)
         if not is_number or len(values) != 3 or not np.isfinite(values).all():
@@ -177,7 +179,7 @@ def _joints(name: str, joints: Any) -> Array:
 
 def _check_bones(pair: Array) -> None:
     lengths = bone_lengths(PAIR17, pair)[:, 1:]
-    is_wrong = ~((lengths >= MIN_BONE_M) & (lengths <= MAX_BONE_M))
+    is_wrong = (lengths < MIN_BONE_M) | (lengths > MAX_BONE_M)
     if is_wrong.any():
         person, bone = (int(index) for index in np.argwhere(is_wrong)[0])
         raise FormatError(

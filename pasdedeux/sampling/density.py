@@ -32,6 +32,7 @@ __all__ = [
     "Likelihood",
     "Match",
     "PairDensity",
+    "Pooling",
     "PriorOnlyKind",
     "Reads",
     "TargetSettings",
@@ -309,6 +310,15 @@ class PriorOnlyKind(DensityKind[Settings]):
         return
 
 
+class Pooling(StrEnum):
+    """How what the views of a pair say is pooled."""
+
+    EVERY_VIEW = "every_view"
+    """The mean of their logarithms: a pair must look like annotations from everywhere."""
+    MEAN = "mean"
+    """The mean of their likelihoods, as published (eq. 6): one good view is enough."""
+
+
 class ImageSettings(Settings):
     """Which annotations a pair is compared with, and how sharply (Yin et al. 2018, eqs. 6 and 9)."""
 
@@ -319,6 +329,11 @@ class ImageSettings(Settings):
         default=LEFT_OUT,
         description="Bandwidth of the likelihood, 2 sigma_l^2 in metres (eq. 9; published: 0.01); left_out: where "
         "annotations that are left out in turn are likeliest",
+    )
+    pooling: Pooling = Field(
+        default=Pooling.EVERY_VIEW,
+        description="What the views of a pair say together: every_view, the mean of their logarithms, or mean, that of "
+        "their likelihoods, as published (eq. 6)",
     )
     sigma_v_rad: float = Field(default=0.5, gt=0, description="Bandwidth of the view density (eq. 5), radians")
 

@@ -54,6 +54,7 @@ class BankTables(NamedTuple):
         min_own_ratio: The side of eq. 8 over the pair's own edges is taken to be at least so many times half the
             estimate when that over the annotation's is known; 0 never loses any.
         scale: 2 sigma_l^2, metres.
+        is_every: Whether the logs of all views are averaged, not their likelihoods.
     """
 
     directions: np.ndarray
@@ -81,6 +82,7 @@ class BankTables(NamedTuple):
     min_ratio: float
     min_own_ratio: float
     scale: float
+    is_every: bool
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract"})
@@ -328,14 +330,15 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
     Args:
         points: Joints of both people, (n, 3), metres.
         bank: Tables of the bank.
-        limit: d_I above which nothing matters unless a better one is found, metres.
-        margin: How far behind the best view another still matters, metres.
+        limit: d_I above which nothing matters unless a better one is found, metres; where all views are averaged, the
+            sum of their least d_I above which nothing matters.
+        margin: How far behind the best view another still matters, metres; where all are averaged they all do.
         best: Result (m,), metres: least d_I, inf where it is beyond what matters.
         best_slot: Annotation that reached it, (m,); -1 where none did.
 
     Returns:
-        Log of the mean over the views of exp(-d_I / scale), -inf when nothing mattered; and a number without meaning,
-        which keeps reads ahead from being optimised away.
+        Log of the mean over the views of exp(-d_I / scale), or the mean of its logs, -inf when nothing mattered; and a
+        number without meaning, which keeps reads ahead from being optimised away.
     """
     num_points, num_views, most = points.shape[0], bank.directions.shape[0], bank.slots.shape[1]
     slots, candidate_counts, offsets = bank.slots, bank.counts, bank.offsets
@@ -368,8 +371,16 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
         best_slot[view] = -1
     _estimate_views(points, bank, xs, ys, turn, estimate, least, first)
     overall = limit
+    # What views not looked at yet add to the sum at the least, and what those looked at add.
+    rest_m, sum_m = 0.0, 0.0
+    if bank.is_every:
+        for view in range(num_views):
+            rest_m += max(min_ratio * least[view] - ESTIMATE_TOLERANCE_M, 0.0) if first[view] >= 0 else 0.0
     for view in np.argsort(least):
         matters = overall + margin
+        if bank.is_every:
+            rest_m -= max(min_ratio * least[view] - ESTIMATE_TOLERANCE_M, 0.0) if first[view] >= 0 else 0.0
+            matters = limit - sum_m - rest_m + ESTIMATE_TOLERANCE_M
         if first[view] < 0 or min_ratio * least[view] > matters + ESTIMATE_TOLERANCE_M:
             # Views after this one are estimated to be farther.
             break
@@ -426,7 +437,19 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
                 if total < best[view] and total <= matters:
                     best[view], best_slot[view] = total, slot
                     bound = total
+        if bank.is_every:
+            if best[view] == np.inf:
+                break
+            sum_m += best[view]
         overall = min(overall, best[view])
+    if bank.is_every:
+        num_met = 0
+        for view in range(num_views):
+            if first[view] >= 0:
+                num_met += 1
+                if best[view] == np.inf:
+                    return -np.inf, touched
+        return (-sum_m / num_met / scale if num_met > 0 and sum_m <= limit else -np.inf), touched
     total, nearest = 0.0, best.min()
     for view in range(num_views):
         if best[view] > nearest + margin:

@@ -1,7 +1,9 @@
 """The likelihood of a 3D pair given 2D annotations: interaction coordinates under a fixed bank of views.
 
 Yin et al. 2018, eqs. 6 and 9: the mean over m views of the greatest, over annotations with a similar view, of
-exp(-d_I / (2 sigma_l^2)).  The views are drawn once per seed from the view density and then stay: the target is one
+exp(-d_I / (2 sigma_l^2)).  With a bandwidth this sharp that is the best view alone, and from one view a pair may have
+any depth; so by default the logarithms are averaged, not the likelihoods: a pair must look like annotations from every
+view (`Pooling`).  The views are drawn once per seed from the view density and then stay: the target is one
 fixed function.  An annotation that lacks joints is compared over those that it shows (`interaction_dissimilarity`).
 `plain_log_likelihood` is the definition; `InteractionLikelihood` gives the same value fast.
 """
@@ -22,15 +24,15 @@ from pasdedeux.interaction.kernels import EdgeTable, edge_table
 from pasdedeux.interaction.triangulation import jitter
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L
-from pasdedeux.sampling.density import ImageKind, ImageSettings, Match
+from pasdedeux.sampling.density import ImageKind, ImageSettings, Match, Pooling
 from pasdedeux.sampling.kernels import BankTables, best_per_view
 
 __all__ = [
     "InteractionKind",
     "InteractionLikelihood",
     "InteractionSettings",
-    "log_mean",
     "plain_log_likelihood",
+    "pooled_log",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -53,6 +55,7 @@ def plain_log_likelihood(
     table: EdgeTable | None = None,
     sigma_l: float = PUBLISHED_SIGMA_L,
     beta_m: float = BETA_M,
+    pooling: Pooling = Pooling.MEAN,
 ) -> Match:
     """Return the log likelihood of a pair (2, 17, 3) by the definition, vectorised over the candidates of a view.
 
@@ -81,15 +84,17 @@ def plain_log_likelihood(
         lengths = np.where(table.weights[own] > 0.0, np.linalg.norm(along, axis=-1), 0.0)
         total += np.sum(table.weights[own] * lengths, axis=-1)
         best[view], entry[view] = total.min(), own[int(total.argmin())]
-    return Match(log_likelihood=log_mean(best, sigma_l), dissimilarity_m=best, entry=entry)
+    return Match(log_likelihood=pooled_log(best, sigma_l, pooling), dissimilarity_m=best, entry=entry)
 
 
-def log_mean(best: Array, sigma_l: float) -> float:
-    """Return the log of eq. 6 of the smallest d_I of each view."""
+def pooled_log(best: Array, sigma_l: float, pooling: Pooling) -> float:
+    """Return the log of eq. 6, or what stands for it, of the smallest d_I of each view; inf where there is none."""
     smallest = float(best.min())
     if not np.isfinite(smallest):
         return -np.inf
     scale = 2.0 * sigma_l**2
+    if pooling is Pooling.EVERY_VIEW:
+        return float(-best[np.isfinite(best)].mean() / scale)
     return float(np.log(np.mean(np.exp(-(best - smallest) / scale))) - smallest / scale)
 
 
@@ -105,6 +110,7 @@ class InteractionLikelihood:
         bank: Views and their candidates.
         sigma_l: Bandwidth; 2 sigma_l^2 is in metres (the paper divides d_I, not its square).
         beta_m: Edge length below which weights stop growing, metres.
+        pooling: How the views are pooled.
         min_ratio: Smallest ratio of d_I to its estimate that is reckoned with.
         min_own_ratio: The same for the side of eq. 8 over the pair's own edges and half the estimate.
         is_exact: Compare all candidates, whatever the estimate: the oracle.
@@ -120,6 +126,7 @@ class InteractionLikelihood:
         *,
         sigma_l: float = PUBLISHED_SIGMA_L,
         beta_m: float = BETA_M,
+        pooling: Pooling = Pooling.MEAN,
         min_ratio: float = MIN_RATIO,
         min_own_ratio: float = MIN_OWN_RATIO,
         is_exact: bool = False,
@@ -127,7 +134,7 @@ class InteractionLikelihood:
         if not sigma_l > 0.0:
             raise InputError(f"sigma_l must be positive, found {sigma_l}")
         self._pairs, self._bank, self.sigma_l, self._beta_m = pairs, bank, sigma_l, beta_m
-        self.directions = bank.directions
+        self.directions, self._pooling = bank.directions, pooling
         # Only the entries that some view may meet are kept.
         used = np.unique(bank.candidates[bank.candidates >= 0])
         self._used = used
@@ -169,9 +176,11 @@ class InteractionLikelihood:
             min_ratio=0.0 if is_exact else min_ratio,
             min_own_ratio=0.0 if is_exact else min_own_ratio,
             scale=2.0 * sigma_l**2,
+            is_every=pooling is Pooling.EVERY_VIEW,
         )
         # Views this far behind the best add less than 1e-14 of the sum together.
         self._margin = self._tables.scale * float(np.log(len(bank.directions) * 1e14))
+        self._searched_m: Array | None = None
         self._best = np.empty(len(bank.directions))
         self._slot = np.empty(len(bank.directions), dtype=np.int64)
 
@@ -184,14 +193,24 @@ class InteractionLikelihood:
         """Return the log likelihood alone."""
         # The mean over views is at most the best view: it alone must reach the floor.
         limit = np.inf if at_least == -np.inf else -at_least * self._tables.scale
+        if self._pooling is Pooling.EVERY_VIEW:
+            limit *= len(self.directions)
         value = self._search(pair_m, limit, self._margin)
+        # Where every view counts, all have been searched when none gave up: `nearest` need not do so again.
+        self._searched_m = pair_m if self._pooling is Pooling.EVERY_VIEW and value > -np.inf else None
         return value if value >= at_least else -np.inf
 
     def plain(self, pair_m: Array) -> float:
         """Return the log likelihood by its definition."""
         table = self._plain_table
         match = plain_log_likelihood(
-            pair_m, self._pairs, self._bank, table=table, sigma_l=self.sigma_l, beta_m=self._beta_m
+            pair_m,
+            self._pairs,
+            self._bank,
+            table=table,
+            sigma_l=self.sigma_l,
+            beta_m=self._beta_m,
+            pooling=self._pooling,
         )
         return match.log_likelihood
 
@@ -204,7 +223,8 @@ class InteractionLikelihood:
 
         This is D* of eq. 12; -1 for a view without candidates.
         """
-        self._search(pair_m, np.inf, np.inf)
+        if self._searched_m is None or not np.array_equal(self._searched_m, pair_m):
+            self._search(pair_m, np.inf, np.inf)
         return self._entries()
 
     def _entries(self) -> npt.NDArray[np.int64]:
@@ -234,7 +254,7 @@ class InteractionKind(ImageKind[InteractionSettings]):
         self, settings: InteractionSettings, pairs: AnnotatedPairs, bank: ViewBank, sigma_l: float
     ) -> InteractionLikelihood:
         """Return the likelihood of a bandwidth over a bank of views."""
-        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, beta_m=settings.beta_m)
+        return InteractionLikelihood(pairs, bank, sigma_l=sigma_l, beta_m=settings.beta_m, pooling=settings.pooling)
 
 
 def _springs(

@@ -16,6 +16,7 @@ from flows.study import Study
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_bvh, write_pair_json
+from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
@@ -216,3 +217,33 @@ def test_exported_seeds_and_draws_come_in_again(tmp_path: Path) -> None:
     assert json.loads(draw.read_text())["made_from"].endswith("#3")
     with pytest.raises(InputError, match="allowed are seeds and single draws"):
         export_reference(store, "draws:edited", "json", out)
+
+
+def test_a_pair_that_lacks_joints_is_completed_by_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store(tmp_path / "store")
+    source = PairSource("someone", "CC0", "made it")
+    (tmp_path / "a.json").write_text(write_pair_json(PairFile(PAIR, "draws@abc#3", ("one",), (source,))))
+    (made,) = planned(store, SeedFile(path=tmp_path / "a.json"))
+    turn = yaw_rotmat(0.8)
+    tree = json.loads(write_pair_json(PairFile(PAIR @ turn.T + 1.0, takes=("two",))))
+    del tree["persons"]["A"]["left_wrist"]
+    tree["persons"]["B"] = dict.fromkeys(tree["persons"]["B"])
+    (tmp_path / "part.json").write_text(json.dumps(tree))
+    options = ("--draws", f"seeds@{made.ref.key}", "--store", store.root)
+    answer = call_in_process(capsys, "complete", tmp_path / "part.json", *options)
+    assert answer.code == 0, answer.err
+    assert "person A: 1 joints completed" in answer.out
+    assert "person B: 17 joints completed, 0.0 cm uncertain" in answer.out
+    whole = read_pair_json((tmp_path / "part_completed.json").read_text())
+    np.testing.assert_allclose(whole.pair_m, PAIR @ turn.T + 1.0, atol=0.01)
+    assert (whole.takes, [one.name for one in whole.sources]) == (("one", "two"), ["someone"])
+    for text, reference, message in (
+        (write_pair_json(PairFile(PAIR)), options[1], "part.json: no joint is missing"),
+        (json.dumps(tree | {"persons": {"A": {}, "B": {}}}), options[1], "0 joints of the two people are known"),
+        (json.dumps(tree), "views:edited", "names no draws"),
+        (json.dumps(tree | {"unit": "cm"}), options[1], "part.json: the key 'unit' is 'cm'"),
+    ):
+        (tmp_path / "part.json").write_text(text)
+        refused = call_in_process(capsys, "complete", tmp_path / "part.json", "--draws", reference, *options[2:])
+        assert (refused.code, refused.err.count("\n")) == (2, 1)
+        assert message in refused.err

@@ -14,7 +14,7 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
-from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.density import PairDensity, Pooling
 from pasdedeux.sampling.image_kernels import pair_axes
 from pasdedeux.sampling.likelihood import InteractionLikelihood, plain_log_likelihood
 from pasdedeux.sampling.parameters import (
@@ -244,6 +244,29 @@ def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -
     points = np.where(rng.random((*pairs.points_m.shape[:3], 1)) < share, np.nan, pairs.points_m)
     enough = shows_enough(points)
     return AnnotatedPairs(points[enough], pairs.directions[enough], pairs.annotation_index[enough])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_a_likelihood_that_every_view_has_a_say_in_is_its_definition(share: float) -> None:
+    rng = np.random.default_rng(23)
+    pairs = random_annotations(rng, random_pairs(rng, 300, spread_rad=0.2), 900)
+    pairs = with_hidden(rng, pairs, share) if share else pairs
+    views = ViewDensity(pairs.directions, np.ones(len(pairs.directions)), 0.5).sample(rng, 6)
+    bank = build_bank(views, pairs, num_candidates=300, view_bandwidth_rad=1.2)
+    every = InteractionLikelihood(pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
+    best_alone = InteractionLikelihood(pairs, bank, sigma_l=0.03)
+    for pair in random_pairs(rng, 8, spread_rad=0.2):
+        plain = plain_log_likelihood(pair, pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
+        assert plain.log_likelihood == pytest.approx(-plain.dissimilarity_m.mean() / (2 * 0.03**2), rel=1e-12)
+        value = every.log_likelihood(pair)
+        assert value == pytest.approx(plain.log_likelihood, rel=1e-9)
+        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        # Jensen: the mean of logarithms is at most the logarithm of the mean.
+        assert value <= best_alone.log_likelihood(pair)
+        for level in (value - 1e-9 * abs(value), value + 1e-9 * abs(value), 0.9 * value, 1.1 * value):
+            found = every.log_likelihood(pair, at_least=level)
+            assert found == (value if value >= level else -np.inf)
+            np.testing.assert_array_equal(every.nearest(pair), plain.entry)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.35])

@@ -245,7 +245,7 @@ def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[ob
     with starting_server() as server:
         # Heartbeats find flows whose process died; this server dies with its only flow, and they cost a second a flow.
         # Nobody starts it again either, so each request waits some seconds for that and not a minute.
-        settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 2}
+        settings = {PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None, PREFECT_CLIENT_MAX_RETRIES: 1}
         yield lambda: temporary_settings({PREFECT_API_URL: server.wait(), **settings})
 
 

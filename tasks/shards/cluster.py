@@ -100,16 +100,19 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
                 yield client
             return
         with _no_ctrl_c_for_children():
-            cluster = LocalCluster(
-                n_workers=settings.num_workers,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=settings.memory_bytes,
-                dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": False},
-                silence_logs=logging.CRITICAL,
-                host="127.0.0.1",
-            )
+            try:
+                cluster = LocalCluster(
+                    n_workers=settings.num_workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=settings.memory_bytes,
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
+                    silence_logs=logging.CRITICAL,
+                    host="127.0.0.1",
+                )
+            except RuntimeError as error:
+                raise ClusterError(f"the local workers did not start: {in_one_line(error)}") from None
         try:
             with _client_of(cluster) as client:
                 client.register_plugin(_tether(), name="pasdedeux-tether")

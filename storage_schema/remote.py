@@ -37,6 +37,7 @@ from storage_schema.version import SCHEMA_VERSION
 __all__ = ["RemoteError", "RemoteStore", "pull_dataset", "push_dataset"]
 
 _URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
+_ADDRESS = re.compile(r"https?://\S+")
 _AT_ONCE = 8
 """Requests in flight."""
 _MAX_RETRIES = 6
@@ -136,8 +137,8 @@ class RemoteStore:
         except AlreadyExistsError:
             raise FileExistsError(f"{self.url}/{what}") from None
         except BaseError as error:
-            # The rest of the message is the server's answer: it may name keys, and helps nobody here.
-            reason = str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": ")
+            # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
+            reason = _ADDRESS.sub("the server", str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": "))
             raise RemoteError(
                 f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on"
             ) from None

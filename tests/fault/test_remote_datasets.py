@@ -189,3 +189,14 @@ def test_the_command_line_pushes_and_pulls_and_says_no_credential(
     assert not any(SECRET.encode() in data for data in [*written, said.err.encode(), said.out.encode()])
     with pytest.raises(BadName, match="s3://BUCKET/PREFIX is meant"):
         RemoteStore("s3:/bucket")
+
+
+def test_an_address_that_holds_a_password_is_not_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (
+        ("AWS_ENDPOINT_URL", f"http://me:{SECRET}@127.0.0.1:9"),
+        *((name, "x") for name in ("AWS_REGION", "AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY")),
+    ):
+        monkeypatch.setenv(name, value)
+    with pytest.raises(RemoteError, match=r"s3://bucket: cannot list datasets .*GET the server") as error:
+        RemoteStore("s3://bucket", timeout=timedelta(seconds=1)).names("datasets")
+    assert SECRET not in str(error.value)

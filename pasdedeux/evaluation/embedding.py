@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -91,13 +92,14 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         PRIOR_ONLY: "#2a9d3a",
         "grown_seeds": "#e0861a",
     }
+    points: dict[str, Any] = {"linewidths": 0, "rasterized": True}
     columns = max(len(panels), 1)
     figure, ((*axes,),) = new_figure(2.9 * columns, 3.1, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
-        axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", linewidths=0, label="real")
+        axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", label="real", **points)
         for number, (method, places) in enumerate(sets.items()):
             colour = colours.get(method, f"C{number + 4}")
-            axis.scatter(100 * places[:, 0], 100 * places[:, 1], s=4, color=colour, linewidths=0, label=method)
+            axis.scatter(100 * places[:, 0], 100 * places[:, 1], s=4, color=colour, label=method, **points)
         if seed is not None:
             axis.plot(100 * seed[0], 100 * seed[1], "kx", markersize=7)
         axis.set_title(name, fontsize=8)

@@ -27,6 +27,8 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 
+_DOTS_PER_INCH = 90
+"""Clouds of points are drawn as an image within the figure: thousands of shapes would be megabytes."""
 _LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
@@ -68,7 +70,7 @@ def figure_svg(figure: Figure, *, title: str = "") -> bytes:
     figure.tight_layout()
     buffer = io.BytesIO()
     with rc_context({"svg.hashsalt": "pasdedeux", "svg.fonttype": "none"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(buffer, format="svg", dpi=_DOTS_PER_INCH, metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
 
 
@@ -157,7 +159,8 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array, *, title: str) -> bytes:
     """Draw view hypotheses (n,) over psi and phi, size by weight, as in Yin et al. 2018, fig. 4b; give SVG bytes."""
     figure, ((axis,),) = new_figure(5.6, 3.2)
-    axis.scatter(psi_rad, phi_rad, s=1.0 + 12.0 * np.asarray(weight), alpha=0.35, linewidths=0, color="#1f5fa8")
+    size = 1.0 + 12.0 * np.asarray(weight)
+    axis.scatter(psi_rad, phi_rad, s=size, alpha=0.35, linewidths=0, color="#1f5fa8", rasterized=True)
     axis.set_xlim(-np.pi, np.pi)
     axis.set_ylim(np.pi, 0)
     _label(axis, "psi (rad)", "phi (rad)")

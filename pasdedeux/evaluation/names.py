@@ -19,6 +19,8 @@ _METHODS = {
     "without_augmentation": ("without augmentation", "learned from the same takes alone"),
     "last_pose_held": ("last pose held", "nobody moves any more: the trivial way"),
     "largest_class": ("largest class", "always the same answer: the trivial way"),
+    "mesh_refine": ("predicted, then refined", "another model's answer, from which the interaction mesh goes on"),
+    "paper_cvae": ("the published network", "a conditional variational autoencoder as in Li et al. 2024"),
     "nearest": ("nearest pose", "each frame alone: the pose of the database, or the draw, whose image is nearest"),
     "viterbi": ("best path", "the candidates of all frames that follow each other best"),
     "window": ("window rule", "the published rule: the candidate that fits a window of frames"),

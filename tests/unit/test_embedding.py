@@ -68,4 +68,5 @@ def test_the_pictures_of_coverage_are_drawn() -> None:
         coverage_figure({"ic": curve}, levels, split="annotated"),
         map_figure(plane.places, panels, seed=plane.places[0], title="map"),
     ):
-        assert picture.count(b"<use") + picture.count(b"<path") > 30, "an empty picture"
+        assert b"<image" in picture or picture.count(b"<use") > 5, "an empty picture"
+        assert len(picture) < 60_000

@@ -406,8 +406,11 @@ def test_networks_are_trained_by_segments_to_the_same_bytes_when_killed_and_left
     monkeypatch.setattr("pasdedeux.learning.torch_settings.find_spec", lambda name: None)
     (shard,) = MODELS_TOPIC.plan(StageInputs(made, seed=3), Parameters())
     scored = MODELS_TOPIC.run(shard, store)
-    assert {score.method for score in scored.scores} == {"ridge_scale"}
-    assert [note.partition(" is left out")[0] for note in scored.notes] == ["paper_cvae", "start_net"]
+    methods = {score.method for score in scored.scores}
+    assert "ridge_scale" in methods
+    assert not methods & {"paper_cvae", "start_net"}
+    said = [note.partition(" is left out")[0] for note in scored.notes if "torch is not installed" in note]
+    assert said == ["paper_cvae", "start_net"]
 
 
 def test_where_torch_is_missing_what_needs_it_is_left_out_and_named(

@@ -11,6 +11,7 @@ import numpy as np
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.sampling.annotations import GatheredPairs, gather_pairs
+from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
@@ -43,8 +44,6 @@ class Place(NamedTuple):
 
 
 PLACE_COLUMNS = Place._fields
-_BLOCK_FRAMES = 30
-"""Frames of a video that are left out together: their neighbours show nearly the same pose."""
 People = dict[int, np.ndarray]
 """Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
@@ -187,17 +186,21 @@ def gather(
     )
     num_skipped = gathered.num_skipped + sum(1 for place in keypoints if place not in index)
     stills = frozenset(name for ref in annotations for name in store.manifest(ref).facts.get("why_no_video", {}))
-    moments = (
-        (one.sequence_id, one.frame if one.sequence_id in stills else one.frame // _BLOCK_FRAMES) for one in index
-    )
-    blocks: dict[tuple[str, int], int] = {}
-    block = [blocks.setdefault(moment, len(blocks)) for moment in moments]
     return PlacedPairs(
-        gathered=replace(gathered, num_skipped=num_skipped, block=np.array(block, dtype=np.int64)),
+        gathered=replace(gathered, num_skipped=num_skipped, moment=_moments(list(index), stills)),
         places=tuple(index),
         frames=frames,
         stills=stills,
     )
+
+
+def _moments(places: Sequence[Place], stills: frozenset[str]) -> np.ndarray:
+    """Return when each pair was, in frames: videos lie far apart, and so do stills, whatever their numbers."""
+    numbers = {name: at for at, name in enumerate(sorted({place.sequence_id for place in places}))}
+    apart = [SAME_MOMENT if place.sequence_id in stills else 1 for place in places]
+    frames = np.array([place.frame * each for place, each in zip(places, apart, strict=True)], dtype=np.int64)
+    videos = np.array([numbers[place.sequence_id] for place in places], dtype=np.int64)
+    return frames + videos * (np.ptp(frames) + SAME_MOMENT)
 
 
 def gather_tracks(placed: PlacedPairs) -> np.ndarray:

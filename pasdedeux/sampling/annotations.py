@@ -13,7 +13,7 @@ from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
-from pasdedeux.sampling.bandwidth import LeftOut, left_out
+from pasdedeux.sampling.bandwidth import SAME_MOMENT, LeftOut, left_out
 
 __all__ = [
     "MIN_CANDIDATES",
@@ -100,21 +100,21 @@ class GatheredPairs:
         weights: Weight of each entry's view in the view density, (entry,).
         num_skipped: Annotations left out because they show too little, or the scale or the view was missing.
         metres_per_pixel: Scale of each person in each entry, (entry, person=2).
-        block: Annotations that show nearly the same moment, by annotation, (annotation,); each its own where not given.
+        moment: When each annotation was, as `left_out` takes it, (annotation,); all far apart where not given.
     """
 
     pairs: AnnotatedPairs
     weights: Array
     num_skipped: int
     metres_per_pixel: Array
-    block: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    moment: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @cached_property
     def left_out(self) -> LeftOut:
         """What annotations that are left out in turn, each under its first view, say of the bandwidth."""
         annotation, first = np.unique(self.pairs.annotation_index, return_index=True)
-        block = self.block[annotation] if len(self.block) else annotation
-        return left_out(self.pairs.points_m[first], self.pairs.directions[first], block)
+        moment = self.moment[annotation] if len(self.moment) else SAME_MOMENT * annotation
+        return left_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
 
     def view_density(self, *, deviation_rad: float = 0.5) -> ViewDensity:
         """Return the density of views over these annotations (Yin et al. 2018, eq. 5)."""

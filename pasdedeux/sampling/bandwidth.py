@@ -19,12 +19,14 @@ from pasdedeux.cameras import angle_between_directions
 from pasdedeux.interaction import interaction_dissimilarity, plane_residual
 from pasdedeux.spread import evenly_spread
 
-__all__ = ["PUBLISHED_SIGMA_L", "LeftOut", "left_out"]
+__all__ = ["PUBLISHED_SIGMA_L", "SAME_MOMENT", "LeftOut", "left_out"]
 
 Array = npt.NDArray[np.float64]
 
 PUBLISHED_SIGMA_L = 0.01
 """Bandwidth of Yin et al. 2018, eq. 9, read in metres: 2 sigma_l^2 is 0.2 mm of d_I."""
+SAME_MOMENT = 30
+"""Frames of a video nearer to each other than this are left out together: they show nearly the same pose."""
 
 _NUM_LEFT_OUT = 100
 _NUM_COMPARED = 10
@@ -41,7 +43,7 @@ class LeftOut:
 
     Args:
         nearest_m: d_I to the nearest other annotation with a similar view, (annotation,), metres.
-        freedom: Numbers in which the image of each may differ, (annotation,).
+        freedom: Numbers in which the image of each may differ from that one, (annotation,).
     """
 
     nearest_m: Array
@@ -64,16 +66,16 @@ class LeftOut:
 def left_out(
     points_m: Array,
     directions: Array,
-    block: npt.NDArray[np.int64],
+    moment: npt.NDArray[np.int64],
     *,
     view_bandwidth_rad: float = 0.5,
 ) -> LeftOut:
-    """Leave out up to 100 annotations in turn, evenly spread, each with all of its block.
+    """Leave out up to 100 annotations in turn, evenly spread, each with all that show nearly the same moment.
 
     Args:
         points_m: Annotations (annotation, person=2, joint=17, 2), metres; NaN where a joint is not seen.
         directions: View of each, unit, (annotation, 3).
-        block: Annotations of one block are left out together: those that a video shows at nearly the same time.
+        moment: When each was, in frames, (annotation,); those of other videos lie at least `SAME_MOMENT` apart.
         view_bandwidth_rad: Views as near as this are similar.
     """
     points = points_m.reshape(len(points_m), -1, 2)
@@ -82,11 +84,13 @@ def left_out(
     for row in evenly_spread(len(points), _NUM_LEFT_OUT):
         is_similar = angle_between_directions(directions[row], directions) < view_bandwidth_rad
         num_shared = (is_seen & is_seen[row]).sum(axis=1)
-        others = np.flatnonzero(is_similar & (block != block[row]) & (num_shared >= _MIN_SHARED))
+        is_another = np.abs(moment - moment[row]) >= SAME_MOMENT
+        others = np.flatnonzero(is_similar & is_another & (num_shared >= _MIN_SHARED))
         if not len(others):
             continue
         residual = plane_residual(points[row], points[others]) / num_shared[others]
         tried = others[np.argsort(residual, kind="stable")[:_NUM_COMPARED]]
-        nearest.append(min(interaction_dissimilarity(points[row], points[one]) for one in tried))
-        freedom.append(2.0 * is_seen[row].sum() - 3.0)
+        found = [interaction_dissimilarity(points[row], points[one]) for one in tried]
+        nearest.append(min(found))
+        freedom.append(2.0 * num_shared[tried[int(np.argmin(found))]] - 3.0)
     return LeftOut(np.array(nearest), np.array(freedom))

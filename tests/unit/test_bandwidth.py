@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs
+from pasdedeux.interaction import interaction_dissimilarity
 from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs
-from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, LeftOut, left_out
+from pasdedeux.sampling.bandwidth import PUBLISHED_SIGMA_L, SAME_MOMENT, LeftOut, left_out
 
 
 def annotated(spread_rad: float, count: int = 120) -> AnnotatedPairs:
@@ -16,9 +17,9 @@ def annotated(spread_rad: float, count: int = 120) -> AnnotatedPairs:
     return random_annotations(rng, random_pairs(rng, count, spread_rad=spread_rad), count)
 
 
-def gathered(pairs: AnnotatedPairs, block: np.ndarray | None = None) -> GatheredPairs:
+def gathered(pairs: AnnotatedPairs, moment: np.ndarray | None = None) -> GatheredPairs:
     count = len(pairs.points_m)
-    more = {} if block is None else {"block": block}
+    more = {} if moment is None else {"moment": moment}
     return GatheredPairs(pairs, np.ones(count), 0, np.ones((count, 2)), **more)
 
 
@@ -53,8 +54,18 @@ def test_annotations_of_one_moment_are_left_out_together() -> None:
     )
     apart = gathered(twice).left_out
     assert apart.nearest_m.max() < 1e-9
-    together = gathered(twice, np.arange(len(twice.points_m)) // 2).left_out
+    together = gathered(twice, SAME_MOMENT * (np.arange(len(twice.points_m)) // 2)).left_out
     assert abs(together.sigma_l / gathered(once).left_out.sigma_l - 1.0) < 0.1
+
+
+def test_no_frame_of_a_video_is_compared_with_one_just_before_or_after_it() -> None:
+    first, last = annotated(0.2, 2).points_m
+    frames = np.arange(90)
+    points = first + (frames / 900.0)[:, None, None, None] * (last - first)
+    found = left_out(points, np.repeat([[0.0, 0.0, 1.0]], len(frames), axis=0), frames)
+    assert len(found.nearest_m) == len(frames)
+    apart = interaction_dissimilarity(points[0].reshape(-1, 2), points[SAME_MOMENT].reshape(-1, 2))
+    np.testing.assert_allclose(found.nearest_m, apart, rtol=0.2)
 
 
 def test_where_nothing_can_be_left_out_the_published_bandwidth_stays() -> None:
@@ -62,15 +73,17 @@ def test_where_nothing_can_be_left_out_the_published_bandwidth_stays() -> None:
     one = gathered(AnnotatedPairs(pairs.points_m[:1], pairs.directions[:1], np.zeros(1, dtype=np.int64))).left_out
     assert one.sigma_l == PUBLISHED_SIGMA_L
     assert np.isnan(one.log_likelihood(0.01))
-    alike = left_out(np.repeat(pairs.points_m[:1], 4, axis=0), np.repeat(pairs.directions[:1], 4, axis=0), np.arange(4))
+    same = (np.repeat(values[:1], 4, axis=0) for values in (pairs.points_m, pairs.directions))
+    alike = left_out(*same, SAME_MOMENT * np.arange(4))
     assert len(alike.nearest_m) == 4
     assert alike.sigma_l == PUBLISHED_SIGMA_L
 
 
 def test_joints_that_are_not_seen_do_not_count() -> None:
-    pairs = annotated(0.2)
+    pairs = annotated(0.2, 60)
     points = pairs.points_m.copy()
     points[::2, 1, 14:] = np.nan
-    found = left_out(points, pairs.directions, np.arange(len(points)))
-    assert set(found.freedom) == {65.0, 59.0}
-    assert np.isfinite(found.sigma_l)
+    found = left_out(points, np.repeat([[0.0, 0.0, 1.0]], len(points), axis=0), SAME_MOMENT * np.arange(len(points)))
+    # Of two images what one of them lacks says nothing of either.
+    assert (found.freedom[::2] == 59.0).all()
+    assert set(found.freedom[1::2]) == {65.0, 59.0}

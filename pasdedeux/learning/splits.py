@@ -54,8 +54,8 @@ _ROUNDING = 1e-6
 class VariantKey:
     """A variant as splits see it: its take, its name, its scales (2, 22), and what interaction the take is of.
 
-    Takes of one interaction, such as two waltzes, are never on both sides of a split across interactions; a take of
-    none is one of its own.
+    Takes of one interaction, such as two waltzes, are never on both sides of a split across interactions, whichever of
+    them are named as test takes or held out; a take of none is one of its own.
     """
 
     take_id: str
@@ -115,8 +115,9 @@ def make_split(
         generator: Decides the random split.
         test_takes: Takes that splits across interactions test on, and swapped ones learn from; the other splits leave
             them out.  Splits across interactions need some: where none are given (nor held out), they are those of the
-            later half of the interactions by name.
-        held_out: Takes that nothing is learned from: tested on across interactions, swapped or not, else left out.
+            later half of the interactions by name.  A take stands for all of its interaction there.
+        held_out: Takes that nothing is learned from: tested on across interactions, swapped or not, with all takes of
+            their interactions; else left out.
 
     Raises:
         InputError: Unknown split, or its training or test set is empty.
@@ -161,6 +162,10 @@ def make_split(
 def _tested_takes(name: str, keys: Sequence[VariantKey], stated: set[str], held_out: set[str]) -> set[str]:
     """Return the takes that a split across interactions tests on; nothing is ever learned from those held out."""
     interactions = {key.take_id: key.interaction or key.take_id for key in keys}
+    stated, held_out = (
+        {take for take, what in interactions.items() if what in {interactions[one] for one in named}}
+        for named in (stated, held_out)
+    )
     free = {take: what for take, what in interactions.items() if take not in held_out}
     is_swapped = name.endswith(_SWAPPED)
     if not stated and (is_swapped or not held_out):

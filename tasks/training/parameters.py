@@ -37,7 +37,9 @@ class TrainingParameters(Parameters):
         description=f"Models, or names of `forms`: {', '.join(MODELS)}",
     )
     test_takes: tuple[str, ...] = Field(
-        (), description="Takes the splits across interactions test on, beside held-out; swapped ones learn from them"
+        (),
+        description="Takes the splits across interactions test on, with all of their interactions, beside held-out; "
+        "swapped ones learn from them",
     )
     forms: dict[str, dict[str, Any]] = Field(
         {},

@@ -129,10 +129,10 @@ TOPIC = Topic(
     name="realism",
     heading="Models as distributions",
     introduction="Test variants that a model predicts, beside others that the solver made, in 32 features of a "
-    "two-person ST-GCN that learned to tell real clips apart. The method `solver` is chance: what the solver made of "
-    "the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias and means something "
-    "only beside that of the solver. Density and coverage are about 1 for draws of the same distribution. Recognised, "
-    "as table 6 of the paper: the share of predicted clips whose interaction is found.",
+    "two-person ST-GCN that learned to tell the real clips of all takes apart, tested ones too. The method `solver` is "
+    "chance: what the solver made of the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is "
+    "mostly bias and means something only beside that of the solver. Density and coverage are about 1 for draws of the "
+    "same distribution. Recognised, as table 6 of the paper: the share of predicted clips whose interaction is found.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,

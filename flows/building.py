@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,7 @@ from pasdedeux.errors import InputError
 from storage_schema import Manifest, MissingArtifact
 from storage_schema.store import SHARD_S
 from tasks.shards import Pool, ShardDone, ShardError, Stopped, joined
-from tasks.stage import EarlyPlan, Shard, Stage
+from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
 
 __all__ = ["Build", "Partition", "Watch", "partitions_to_run"]
 
@@ -54,8 +53,11 @@ class _StageInWork:
     def __post_init__(self) -> None:
         """Count what is to be done."""
         self.left = {shard.key: shard for shard in self.plan.todo}
-        self.partitions = {shard.partition: Future() for shard in self.plan.todo}
-        self._num_left = Counter(shard.partition for shard in self.plan.todo)
+        self._shards_of: dict[str, list[Shard]] = {}
+        for shard in self.plan.todo:
+            self._shards_of.setdefault(shard.partition, []).append(shard)
+        self.partitions = {name: Future() for name in self._shards_of}
+        self._num_left = {name: len(shards) for name, shards in self._shards_of.items()}
 
     def settle(self, schedule: Schedule) -> None:
         """Take note of the shards that have ended."""
@@ -67,7 +69,7 @@ class _StageInWork:
         del self.left[shard.key]
         self._num_left[shard.partition] -= 1
         if not self._num_left[shard.partition]:
-            everybody = [one for one in self.plan.todo if one.partition == shard.partition]
+            everybody = self._shards_of[shard.partition]
             error: Exception | None = schedule.error_of(everybody)
             if error is None and any(one.key in schedule.behind for one in everybody):
                 error = Stopped("it needs what failed")
@@ -196,16 +198,15 @@ class Build:
         news = self._news.get((stage.name, at))
         if news is None or (early.each and not news) or not all(self._is_whole(table) for table in early.reads):
             return
-        whole = {name: self._whole[name] for name in self._upstream(stage.name) if name in self._whole}
-        inputs = stage_inputs(stage, self._run.study.head.seed, whole)
-        held = {table: inputs.of(table) for table in early.reads}
+        held = {table: tuple(one for one in self._there(table) if table in one.tables) for table in early.reads}
         held |= {table: tuple(one for one in news if table in one.tables) for table in early.each}
         if early.each:
             news.clear()
         else:
             del self._news[stage.name, at]
         with suppress(InputError):  # said when the stage is planned
-            shards = early.plan(replace(inputs, manifests=held), self._run.study.parameters[stage.name])
+            inputs = StageInputs(manifests=held, seed=self._run.study.head.seed)
+            shards = early.plan(inputs, self._run.study.parameters[stage.name])
             missing = [shard for shard in shards if self._run.store.find(stage.name, shard.key) is None]
             self._schedule.add(stage.run_shard, missing)
 
@@ -214,6 +215,10 @@ class Build:
 
     def _is_whole(self, table: str) -> bool:
         return table not in self._writer or self._writer[table] in self._whole
+
+    def _there(self, table: str) -> Sequence[Manifest]:
+        """Return what the stage that writes a table has made; nothing where none of the graph does."""
+        return self._whole[self._writer[table]] if table in self._writer else ()
 
     def _keep(self, done: ShardDone) -> None:
         """Take a committed shard to those that may be read."""

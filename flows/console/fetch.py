@@ -122,9 +122,9 @@ def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
     """
     wanted: dict[str, list[str]] = {}
     for family in read_study_tree(name_or_path, Path.cwd()).values.get("ingest", {}).get("pairs", {}).values():
-        for subject in family.get("subjects", ()):
+        for subject in family.get("subjects", ()) if family.get("takes") else ():
             if str(subject).isdigit():
-                wanted.setdefault(str(subject), []).extend(family.get("takes") or ())
+                wanted.setdefault(str(subject), []).extend(family["takes"])
     if not wanted:
         raise InputError(f"study {name_or_path} names no takes of CMU's subjects in [ingest.pairs]; name --subjects")
     return wanted

@@ -109,20 +109,25 @@ def find_annotations(
     """
     found: list[FoundAnnotations] = []
     known: set[str] = set()
+    ids: set[str] = set()
     try:
         decisions = [] if options.people_file is None else _read_people(options.people_file)
         for camera in find_cameras(options.path, options.format, left_out=left_out):
             try:
                 one = _find_camera(options, camera, is_held_out=is_held_out)
                 sequences = set(one.read().sequence_id)
+                told = one.parameters
+                if told.id in ids:
+                    raise InputError(f"{camera.paths[0].name}: another file is '{told.id}' already; rename one of them")
             except InputError as error:
                 if left_out is None:
                     raise
                 left_out[camera.name] = str(error)
                 continue
+            ids.add(told.id)
             known |= sequences
             rows = tuple(row.in_words() for row in decisions if row.sequence_id in sequences)
-            found.append(replace(one, parameters=one.parameters.model_copy(update={"people": rows})))
+            found.append(replace(one, parameters=told.model_copy(update={"people": rows})))
         for row in decisions:
             if row.sequence_id not in known:
                 raise InputError(

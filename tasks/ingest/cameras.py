@@ -53,7 +53,7 @@ def find_cameras(path: Path, format_name: str = "auto", *, left_out: dict[str, s
         refuse_film([path], path)
         return [CameraFiles("", _format_of(path, format_name), (path,))]
     cameras = _cameras_in(path, format_name, left_out)
-    if not cameras:
+    if not cameras or left_out is not None:
         folders = sorted(item for item in path.iterdir() if item.is_dir())
         for folder in folders:
             for camera in _cameras_in(folder, format_name, left_out):

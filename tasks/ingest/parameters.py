@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import re
+from collections import Counter
 from collections.abc import Iterable
 from glob import escape
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -165,6 +168,10 @@ class PairOptions(CommonOptions):
     def _check_pattern(cls, text: str) -> str:
         if text != "auto" and "{take}" not in text:
             raise ValueError("it must contain {take}")
+        try:
+            text.format(subject="", take="")
+        except (LookupError, ValueError, AttributeError):
+            raise ValueError("only {subject} and {take} may stand in braces") from None
         return text
 
     @property
@@ -177,10 +184,13 @@ class PairOptions(CommonOptions):
         if self.takes is not None:
             return self.takes
         found = set()
-        for name in (pattern.format(subject=who, take="*") for pattern in self.patterns for who in self.subjects):
-            before, after = name.split("*", 1)
-            paths = self.folder.glob(f"{escape(before)}*{escape(after)}")
-            found |= {path.relative_to(self.folder).as_posix()[len(before) : -len(after) or None] for path in paths}
+        for pattern, who in product(self.patterns, self.subjects):
+            first, *others = (part.format(subject=who) for part in pattern.split("{take}"))
+            name = re.compile(f"{re.escape(first)}(?P<take>[^/]+){'(?P=take)'.join(map(re.escape, others))}")
+            paths = self.folder.glob("*".join(map(escape, (first, *others))))
+            found |= {
+                match["take"] for one in paths if (match := name.fullmatch(one.relative_to(self.folder).as_posix()))
+            }
         return tuple(sorted(found))
 
     def take_id(self, take: str) -> str:
@@ -415,7 +425,7 @@ class IngestParameters(Parameters):
             ("take", ids),
             ("annotation source", [source.id for source in self.annotations]),
         ):
-            double = sorted({name for name in names if list(names).count(name) > 1})
+            double = sorted(name for name, count in Counter(names).items() if count > 1)
             if double:
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
         named = [

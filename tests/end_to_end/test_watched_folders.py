@@ -93,6 +93,33 @@ def test_what_is_dropped_into_a_folder_is_all_that_is_computed(study: Path) -> N
     assert build(study).num_computed == 0
 
 
+def test_files_and_folders_are_watched_alike_and_no_two_are_taken_for_one(tmp_path: Path) -> None:
+    films = tmp_path / "films"
+    (films / "tuesday").mkdir(parents=True)
+    for name in ("monday.csv", "tuesday/cam1.csv", "a b.csv", "a_b.csv"):
+        (films / name).write_text(csv_text())
+    options = {"id": "films", "path": films, "is_watched": True}
+    shards = planned(annotations=[options])
+    assert [shard.partition for shard in shards if shard.name == "annotations"] == [
+        *("films.a_b", "films.monday", "films.tuesday_cam1")
+    ]
+    (left_out,) = (shard.parameters for shard in shards if shard.name == "left out")
+    assert "a_b.csv: another file is 'films.a_b' already; rename one of them" in str(left_out)
+    with pytest.raises(InputError, match=r"another file is 'films\.a_b' already"):
+        planned(annotations=[{**options, "is_watched": False}])
+
+
+def test_a_take_that_stands_twice_in_a_pattern_is_found_and_other_braces_are_refused(tmp_path: Path) -> None:
+    first, second = write_figure_pair(tmp_path)
+    (tmp_path / "waltz").mkdir()
+    shutil.move(first, tmp_path / "waltz" / "waltz_A.bvh")
+    shutil.move(second, tmp_path / "waltz" / "other_A.bvh")
+    family = {"folder": tmp_path, "subjects": ["A"], "pattern": "{take}/{take}_{subject}.bvh", "id": "{take}"}
+    assert {shard.partition for shard in planned(pairs={"all": family})} == {"waltz"}
+    with pytest.raises(ValueError, match=r"only \{subject\} and \{take\} may stand in braces"):
+        planned(pairs={"all": {**family, "pattern": "{day}_{take}.bvh"}})
+
+
 def test_a_folder_in_which_nothing_fits_and_a_take_that_is_not_there_are_refused(tmp_path: Path) -> None:
     write_figure_pair(tmp_path)
     family = {"folder": tmp_path, "subjects": ["60", "61"]}

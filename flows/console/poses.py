@@ -26,7 +26,7 @@ _VIEWS = {2: {"image": (0, 1, 1.0)}, 3: {"front": (0, 1, -1.0), "side": (2, 1, -
 def pose_lines(values: npt.NDArray[np.floating], joints: str, *, unit: str) -> list[str]:
     """Return the lines of people (*batch, joint, 2 or 3) of the working skeleton of this name.
 
-    People in space are seen from the front and from their left, images as they are.  NaN, joints that are not there,
+    People in space are seen along -Z (front) and along +X (side), images as they are.  NaN, joints that are not there,
     are left out of the drawing.
     """
     skeleton = WORKING_SKELETONS[joints]

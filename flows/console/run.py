@@ -183,7 +183,7 @@ def plan(
         float, typer.Option("--slow", min=0, max=1, help="With --cost: part of the shards that take 5 times as long.")
     ] = 0.0,
     losses: Annotated[
-        float, typer.Option("--losses", min=0, help="With --cost: times an hour that a worker is lost, each.")
+        float, typer.Option("--losses", min=0, max=10, help="With --cost: times an hour that a worker is lost, each.")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:

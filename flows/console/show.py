@@ -176,6 +176,7 @@ def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
             found = {name: row[name] for name in COLUMNS if name in row}
             values = {name: value.item() if hasattr(value, "item") else value for name, value in found.items()}
             topics.setdefault(str(row["topic"]), []).append(Score(**values))
+    num_figures = sum(map(len, topics.values()))
     lines = ["* is the best of a row, where it is known what is better"]
     for topic, scores in topics.items():
         means = mean_table(scores, caption="means over items", has_marks=True)
@@ -183,7 +184,8 @@ def _score_lines(store: Store, text: str, num_rows: int) -> list[str]:
         lines += ["", f"{topic}: {table.caption}"]
         lines += format_table(table.headings, table.rows[:num_rows], text_columns=range(len(table.headings)))
         if len(table.rows) > num_rows:
-            lines.append(f"... {len(table.rows) - num_rows} more rows: --rows {len(table.rows)}; all figures: --json")
+            more = f"... {len(table.rows) - num_rows} more rows: --rows {len(table.rows)}"
+            lines.append(f"{more}; all figures: --json --rows {num_figures}")
     return lines
 
 

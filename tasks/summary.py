@@ -38,7 +38,7 @@ _THINGS = (
     _Thing("database poses", "projections"),
     _Thing("reconstructed sequences", "motions", is_artifact=True),
     _Thing("variants", "variant_quality"),
-    _Thing("models", "models"),
+    _Thing("models", "models", is_artifact=True),
 )
 
 

@@ -107,7 +107,7 @@ def shown_frames(num_frames: int, rate_hz: float) -> tuple[npt.NDArray[np.int64]
 
 
 def pack_player(
-    panels: Sequence[Panel], *, rate_hz: float, labels: Sequence[str] = (), yaw_rad: float = 0.0, has_floor: bool = True
+    panels: Sequence[Panel], *, rate_hz: float, labels: Sequence[str] = (), has_floor: bool = True
 ) -> bytes:
     """Return what the page's player shows, as JSON; the same panels always give the same bytes.
 
@@ -115,7 +115,6 @@ def pack_player(
         panels: Panels of the same number of frames.
         rate_hz: Frames per second.
         labels: What is said of each frame; its time where there are none.
-        yaw_rad: From where it is seen first, about +Y; 0 looks along -Z.
         has_floor: The floor, y = 0, is drawn.
     """
     num_frames = len(panels[0].figures[0].positions_m) if panels and panels[0].figures else 0
@@ -162,7 +161,6 @@ def pack_player(
         "num_frames": num_frames,
         "num_points": num_points,
         "unit_m": unit,
-        "yaw_rad": yaw_rad,
         "has_floor": has_floor,
         "labels": list(labels),
         "skeletons": [_described(skeleton) for skeleton in skeletons],

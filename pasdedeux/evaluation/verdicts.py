@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pasdedeux.evaluation.figures import compared_figure
-from pasdedeux.evaluation.names import in_words
+from pasdedeux.evaluation.names import in_words, is_bound
 from pasdedeux.evaluation.score_tables import format_value, shown_as
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 
-__all__ = ["Judged", "Yardstick", "by_stage", "figure_words", "verdict_columns", "verdict_words"]
+__all__ = ["Judged", "Yardstick", "by_stage", "figure_words", "part_name", "verdict_columns", "verdict_words"]
 
 _CLEARLY = 0.05
 """A method is better or worse than a baseline where it differs by more than this share of the baseline's figure."""
@@ -81,9 +81,11 @@ class Yardstick:
     def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
         """Draw the mean figure of every method that was scored wherever most were, best first, as SVG with a caption.
 
-        The goal is what has to be beaten: the best trivial way, or chance.  None where there is nothing to compare.
+        The goal is what has to be beaten: the best trivial way, or chance.  Bounds, which know what nobody knows, are
+        left to the tables.  None where there is nothing to compare.
         """
         found, unit, plain = self._found(scores)
+        found = {name: own for name, own in found.items() if name in self.baselines or not is_bound(name)}
         most = max(map(len, found.values()), default=0)
         means = _means(found, [method for method, own in found.items() if len(own) == most])
         if len(means) < (1 if math.isfinite(self.chance) else 2):
@@ -149,9 +151,18 @@ def by_stage(judged: Sequence[Judged], *, apart: str) -> dict[str, Verdict]:
     """Return one verdict for each stage in order of appearance; partitions of stage `apart` each have their own."""
     groups: dict[str, list[Verdict]] = {}
     for one in judged:
-        name = f"{one.stage}: {in_words(one.partition)}" if one.stage == apart else one.stage
+        name = part_name(one.stage, one.partition) if one.stage == apart else one.stage
         groups.setdefault(name, []).append(one.verdict)
     return {name: verdict for name, found in groups.items() if (verdict := summarise_verdicts(found)) is not None}
+
+
+def part_name(stage: str, partition: str) -> str:
+    """Return the name of the verdict on one partition of a stage.
+
+    >>> part_name("evaluation", "left_out_clips")
+    'evaluation: left out clips'
+    """
+    return f"{stage}: {partition.replace('_', ' ')}"
 
 
 def verdict_words(verdict: Verdict | None) -> str:

@@ -13,7 +13,7 @@ from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pi
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary
-from pasdedeux.evaluation.verdicts import verdict_columns
+from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
@@ -74,12 +74,13 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
     room = int(settings.max_page_mb * 1e6 * _PICTURES_SHARE)
     sections, num_out = fit_pictures([section for section in every if section is not None], room)
+    notes = list(skipped)  # what the page alone leaves out is not for the card
     if num_out:
-        skipped.append(
+        notes.append(
             f"{num_out} pictures would make the page larger than {settings.max_page_mb:g} MB and lie beside it; "
             "`evaluation.max_page_mb` says how large it may be."
         )
-    skipped += _unasked([topic for topic, section in zip(topics, every, strict=True) if section is None])
+    notes += _unasked([topic for topic, section in zip(topics, every, strict=True) if section is None])
     page = render_report(
         Report(
             title=settings.title,
@@ -87,7 +88,7 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
             summary=summary,
             sections=[
                 *sections,
-                Section(heading="Left out, and why", paragraphs=tuple(skipped) or ("Nothing was left out.",)),
+                Section(heading="Left out, and why", paragraphs=tuple(notes) or ("Nothing was left out.",)),
                 Section(heading="Sources and licences", tables=card_tables(card)),
             ],
         )
@@ -157,7 +158,7 @@ def _section(
         paragraphs=(topic.introduction, *dict.fromkeys(note for part in parts for note in part.facts["notes"])),
         tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
         pictures=tuple(pictures),
-        verdict=summary.verdicts.get(f"{STAGE_NAME}: {topic.name.replace('_', ' ')}"),
+        verdict=summary.verdicts.get(part_name(STAGE_NAME, topic.name)),
     )
 
 

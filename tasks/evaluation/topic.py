@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 30
+VERSION = 31
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -108,6 +108,7 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
     assert parts, f"the small study has nothing for topic {topic.name}: let EVERYTHING ask for it"
     section = page.split(f">{topic.heading}</h2>")[1].split("<h2")[0]
     assert topic.introduction in section
+    assert ('class="badge' in section) == any(verdict_of(part) is not None for part in parts)
     shown = 0
     for part in parts:
         for note in part.facts["notes"]:

@@ -196,7 +196,7 @@ def test_pictures_that_do_not_fit_are_left_out_evenly_and_the_first_ones_stay() 
 def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were_scored() -> None:
     scores = [
         Score("error", method, value, "m", item=item, is_baseline=method == "naive_fk")
-        for method, value in (("interaction_mesh", 0.01), ("naive_fk", 0.2))
+        for method, value in (("interaction_mesh", 0.01), ("naive_fk", 0.2), ("truth", 0.0))
         for item in ("a", "b")
     ]
     drawn = Yardstick("error", "drift", ("naive_fk",)).picture(
@@ -207,6 +207,7 @@ def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert b"interaction mesh" in svg
     assert b"plain forward kinematics" in svg
     assert b"sometimes" not in svg
+    assert b"the truth" not in svg, "a bound is no trivial way"
     assert b">20<" in svg
     assert "shorter bars are better" in caption
     assert "plain forward kinematics, has to be beaten" in caption

@@ -15,7 +15,7 @@ class Player {
     this.slider = figure.querySelector("input");
     this.button = figure.querySelector("button.play");
     this.label = figure.querySelector("output");
-    this.home = [this.scene.yaw_rad, this.scene.has_floor ? 0.2 : 0];
+    this.home = [0, this.scene.has_floor ? 0.2 : 0];
     [this.yaw, this.pitch] = this.home;
     this.frame = 0; this.speed = 1; this.isPlaying = false;
     this.slider.max = this.scene.num_frames - 1;

@@ -197,7 +197,7 @@ class InteractionLikelihood:
             limit *= len(self.directions)
         value = self._search(pair_m, limit, self._margin)
         # Where every view counts, all have been searched when none gave up: `nearest` need not do so again.
-        self._searched_m = pair_m if self._pooling is Pooling.EVERY_VIEW and value > -np.inf else None
+        self._searched_m = pair_m.copy() if self._pooling is Pooling.EVERY_VIEW and value > -np.inf else None
         return value if value >= at_least else -np.inf
 
     def plain(self, pair_m: Array) -> float:
@@ -225,6 +225,7 @@ class InteractionLikelihood:
         """
         if self._searched_m is None or not np.array_equal(self._searched_m, pair_m):
             self._search(pair_m, np.inf, np.inf)
+            self._searched_m = pair_m.copy()
         return self._entries()
 
     def _entries(self) -> npt.NDArray[np.int64]:

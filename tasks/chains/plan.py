@@ -17,7 +17,7 @@ from tasks.stage import Shard, StageInputs, named_refs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 11
+VERSION = 12
 
 Inputs = dict[str, Sequence[Manifest]]
 

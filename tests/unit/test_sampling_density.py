@@ -267,6 +267,13 @@ def test_a_likelihood_that_every_view_has_a_say_in_is_its_definition(share: floa
             found = every.log_likelihood(pair, at_least=level)
             assert found == (value if value >= level else -np.inf)
             np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        # What was found of this pair is not taken for that of one asked for between, nor of one in the same memory.
+        every.nearest(1.1 * pair)
+        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        moving = 1.5 * pair
+        every.log_likelihood(moving)
+        moving[:] = pair
+        np.testing.assert_array_equal(every.nearest(moving), plain.entry)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.35])

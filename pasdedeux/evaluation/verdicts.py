@@ -79,17 +79,23 @@ class Yardstick:
         return Verdict(level, reason, self.figure, value, unit, baseline, in_words(name))
 
     def picture(self, scores: Iterable[Score]) -> tuple[bytes, str] | None:
-        """Draw the mean figure of every method that was scored wherever most were, best first, as SVG with a caption.
+        """Draw the mean figure of every method that was scored where the trivial ways were, best first, as SVG.
 
-        The goal is what has to be beaten: the best trivial way, or chance.  Bounds, which know what nobody knows, are
-        left to the tables.  None where there is nothing to compare.
+        The goal, told in the caption, is what has to be beaten: the best trivial way, or chance.  Where no trivial way
+        was scored beside others, methods are drawn that were scored wherever most were.  Bounds, which know what nobody
+        knows, are left to the tables.  None where there is nothing to compare.
         """
         found, unit, plain = self._found(scores)
         found = {name: own for name, own in found.items() if name in self.baselines or not is_bound(name)}
-        most = max(map(len, found.values()), default=0)
-        means = _means(found, [method for method, own in found.items() if len(own) == most])
-        if len(means) < (1 if math.isfinite(self.chance) else 2):
+        own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
+        tried = [own.intersection(found[name]) for name in self.baselines if name in found]
+        for places in (*tried, max(map(set, found.values()), key=len, default=set())):
+            methods = [name for name in found if places and places.issubset(found[name])]
+            if len(methods) >= (1 if math.isfinite(self.chance) else 2):
+                break
+        else:
             return None
+        means = _means({name: {place: found[name][place] for place in places} for name in methods}, methods)
         sign = -1.0 if self.is_larger_better else 1.0
         ranked = sorted(means, key=lambda name: (sign * means[name], name))
         trivial = ((means[one], in_words(one)) for one in ranked if one in self.baselines)
@@ -103,7 +109,7 @@ class Yardstick:
         )
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
         beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
-        what = f"{self.figure[:1].upper()}{self.figure[1:]}, mean over {most} parts and items"
+        what = f"{self.figure[:1].upper()}{self.figure[1:]}, mean over {len(places)} parts and items"
         return drawn, f"{what}: {better}, hatched are trivial ways{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:

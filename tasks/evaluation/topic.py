@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 31
+VERSION = 32
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -212,6 +212,10 @@ def test_a_yardstick_is_drawn_with_what_has_to_be_beaten_and_only_where_all_were
     assert "shorter bars are better" in caption
     assert "plain forward kinematics, has to be beaten" in caption
     assert Yardstick("error", "drift", ("naive_fk",)).picture(scores[:1]) is None
+    more = [Score("error", "interaction_mesh", 0.3, "m", item=item) for item in "cde"]
+    assert Yardstick("error", "drift", ("naive_fk",)).picture([*scores, *more]) == (
+        Yardstick("error", "drift", ("naive_fk",)).picture(scores)
+    ), "what has to be beaten is there, also where others were scored in more places"
 
 
 def test_the_card_names_every_source_with_its_licence() -> None:

@@ -169,7 +169,7 @@ def scaled_to_takes(work: Work, graph: Graph, num_takes: int) -> Work:
         seconds=seconds,
         processor_s=processor_s,
         bytes_each=bytes_each,
-        num_measured=0,
+        num_measured=len(shards) if work.num_measured == work.num_shards else 0,
         unknown=(*work.unknown, *sorted(left_out)),
     )
 

@@ -188,6 +188,8 @@ def plan(
     as_json: JsonOption = False,
 ) -> None:
     """Say what a run would compute and why."""
+    if not cost and (workers or measured or takes or slow or losses):
+        raise PlanError("--workers, --measured, --takes, --slow and --losses are for --cost; give that too")
     selection = Selection(tuple(only or ()), start, until, tuple(force or ()))
     chosen, graph = load_study(study, graph_of(context), settings=settings or ())
     made = make_plan(chosen, graph, open_store(store), selection)

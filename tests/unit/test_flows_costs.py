@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flows.console.app import run_command_line
 from flows.costs import DISPATCH_S, OVERHEAD_S, Faults, Work, estimate_cost, planned_work, scaled_to_takes
 from flows.planning import PlanError
 from storage_schema import Store
@@ -97,6 +98,17 @@ def test_many_takes_are_like_those_that_were_measured(tmp_path: Path) -> None:
     assert counts["grow"] == counts["bend"] == 150
     assert counts["judge"] == 0
     assert "judge" in work.unknown
+    assert work.num_measured == work.num_shards
     long = replace(work, seconds=dict.fromkeys(work.seconds, 10.0))
     assert estimate_cost(long, TOYS, 100).wall_s == pytest.approx(40, rel=0.1)
     assert estimate_cost(long, TOYS, 10).wall_s == pytest.approx(300, rel=0.1)
+
+
+def test_what_only_a_cost_knows_is_refused_without_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study, store = str(write_study(tmp_path)), str(tmp_path / "store")
+    assert run_command_line(["plan", study, "--store", store, "--takes", "9"], graph=TOYS) == 2
+    assert "--losses are for --cost; give that too" in capsys.readouterr().err
+    run_toys(Path(study), Path(store))
+    command = ["plan", study, "--store", str(tmp_path / "new"), "--measured", store, "--cost", "--workers", "2"]
+    assert run_command_line(command, graph=TOYS) == 0
+    assert "14 shards" in capsys.readouterr().out

@@ -30,6 +30,7 @@ from storage_schema.durable import HashingFile, sync_folder, write_errors, write
 from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
 from storage_schema.keys import content_digest, file_sha256
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
+from storage_schema.runs import in_use
 from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
@@ -199,11 +200,12 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
             raise CorruptArtifact(f"{where} is the manifest of something else")
         return manifest
 
-    manifests = _closure(dataset.refs, manifest_of)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
-    if known is None:
-        add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
+    with in_use(store):  # what has come is needed by nothing before the list is there
+        manifests = _closure(dataset.refs, manifest_of)
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
+        if known is None:
+            add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
     return dataset, num_new
 
 

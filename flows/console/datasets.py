@@ -112,9 +112,7 @@ def pull(
     """Get a dataset from S3-compatible storage."""
     from storage_schema.remote import RemoteStore, pull_dataset
 
-    opened = open_store(store)
-    with in_use(opened):
-        dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
+    dataset, num_new = pull_dataset(RemoteStore(place), label, open_store(store))
     _say_moved(dataset, num_new, f"is in {store}", as_json=as_json)
 
 

@@ -7,16 +7,18 @@ import itertools
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
+from flows.collecting import collect
 from flows.console.app import run_command_line
 from storage_schema import (
     ArtifactRef,
     CorruptArtifact,
     Dataset,
+    StorageError,
     Store,
     UnknownReference,
     create_dataset,
@@ -111,6 +113,28 @@ def test_a_push_that_is_cut_off_shows_nothing_and_goes_on(
         pull_dataset(remote_of(server), "toys", Store(tmp_path / "other"))
     assert push_dataset(store, dataset, remote_of(server)) == 1
     assert pull_dataset(remote_of(server), "toys", Store(tmp_path / "other"))[1] == 13
+
+
+def test_what_has_come_is_not_collected_before_all_of_it_is_there(
+    server: S3Server, built: tuple[Store, Dataset], tmp_path: Path
+) -> None:
+    store, dataset = built
+    push_dataset(store, dataset, remote_of(server))
+    other = Store(tmp_path / "other")
+    refused: list[str] = []
+
+    def collect_meanwhile(method: str, path: str) -> str:
+        if "/files/" in path:
+            try:
+                collect(other, datetime.now(UTC))
+            except StorageError as error:
+                refused.append(str(error))
+        return ""
+
+    server.fault = collect_meanwhile
+    assert pull_dataset(remote_of(server), "toys", other)[1] == 13
+    assert len(refused) >= 13
+    assert verify(other).is_ok
 
 
 def test_what_is_there_never_changes(server: S3Server, built: tuple[Store, Dataset], tmp_path: Path) -> None:

@@ -47,7 +47,10 @@ def recognition_table(scores: Sequence[Score]) -> list[TextTable]:
 
 
 def prediction_table(scores: Sequence[Score]) -> list[TextTable]:
-    """Return JME and AME of every motion and horizon, and the effect of augmentation over motions and seeds."""
+    """Return JME and AME of every motion and horizon, and the effect of augmentation over seeds.
+
+    Motions of one seed share what was trained, so they are drawn together.
+    """
     rows = []
     for metric in ("JME", "AME"):
         mine = [score for score in scores if score.metric == metric]
@@ -62,9 +65,10 @@ def prediction_table(scores: Sequence[Score]) -> list[TextTable]:
         effects = []
         for horizon in HORIZONS_S:
             pairs = _paired([score for score in mine if np.isclose(score.at, horizon)])
-            effects.append(_effect(np.array([one - other for one, other in pairs.values()])) if pairs else "")
+            seeds = [item.rpartition(",")[2] for item in pairs]
+            effects.append(_effect(np.array([one - other for one, other in pairs.values()]), seeds) if pairs else "")
         if motions:
-            rows.append(("effect (95 % over motions and seeds)", metric, *effects))
+            rows.append(("effect (95 % over seeds)", metric, *effects))
     headings = ("motion", "error", *(f"{horizon} s" for horizon in HORIZONS_S))
     caption = "As table 4 of the paper: error of prediction, cm, with augmentation / without / last pose held"
     return [TextTable(caption, headings, tuple(rows))] if rows else []
@@ -76,8 +80,8 @@ def _paired(scores: Sequence[Score]) -> Mapping[str, tuple[float, float]]:
     return {item: (one[item], other[item]) for item in sorted(set(one) & set(other))}
 
 
-def _effect(differences: Array) -> str:
-    low, high = bootstrap_interval(differences)
+def _effect(differences: Array, units: Sequence[str] | None = None) -> str:
+    low, high = bootstrap_interval(differences, units=units)
     interval = f" ({low:+.2f} to {high:+.2f})" if np.isfinite(low) else ""
     return f"{differences.mean():+.2f}{interval}"
 

@@ -93,7 +93,8 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
     headings = ("motion", "split", *methods)
     tables = [
         TextTable(
-            "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants",
+            "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants, or over "
+            "takes where these are not learned from",
             ("model", *(split.removesuffix(" test") for split in used)),
             tuple(whole),
         ),

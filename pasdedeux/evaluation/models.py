@@ -109,19 +109,27 @@ def _weighted_distance_error(predicted_m: Array, true_m: Array) -> float:
 
 
 def model_scores(
-    errors: Mapping[str, Sequence[Errors]], *, baselines: Sequence[str], split: str, item: str
+    errors: Mapping[str, Sequence[Errors]],
+    *,
+    baselines: Sequence[str],
+    split: str,
+    item: str,
+    takes: Sequence[str] | None = None,
 ) -> list[Score]:
     """Return the mean of each figure of each model over test variants, with its bootstrap interval over these.
 
-    Figures that are NaN everywhere are left out.
+    Figures that are NaN everywhere are left out.  Where the takes of the variants are told, the interval is over takes.
     """
     scores = []
     for model, found in errors.items():
         for metric in {name: None for error in found for name in error}:
             values = np.array([error.get(metric, np.nan) for error in found])
-            values = values[np.isfinite(values)]
+            rows = np.flatnonzero(np.isfinite(values))
+            values = values[rows]
             if len(values):
-                low, high = bootstrap_interval(values)
+                low, high = bootstrap_interval(
+                    values, units=None if takes is None else [takes[row] for row in rows.tolist()]
+                )
                 scores.append(
                     Score(
                         metric=metric,
@@ -139,8 +147,14 @@ def model_scores(
     return scores
 
 
-def share_scores(errors: Mapping[str, Sequence[Errors]], *, baselines: Sequence[str], split: str) -> list[Score]:
-    """Return E_r of each model in percent of that of the best baseline, with the interval of pairs of test variants."""
+def share_scores(
+    errors: Mapping[str, Sequence[Errors]],
+    *,
+    baselines: Sequence[str],
+    split: str,
+    takes: Sequence[str] | None = None,
+) -> list[Score]:
+    """Return E_r of each model in percent of that of the best baseline, with the interval as `model_scores` has it."""
     values = {name: np.array([error["E_r"] for error in found]) for name, found in errors.items() if found}
     rivals = {name: found for name, found in values.items() if name in baselines}
     if not rivals:
@@ -149,7 +163,7 @@ def share_scores(errors: Mapping[str, Sequence[Errors]], *, baselines: Sequence[
     scores = []
     for model, found in values.items():
         if model not in rivals:
-            low, high = (100.0 * end for end in bootstrap_interval(found, best))
+            low, high = (100.0 * end for end in bootstrap_interval(found, best, units=takes))
             share = 100.0 * float(found.mean() / max(best.mean(), 1e-12))
             scores.append(Score(SHARE, model, share, UNITS[SHARE], split=split, count=len(found), low=low, high=high))
     return scores

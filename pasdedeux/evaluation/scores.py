@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["COLUMNS", "Score", "bootstrap_interval", "columns_of", "scores_of", "summarise"]
+__all__ = ["COLUMNS", "FEWEST_UNITS", "Score", "bootstrap_interval", "columns_of", "scores_of", "summarise"]
 
 COLUMNS = ("metric", "method", "is_baseline", "split", "item", "at", "value", "unit", "count", "low", "high")
 """Columns of the `scores` table beside `topic`, which says who measured."""
 
 _NUM_DRAWS = 1000
+FEWEST_UNITS = 5
+"""Takes, or whatever is drawn together, below which there is no interval: two that are alike would seem sure."""
 
 
 @dataclass(frozen=True)
@@ -55,23 +57,30 @@ def columns_of(topic: str, scores: Iterable[Score]) -> dict[str, list[object]]:
 
 
 def bootstrap_interval(
-    values: npt.NDArray[np.float64], over: npt.NDArray[np.float64] | None = None
+    values: npt.NDArray[np.float64],
+    over: npt.NDArray[np.float64] | None = None,
+    *,
+    units: Sequence[str] | None = None,
 ) -> tuple[float, float]:
     """Return where the mean of values (n,) lies in 95 % of 1000 draws with repetition; NaN of fewer than two.
 
-    With `over` (n,), values of the same things, it is where the one mean over the other lies.
+    With `over` (n,), values of the same things, it is where the one mean over the other lies.  With `units` (n,), such
+    as takes, what is of one unit is drawn together: values of one are alike, and the interval is of other units; NaN of
+    fewer than `FEWEST_UNITS`.
 
     The percentile bootstrap (Efron 1979), with draws that are always the same.
 
     >>> bootstrap_interval(np.array([1.0, 1.0, 1.0]))
     (1.0, 1.0)
     """
-    if len(values) < 2:
+    unit = np.arange(len(values)) if units is None else np.unique(np.asarray(units), return_inverse=True)[1]
+    count = np.bincount(unit)
+    if len(count) < (2 if units is None else FEWEST_UNITS):
         return float("nan"), float("nan")
-    drawn = np.random.default_rng(0).integers(len(values), size=(_NUM_DRAWS, len(values)))
-    means = np.asarray(values)[drawn].mean(axis=1)
-    if over is not None:
-        means = means / np.maximum(np.asarray(over)[drawn].mean(axis=1), 1e-12)
+    drawn = np.random.default_rng(0).integers(len(count), size=(_NUM_DRAWS, len(count)))
+    others = np.ones(len(values)) if over is None else over
+    total, beside = (np.bincount(unit, one)[drawn].sum(axis=1) for one in (values, others))
+    means = total / np.maximum(beside, 1e-12)
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 

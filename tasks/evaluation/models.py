@@ -9,7 +9,7 @@ import numpy as np
 from pasdedeux.evaluation.model_meter import SOLVER, ModelMeter
 from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_player, extreme_cases, model_tables
 from pasdedeux.evaluation.models import UNITS, model_figure, model_scores, share_scores
-from pasdedeux.evaluation.scores import Score
+from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey
 from storage_schema import Manifest, Store
@@ -60,12 +60,18 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 
     def scores_where(item: str, rows: Sequence[int]) -> list[Score]:
         mine = {name: [found[row] for row in rows] for name, found in errors.items()}
-        return model_scores(mine, baselines=BASELINES, split=split, item=item) if rows else []
+        own = None if facts["shares_takes"] else [tested[row].take_id for row in rows]
+        return model_scores(mine, baselines=BASELINES, split=split, item=item, takes=own) if rows else []
 
     distances = {name: found for name, found in errors.items() if name != SOLVER}
     scores = [
         *scores_where("all", range(len(tested))),
-        *share_scores(distances, baselines=BASELINES, split=split),
+        *share_scores(
+            distances,
+            baselines=BASELINES,
+            split=split,
+            takes=None if facts["shares_takes"] else [key.take_id for key in tested],
+        ),
     ]
     interactions = {take.facts["take_id"]: interaction_of(take) for take in map(store.manifest, shard.refs("takes"))}
     for motion in sorted({interactions[key.take_id] for key in tested}):
@@ -102,8 +108,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     notes = [
         *missing,
         f"Split {facts['split']}: {len(tested)} test variants of {len(meters)} "
-        f"take{'s' * (len(meters) != 1)}, learned from {learned}. Intervals are over test variants, which of one take "
-        "are much alike: they say nothing of other takes.",
+        f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
+        + (
+            "Intervals are over test variants, which of one take are much alike: they say nothing of other takes."
+            if facts["shares_takes"]
+            else f"Intervals are over takes, as variants of one are much alike, where there are {FEWEST_UNITS}."
+        ),
         *(f"Key pairs of JPD, {one}." for one in keys),
     ]
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)

@@ -106,7 +106,7 @@ def test_effects_are_paired_by_seed_and_have_their_interval() -> None:
     errors = np.tile(np.arange(1.0, 11.0), (3, 1))
     made = [
         score
-        for seed in range(2)
+        for seed in range(5)
         for method, factor in ((WITH, 1.0), (WITHOUT, 2.0), (STILL, 3.0))
         for score in prediction_scores(factor * errors, errors, method, split="80/10/10", item=f"hug, seed {seed}")
     ]

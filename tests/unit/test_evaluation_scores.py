@@ -162,6 +162,23 @@ def test_a_bootstrap_interval_holds_the_mean_of_what_was_drawn_from_in_19_of_20_
     assert np.isnan(bootstrap_interval(np.array([1.0]))).all()
 
 
+def test_an_interval_over_takes_is_of_takes_however_many_variants_each_has() -> None:
+    of_takes = np.random.default_rng(0).exponential(size=12)
+    wanted, values = bootstrap_interval(of_takes), np.repeat(of_takes, 20)
+    takes = [f"take {number:02d}" for number in range(12) for _ in range(20)]
+    np.testing.assert_allclose(bootstrap_interval(values, units=takes), wanted)
+    low, high = bootstrap_interval(values)
+    assert high - low < 0.4 * (wanted[1] - wanted[0])
+    for few in (1, 4):
+        assert np.isnan(bootstrap_interval(values[: 20 * few], units=takes[: 20 * few])).all()
+    errors = {"copy": [{"E_r": one} for one in values], "ridge": [{"E_r": 0.5 * one} for one in values]}
+    more = {"baselines": ("copy",), "split": "s", "takes": takes}
+    found = model_scores(errors, item="all", **more)[0]
+    np.testing.assert_allclose((found.low, found.high), wanted)
+    (share,) = share_scores(errors, **more)
+    np.testing.assert_allclose((share.low, share.value, share.high), 50.0)
+
+
 def test_the_share_of_the_best_baselines_error_is_surer_than_either_error_where_they_go_together() -> None:
     generator = np.random.default_rng(0)
     hard = generator.exponential(size=60)

@@ -81,14 +81,14 @@ def summarise_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     The reason is the most frequent one of the worst level.  None when there is no verdict.
     """
     found = list(verdicts)
-    if not found:
-        return None
+    if len(found) < 2:
+        return found[0] if found else None
     worst = max((verdict.level for verdict in found), key=_ORDER.index)
     total = sum(verdict.count for verdict in found)
     worst_ones = [verdict for verdict in found if verdict.level is worst]
     reasons = Counter(_SHARE.sub("", verdict.reason) for verdict in worst_ones if verdict.reason)
     reason = reasons.most_common(1)[0][0] if reasons else ""
-    if len(found) > 1 and worst is not Level.PASS:
+    if worst is not Level.PASS:
         reason = f"{sum(verdict.count for verdict in worst_ones)} of {total}: {reason}"
     named = next((verdict for verdict in found if verdict.figure), found[0])
     alike = [verdict for verdict in found if verdict.figure == named.figure]

@@ -41,6 +41,7 @@ def test_many_verdicts_become_the_worst_with_its_share_and_the_median_figure() -
 def test_a_summary_of_summaries_says_its_share_once() -> None:
     pair = summarise_verdicts([Verdict(Level.WARN, "does not mix")] * 2)
     assert pair is not None
+    assert summarise_verdicts([pair]) == pair, "one summary keeps its share"
     whole = summarise_verdicts([pair, pair])
     assert whole is not None
     assert (whole.reason, whole.count) == ("4 of 4: does not mix", 4)

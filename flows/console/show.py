@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -74,7 +75,14 @@ def show(
     if described["table"] == SCORES and described["row"] is None:
         for line in _score_lines(open_store(store), reference, max(rows, _MIN_SCORE_ROWS)):
             typer.echo(line)
-        return
+    else:
+        _echo_rows(described, open_store(store), reference)
+    for source in described["sources"]:
+        typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
+
+
+def _echo_rows(described: Mapping[str, Any], store: Store, reference: str) -> None:
+    """Print columns, rows and where they come from."""
     cells = [(f"  {c['name']}", c["type"], c["unit"], c["meaning"]) for c in described["columns"]]
     print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
@@ -82,7 +90,7 @@ def show(
     for row in described["rows"]:
         typer.echo("  " + ", ".join(f"{name}={value}" for name, value in row.items()))
     if described["row"] is not None:
-        for line in _drawn(open_store(store), reference):
+        for line in _drawn(store, reference):
             typer.echo(line)
     typer.echo("comes from:")
     for step in described["lineage"]:
@@ -91,8 +99,6 @@ def show(
         )
     for file in described["files"]:
         typer.echo(f"  file {file['name']} (sha256 {file['sha256'][:12]}, read by {file['stage']})")
-    for source in described["sources"]:
-        typer.echo(f"  source {source['name']}: {source['licence']}; {source['credit']}")
 
 
 @app.command(help=_EXPORT)

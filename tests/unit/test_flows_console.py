@@ -168,9 +168,13 @@ def test_status_names_studies_stages_and_runs(built: tuple[str, str], capsys: py
 def test_show_gives_columns_rows_lineage_and_sources(
     built: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert call("show", "training_log:toy/t1", "--store", built[1]) == 0
+    out = capsys.readouterr().out
+    for words in ("unit", "step=0", "grow@", "source t1: CC0-1.0; made for a test"):
+        assert words in out
     assert call("show", "scores:toy", "--store", built[1]) == 0
     out = capsys.readouterr().out
-    for words in ("Name of the measure", "topic=models", "judge@", "grow@", "source t1: CC0-1.0; made for a test"):
+    for words in ("is the best of a row", "models: figures", "source t1: CC0-1.0; made for a test"):
         assert words in out
     assert call("show", "training_log:toy/t1#7", "--store", built[1], "--json") == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["step"] == 2

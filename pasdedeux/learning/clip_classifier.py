@@ -38,7 +38,7 @@ class ClassifierSettings(TorchSettings):
     """How the classifier of clips is trained."""
 
     num_steps: int = Field(200, ge=1, description="Steps of training")
-    learning_rate: float = Field(0.01, gt=0, le=1, description="Learning rate of Adam at the start")
+    learning_rate: float = Field(0.003, gt=0, le=1, description="Learning rate of Adam at the start")
     clips_per_step: int = Field(24, ge=1, le=1000, description="Clips of a step, drawn from all classes alike")
 
 
@@ -158,7 +158,7 @@ class ClipClassifier:
 
 
 def _channels(clips: Array) -> Narrow:
-    """Return places and velocities of clips (n, 20, 44, 6), metres and metres per tenth of a second."""
+    """Return places about 1 m of height and velocities of clips (n, 20, 44, 6), metres and metres per second."""
     points = clips.reshape(*clips.shape[:2], -1, 3)
-    moved = np.diff(points, axis=1, prepend=points[:, :1])
-    return np.concatenate([points, moved], axis=-1).astype(np.float32)
+    moved = CLIP_HZ * np.diff(points, axis=1, prepend=points[:, :1])
+    return np.concatenate([points - [0.0, 1.0, 0.0], moved], axis=-1).astype(np.float32)

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 32
+VERSION = 33
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

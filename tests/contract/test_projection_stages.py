@@ -132,6 +132,8 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
                     "log_prior": np.zeros(2),
                     "log_likelihood": np.zeros(2),
                     "num_accepted": [0, 0],
+                    "view": np.full((2, 3), np.nan),
+                    "dissimilarity_m": np.full(2, np.nan),
                     "take_id": ["a", None],
                 }
             },

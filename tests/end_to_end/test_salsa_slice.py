@@ -145,6 +145,6 @@ def test_the_report_credits_the_database_and_the_store_is_sound(store: Path) -> 
     (report,) = (store / "runs").glob("*/report")
     assert "NSF EIA-0196217" in (report / "card.md").read_text()
     assert "salsa_03 (held out for evaluation)" in (report / "card.md").read_text()
-    assert {path.stem for path in report.glob("clip-*")} == {f"clip-{take}.video00" for take in TAKES}
+    assert {path.name for path in report.glob("clip-*")} == {f"clip-{take}.video00.player.json" for take in TAKES}
     assert verify(Store(store)).is_ok
     assert {stage for stage, _, _ in committed(store)} >= {"chains", "training", "evaluation"}

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -28,7 +29,7 @@ from storage_schema import (
     read_latest,
     verify,
 )
-from tasks.shards import ClusterSettings
+from tasks.shards import ClusterSettings, HerePool
 from tests.builders.storage_rows import commit_rows
 from tests.builders.toy_runs import STUDY, plan_toys, run_toys, write_study
 from tests.builders.toys import TOYS
@@ -107,11 +108,12 @@ def test_a_first_run_keeps_its_new_store_from_being_collected(
 
 
 def test_an_unfinished_run_does_not_push_out_the_last_finished_one(store: Store, study: Path) -> None:
-    def fail(run: object, plan: object) -> None:
-        raise KeyboardInterrupt
+    class Interrupted(HerePool):
+        def next(self) -> NoReturn:
+            raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_toys(study, store.root, "grow.scale=4.0", runner=fail)
+        run_toys(study, store.root, "grow.scale=4.0", pool=Interrupted(str(store.root)))
     run_toys(study, store.root, "grow.scale=3.0", selection=Selection(until="grow"))
     collect(store, NOW)
     assert plan_toys(study, store.root, "grow.scale=3.0").is_fresh

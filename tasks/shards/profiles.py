@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import time
 import tomllib
 from collections.abc import Iterator
@@ -18,8 +19,9 @@ from tasks.shards.errors import ClusterError, in_one_line
 
 if TYPE_CHECKING:
     from distributed import Client
+    from distributed.deploy.cluster import Cluster
 
-__all__ = ["ClusterProfile", "await_workers", "read_profile", "started"]
+__all__ = ["ClusterProfile", "await_workers", "cluster_class", "read_profile", "started"]
 
 _LOOK_AGAIN_S = 0.5
 
@@ -65,17 +67,7 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
     Raises:
         ClusterError: The class is not installed or is none, or the cluster cannot be started.
     """
-    from distributed.deploy.cluster import Cluster
-
-    module, _, name = profile.cluster.rpartition(".")
-    try:
-        kind = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ClusterError(
-            f"{profile.cluster} is not there ({in_one_line(error)}): install {module.partition('.')[0]} here"
-        ) from None
-    if not (isinstance(kind, type) and issubclass(kind, Cluster)):
-        raise ClusterError(f"{profile.cluster} is no Dask cluster")
+    kind = cluster_class(profile.cluster)
     try:
         cluster = kind(**profile.options)
     except Exception as error:  # noqa: BLE001 - whatever a scheduler of jobs says becomes one sentence
@@ -94,3 +86,27 @@ def await_workers(client: Client, profile: ClusterProfile) -> None:
                 f"{profile.cluster} had no worker after {profile.start_s:g} s: look at its queue of jobs"
             )
         time.sleep(_LOOK_AGAIN_S)
+
+
+def cluster_class(path: str) -> type[Cluster]:
+    """Return a class of Dask clusters by its path; Ctrl-C stays as it is, which dask-jobqueue takes when imported.
+
+    Raises:
+        ClusterError: The class is not installed, or is none.
+    """
+    from distributed.deploy.cluster import Cluster
+
+    module, _, name = path.rpartition(".")
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    try:
+        kind = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ClusterError(
+            f"{path} is not there ({in_one_line(error)}): install {module.partition('.')[0]} here"
+        ) from None
+    finally:
+        if signal.getsignal(signal.SIGINT) is not on_interrupt:
+            signal.signal(signal.SIGINT, on_interrupt)
+    if not (isinstance(kind, type) and issubclass(kind, Cluster)):
+        raise ClusterError(f"{path} is no Dask cluster")
+    return kind

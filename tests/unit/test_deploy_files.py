@@ -11,10 +11,9 @@ from typing import Any
 import kubernetes_validate
 import pytest
 import yaml
-from dask_jobqueue import PBSCluster, SLURMCluster
 
 from flows.dataset import dataset
-from tasks.shards.profiles import ClusterProfile, read_profile
+from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile
 from tests.builders.toy_runs import ROOT
 
 DEPLOY = ROOT / "deploy"
@@ -67,21 +66,20 @@ def test_a_profile_is_one(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "words"),
+    ("name", "words"),
     [
-        ("slurm", SLURMCluster, ("#SBATCH --cpus-per-task=8", "#SBATCH --mem=16G", "#SBATCH -t 04:00:00")),
-        ("pbs", PBSCluster, ("#PBS -l select=1:ncpus=8:mem=16GB", "#PBS -l walltime=04:00:00")),
+        ("slurm", ("#SBATCH --cpus-per-task=8", "#SBATCH --mem=16G", "#SBATCH -t 04:00:00")),
+        ("pbs", ("#PBS -l select=1:ncpus=8:mem=16GB", "#PBS -l walltime=04:00:00")),
     ],
 )
-def test_jobs_of_a_profile_have_one_thread_a_worker_and_its_memory(
-    name: str, kind: Any, words: tuple[str, ...]
-) -> None:
-    options = tomllib.loads((DEPLOY / "clusters" / f"{name}.toml").read_text())["options"]
+def test_jobs_of_a_profile_have_one_thread_a_worker_and_its_memory(name: str, words: tuple[str, ...]) -> None:
+    profile = tomllib.loads((DEPLOY / "clusters" / f"{name}.toml").read_text())
+    options = profile["options"]
     for elsewhere in ("interface", "security", "shared_temp_directory"):
         options.pop(elsewhere)  # of the cluster's machines
     assert options["scheduler_options"]["dashboard_address"].startswith("127.0.0.1:")
     options["scheduler_options"]["host"] = "127.0.0.1"
-    with kind(**options) as cluster:
+    with cluster_class(profile["cluster"])(**options) as cluster:
         script = cluster.job_script()
     for line in (*words, "--nthreads 1 ", "--nworkers 8 ", "--memory-limit 2.00GiB", "export OMP_NUM_THREADS=1 "):
         assert line in script

@@ -32,6 +32,7 @@ from tasks.shards import (
     worker_environment,
 )
 from tasks.shards.cluster import installed, same_code
+from tasks.shards.profiles import cluster_class
 from tasks.stage import Shard, StageInputs
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
@@ -278,6 +279,18 @@ log_directory = "{tmp_path}"
         found = compute(run_grow, shards(), ClusterPool(client, str(tmp_path / "far"), is_shared=True))
     own = compute(run_grow, shards(), here(tmp_path / "near"))
     assert {key: done.ref for key, done in found.items()} == {key: done.ref for key, done in own.items()}
+
+
+def test_a_library_of_clusters_does_not_take_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "taking.py").write_text("""
+import signal
+from distributed.deploy.cluster import Cluster
+signal.signal(signal.SIGINT, lambda *_: exit())
+""")
+    monkeypatch.syspath_prepend(tmp_path)
+    before = signal.getsignal(signal.SIGINT)
+    assert cluster_class("taking.Cluster").__name__ == "Cluster"
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.parametrize(

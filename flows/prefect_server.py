@@ -38,6 +38,8 @@ def telemetry_off() -> None:
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "CRITICAL")
+    # Its services say at the end what a server that is gone did not take; that has a level of its own.
+    os.environ.setdefault("PREFECT_INTERNAL_LOGGING_LEVEL", "CRITICAL")
 
 
 class LocalServer:

@@ -229,7 +229,7 @@ def test_a_disk_that_fills_up_during_a_run_is_one_sentence_with_the_shard_and_th
     study = write(tmp_path, ONE_TAKE)
     found = run_on_a_disk_with_room_for(30, study, prefect_home)
     assert found.code == 1, found
-    last = found.err.strip().splitlines()[-1]
+    last = next(line for line in reversed(found.err.splitlines()) if line.startswith("error: "))
     assert last.startswith("error: stage ingest, hug, shard "), found.err
     assert f"the disk is full: no room left in {tmp_path / 'store'}" in last
     assert "Traceback" not in found.err

@@ -6,6 +6,7 @@ system does when the process that started it dies, also by `kill -9`. (Prefect's
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import subprocess
@@ -38,8 +39,11 @@ def telemetry_off() -> None:
     for name, value in _QUIET.items():
         os.environ.setdefault(name, value)
     os.environ.setdefault("PREFECT_LOGGING_LEVEL", "CRITICAL")
-    # Its services say at the end what a server that is gone did not take; that has a level of its own.
+    # Its services say at the end what a server that is gone did not take: under a level of their own, and under names
+    # outside of Prefect's ("EventsWorker: still processing items").
     os.environ.setdefault("PREFECT_INTERNAL_LOGGING_LEVEL", "CRITICAL")
+    for service in ("EventsWorker", "APILogWorker"):
+        logging.getLogger(service).setLevel(logging.CRITICAL)
 
 
 class LocalServer:

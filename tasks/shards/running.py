@@ -7,7 +7,8 @@ import time
 import traceback
 import uuid
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -186,33 +187,47 @@ class ClusterPool(Pool):
     def give_up(self) -> None:
         """Cancel what is on its way."""
         if self._flying:
-            self.client.cancel(list(self._flying), force=True)
+            with suppress(ClusterError), _scheduler_is_there():
+                self.client.cancel(list(self._flying), force=True)
             self._flying.clear()
 
     def peak_memory_bytes(self) -> int:
         """Return the most memory that this process or any worker alive has held."""
-        return peak_memory_bytes(self.client)
+        with _scheduler_is_there():
+            return peak_memory_bytes(self.client)
 
     def _count_workers(self) -> None:
-        workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
+        with _scheduler_is_there():
+            workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
         self.num_workers = max(1, sum(worker["nthreads"] for worker in workers))
         self._counted_at = time.monotonic()
 
     def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
         """Return a finished future's result; only `.result()` tells of a dead worker."""
-        from distributed import CancelledError, KilledWorker
+        from distributed import KilledWorker
 
         try:
-            result: tuple[ArtifactRef, float] = future.result(timeout=_FETCH_S)
+            with _scheduler_is_there():
+                result: tuple[ArtifactRef, float] = future.result(timeout=_FETCH_S)
         except KilledWorker:
             reason = (
                 f"its worker process died {DEATHS_ALLOWED + 1} times; it was killed from outside or needed more memory "
                 "than a worker may have"
             )
             raise ShardError(_where(shard), "KilledWorker", reason) from None
-        except CancelledError:
-            raise ClusterError("the Dask scheduler is gone; the same command continues the work") from None
         return result
+
+
+@contextmanager
+def _scheduler_is_there() -> Iterator[None]:
+    """Say of what a scheduler did not answer that it is gone: ClusterError."""
+    from distributed import CancelledError
+    from distributed.comm.core import CommClosedError
+
+    try:
+        yield
+    except (CancelledError, CommClosedError):
+        raise ClusterError("the Dask scheduler is gone; the same command continues the work") from None
 
 
 def _where(shard: Shard) -> str:

@@ -223,7 +223,7 @@ def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be
     fault.touch()
     code, _, err = start().finish()
     assert code == 1
-    last = err.strip().splitlines()[-1]
+    last = next(line for line in reversed(err.splitlines()) if line.startswith("error: "))
     assert last.startswith("error: stage bend, t1, shard s0: ")
     assert "No space left on device" in last
     assert "Traceback" not in err

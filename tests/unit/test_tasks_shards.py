@@ -12,7 +12,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from distributed import Client, Future
+from distributed import CancelledError, Client, Future
+from distributed.comm.core import CommClosedError
 
 from flows.machine import cluster_settings
 from flows.scheduling import Schedule
@@ -225,6 +226,18 @@ def test_a_scheduler_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: 
         connect(ClusterSettings(scheduler="tcp://127.0.0.1:9"), store_root=str(tmp_path)),
     ):
         pass
+
+
+@pytest.mark.parametrize("gone", [CancelledError, CommClosedError])
+def test_a_scheduler_that_dies_while_a_result_is_fetched_is_one_sentence(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gone: type[Exception]
+) -> None:
+    def result(self: Future[object], timeout: float) -> None:
+        raise gone("in <TCP (closed)>: Stream is closed")
+
+    monkeypatch.setattr(Future, "result", result)
+    with pytest.raises(ClusterError, match=r"^the Dask scheduler is gone; the same command continues the work$"):
+        compute(run_grow, shards(), on(client, tmp_path / "store"))
 
 
 def test_a_greeting_that_does_not_come_alone_is_asked_for_again(

@@ -38,7 +38,7 @@ from storage_schema import ArtifactRef, Store, parse_reference, resolve
 from tasks.augmentation import known_contacts, read_take
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
-from tasks.ingest.parameters import TakeParameters
+from tasks.ingest.shard_parameters import TakeParameters
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
 from tasks.stage import StageInputs, verdict_of
 

@@ -9,8 +9,13 @@ from functools import cache, partial
 import numpy as np
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
-from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, random_parameters, standing_pair
-from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.benchmarks.synthetic import (
+    random_annotations,
+    random_bank,
+    random_pairs,
+    random_parameters,
+    standing_pair,
+)
 from pasdedeux.experiments.measured_likelihood import ImageMeasure, MeasuredLikelihood
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
@@ -18,7 +23,7 @@ from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.agreement import Agreement
-from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.density import Likelihood, PairDensity
@@ -39,8 +44,7 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 4000, spread_rad=0.2)
     annotations = random_annotations(rng, pairs, NUM_ANNOTATIONS)
-    views = ViewDensity(annotations.directions, np.ones(NUM_ANNOTATIONS), 0.5).sample(rng, NUM_VIEWS)
-    return pairs, annotations, build_bank(views, annotations, num_candidates=NUM_CANDIDATES)
+    return pairs, annotations, random_bank(rng, annotations, NUM_VIEWS, num_candidates=NUM_CANDIDATES)
 
 
 def _samples() -> np.ndarray:

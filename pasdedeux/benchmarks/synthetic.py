@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.cameras import project_pair
+from pasdedeux.cameras.view_density import ViewDensity
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
-from pasdedeux.sampling.annotations import AnnotatedPairs
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
 from pasdedeux.sampling.parameters import LENGTH_INDICES, NUM_PARAMETERS, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["random_annotations", "random_pairs", "random_parameters", "standing_pair"]
+__all__ = ["random_annotations", "random_bank", "random_pairs", "random_parameters", "standing_pair"]
 
 Array = npt.NDArray[np.float64]
 
@@ -73,3 +76,9 @@ def random_annotations(rng: np.random.Generator, pairs_m: Array, num_annotations
     return AnnotatedPairs(
         points_m=turned, directions=directions, annotation_index=np.arange(num_annotations, dtype=np.int64)
     )
+
+
+def random_bank(rng: np.random.Generator, annotations: AnnotatedPairs, num_views: int, **options: Any) -> ViewBank:
+    """Return what counts for each of so many views, drawn near those of annotations; options are of `build_bank`."""
+    density = ViewDensity(annotations.directions, np.ones(len(annotations.directions)), 0.5)
+    return build_bank(density.sample(rng, num_views), annotations, **options)

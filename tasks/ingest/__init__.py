@@ -5,15 +5,15 @@ from __future__ import annotations
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.annotations import run_annotations
-from tasks.ingest.parameters import (
+from tasks.ingest.parameters import IngestParameters
+from tasks.ingest.plan import VERSION, plan
+from tasks.ingest.shard_parameters import (
     AnnotationParameters,
     DuetParameters,
-    IngestParameters,
     LeftOutParameters,
     TakeParameters,
     VideoParameters,
 )
-from tasks.ingest.plan import VERSION, plan
 from tasks.ingest.takes import run_duet, run_take
 from tasks.ingest.virtual_video import run_virtual_video
 from tasks.stage import Shard, Stage, commit

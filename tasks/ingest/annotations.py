@@ -21,7 +21,8 @@ from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
 from tasks.ingest.cameras import CameraFiles, find_cameras, read_header, video_beside
-from tasks.ingest.parameters import AnnotationOptions, AnnotationParameters
+from tasks.ingest.parameters import AnnotationOptions
+from tasks.ingest.shard_parameters import AnnotationParameters
 from tasks.ingest.sources import load_file, read_again
 from tasks.stage import Shard, SourceFile, commit
 

@@ -18,26 +18,23 @@ from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS
 from pasdedeux.people.settle import PeopleSettings
 from pasdedeux.plausibility.capture import CaptureLimits
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
-from storage_schema import SourceCredit
 from tasks.stage import Parameters, stream
 
 __all__ = [
+    "AnnotationCommon",
     "AnnotationOptions",
-    "AnnotationParameters",
     "CaptureOptions",
     "CommonOptions",
     "DetectorOptions",
     "DuetEntry",
     "DuetOptions",
-    "DuetParameters",
     "IngestParameters",
-    "LeftOutParameters",
+    "Mappings",
     "PairOptions",
     "PersonOptions",
-    "PersonParameters",
     "TakeOptions",
-    "TakeParameters",
-    "VideoParameters",
+    "UpAxis",
+    "VirtualCameras",
     "VirtualVideoOptions",
 ]
 
@@ -63,7 +60,6 @@ MotionFormatName = Annotated[str, _one_of(MOTION_FORMATS)]
 AnnotationFormatName = Annotated[str, _one_of(ANNOTATION_FORMATS)]
 KeypointLayoutName = Annotated[str, _one_of(KEYPOINT_LAYOUTS)]
 UpAxis = Literal["auto", "x", "y", "z"]
-Purpose = Literal["video", "random_views"]
 
 
 class PersonOptions(Parameters):
@@ -319,7 +315,7 @@ class VirtualVideoOptions(VirtualCameras):
     )
 
 
-class _AnnotationCommon(PeopleSettings, Parameters):
+class AnnotationCommon(PeopleSettings, Parameters):
     """What a source of 2D poses is, apart from where it lies."""
 
     id: str = Field(
@@ -362,7 +358,7 @@ class _AnnotationCommon(PeopleSettings, Parameters):
     credit: str = Field(default="not stated", description="Credit line of the source")
 
 
-class AnnotationOptions(_AnnotationCommon):
+class AnnotationOptions(AnnotationCommon):
     """2D poses of the user's own: a detector's file or folder of files, or our CSV or npz."""
 
     people_file: Path | None = Field(
@@ -472,88 +468,3 @@ class IngestParameters(Parameters):
     def is_prior(self, take_id: str) -> bool:
         """Tell whether priors learn from a take."""
         return take_id not in self.held_out if self.prior is None else take_id in self.prior
-
-
-class _OfTake(Parameters):
-    """What the shards of every take are told, whatever it is made from."""
-
-    take_id: str
-    rate_hz: float
-    is_held_out: bool
-    is_prior: bool
-    source: SourceCredit
-    capture: CaptureOptions
-
-
-class DuetParameters(_OfTake):
-    """The shard of a take that is a built-in duet."""
-
-    duet: DuetOptions
-
-
-class LeftOutParameters(Parameters):
-    """What of a folder cannot be read, or not yet: why, by the name of the take or of the file."""
-
-    left_out: dict[str, str]
-
-
-class PersonParameters(Parameters):
-    """One person's file in the shard of a take; all choices are made.
-
-    Attributes:
-        motion_sha256: Digest of the motion file, by which it is found among the shard's files.
-        companion_sha256: Digest of the file that must lie beside it; empty where none must.
-        unit_confidence: How sure the length unit is, 1 where the study or the file says it.
-    """
-
-    source_name: str
-    motion_sha256: str
-    companion_sha256: str
-    format: str
-    layout: str
-    rate_hz: float
-    metres_per_unit: float
-    unit_confidence: float
-    up_axis: UpAxis
-    first_frame: int
-    translation_m: tuple[float, float, float]
-    yaw_deg: float
-
-
-class TakeParameters(_OfTake):
-    """The shard of a take from files; `num_frames` are frames of the files."""
-
-    num_frames: int
-    floor: Literal["auto", "keep"]
-    persons: tuple[PersonParameters, ...]
-    mappings: Mappings
-    objects_sha256: str = ""
-    contacts_sha256: str = ""
-
-
-class VideoParameters(VirtualCameras):
-    """A shard of virtual video over a take: `count` whole videos, perhaps by a detector, or pairs from random views."""
-
-    purpose: Purpose
-    count: int
-    take_id: str
-    is_held_out: bool
-    rate_hz: float
-    detector: DetectorOptions | None = None
-
-
-class AnnotationParameters(_AnnotationCommon):
-    """The shard of a source of 2D poses; its format is found.
-
-    Attributes:
-        frames: The frame of each file, where its name tells it: no digest of the content knows.
-        video_rate_hz: What the header of the video beside the files says; None without.
-        video_size_px: Its width and height.
-        people: Rows of the table of who is who that are about its sequences.
-    """
-
-    is_held_out: bool
-    frames: tuple[int, ...]
-    video_rate_hz: float | None
-    video_size_px: tuple[int, int] | None
-    people: tuple[str, ...]

@@ -16,17 +16,19 @@ from tasks.ingest.known_sources import DUET_CREDIT, known_performance
 from tasks.ingest.parameters import (
     DetectorOptions,
     DuetOptions,
-    DuetParameters,
     IngestParameters,
-    LeftOutParameters,
     PairOptions,
     PersonOptions,
+    TakeOptions,
+    VirtualCameras,
+)
+from tasks.ingest.shard_parameters import (
+    DuetParameters,
+    LeftOutParameters,
     PersonParameters,
     Purpose,
-    TakeOptions,
     TakeParameters,
     VideoParameters,
-    VirtualCameras,
 )
 from tasks.ingest.sources import LoadedFile, PersonSource, credit_of, find_person, load_file, read_named
 from tasks.ingest.virtual_video import UNIFORM_PITCH_DEG

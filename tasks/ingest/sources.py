@@ -17,7 +17,8 @@ from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
 from tasks.ingest.known_sources import CMU_CREDIT, known_source
-from tasks.ingest.parameters import CommonOptions, PersonOptions, PersonParameters
+from tasks.ingest.parameters import CommonOptions, PersonOptions
+from tasks.ingest.shard_parameters import PersonParameters
 from tasks.stage import SourceFile
 
 __all__ = [

@@ -28,7 +28,7 @@ from pasdedeux.projections.sources import resample_positions
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.ingest.parameters import DuetParameters, PersonParameters, TakeParameters
+from tasks.ingest.shard_parameters import DuetParameters, PersonParameters, TakeParameters
 from tasks.ingest.sources import layout_named, read_again
 from tasks.stage import Shard, SourceFile, commit
 

@@ -24,7 +24,7 @@ from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.ingest.parameters import VideoParameters
+from tasks.ingest.shard_parameters import VideoParameters
 from tasks.stage import Shard, commit, stream
 
 __all__ = ["UNIFORM_PITCH_DEG", "run_virtual_video"]

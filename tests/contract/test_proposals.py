@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from pasdedeux.benchmarks.synthetic import random_annotations, random_pairs, standing_pair
-from pasdedeux.cameras.view_density import ViewDensity
+from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs, standing_pair
 from pasdedeux.plausibility.joint_limits import JointLimits
-from pasdedeux.sampling.annotations import build_bank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import effective_sample_size, invariants
@@ -178,7 +176,7 @@ def test_velocity_biased_chains_sample_the_same_density_of_annotated_pairs_as_un
     rng = np.random.default_rng(1)
     pairs = random_pairs(rng, 60, spread_rad=0.05)
     annotated = random_annotations(rng, pairs, 30)
-    bank = build_bank(ViewDensity(annotated.directions, np.ones(30), 0.5).sample(rng, 3), annotated)
+    bank = random_bank(rng, annotated, 3)
     likelihood = InteractionLikelihood(annotated, bank, sigma_l=0.03)
     chart = PairChart(gauge_fix(pairs[0]))
     target = PairDensity(chart, PhysicalPrior(chart, JointLimits.published()), likelihood)

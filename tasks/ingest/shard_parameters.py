@@ -1,0 +1,114 @@
+"""What the shards of `ingest` are told: all choices are made, and files are told by their digests."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from storage_schema import SourceCredit
+from tasks.ingest.parameters import (
+    AnnotationCommon,
+    CaptureOptions,
+    DetectorOptions,
+    DuetOptions,
+    Mappings,
+    UpAxis,
+    VirtualCameras,
+)
+from tasks.stage import Parameters
+
+__all__ = [
+    "AnnotationParameters",
+    "DuetParameters",
+    "LeftOutParameters",
+    "PersonParameters",
+    "Purpose",
+    "TakeParameters",
+    "VideoParameters",
+]
+
+Purpose = Literal["video", "random_views"]
+
+
+class _OfTake(Parameters):
+    """What the shards of every take are told, whatever it is made from."""
+
+    take_id: str
+    rate_hz: float
+    is_held_out: bool
+    is_prior: bool
+    source: SourceCredit
+    capture: CaptureOptions
+
+
+class DuetParameters(_OfTake):
+    """The shard of a take that is a built-in duet."""
+
+    duet: DuetOptions
+
+
+class LeftOutParameters(Parameters):
+    """What of a folder cannot be read, or not yet: why, by the name of the take or of the file."""
+
+    left_out: dict[str, str]
+
+
+class PersonParameters(Parameters):
+    """One person's file in the shard of a take; all choices are made.
+
+    Attributes:
+        motion_sha256: Digest of the motion file, by which it is found among the shard's files.
+        companion_sha256: Digest of the file that must lie beside it; empty where none must.
+        unit_confidence: How sure the length unit is, 1 where the study or the file says it.
+    """
+
+    source_name: str
+    motion_sha256: str
+    companion_sha256: str
+    format: str
+    layout: str
+    rate_hz: float
+    metres_per_unit: float
+    unit_confidence: float
+    up_axis: UpAxis
+    first_frame: int
+    translation_m: tuple[float, float, float]
+    yaw_deg: float
+
+
+class TakeParameters(_OfTake):
+    """The shard of a take from files; `num_frames` are frames of the files."""
+
+    num_frames: int
+    floor: Literal["auto", "keep"]
+    persons: tuple[PersonParameters, ...]
+    mappings: Mappings
+    objects_sha256: str = ""
+    contacts_sha256: str = ""
+
+
+class VideoParameters(VirtualCameras):
+    """A shard of virtual video over a take: `count` whole videos, perhaps by a detector, or pairs from random views."""
+
+    purpose: Purpose
+    count: int
+    take_id: str
+    is_held_out: bool
+    rate_hz: float
+    detector: DetectorOptions | None = None
+
+
+class AnnotationParameters(AnnotationCommon):
+    """The shard of a source of 2D poses; its format is found.
+
+    Attributes:
+        frames: The frame of each file, where its name tells it: no digest of the content knows.
+        video_rate_hz: What the header of the video beside the files says; None without.
+        video_size_px: Its width and height.
+        people: Rows of the table of who is who that are about its sequences.
+    """
+
+    is_held_out: bool
+    frames: tuple[int, ...]
+    video_rate_hz: float | None
+    video_size_px: tuple[int, int] | None
+    people: tuple[str, ...]

@@ -1,0 +1,208 @@
+"""Annotations under views, and the likelihood that a pair has by them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pasdedeux.benchmarks.synthetic import random_annotations, random_bank, random_pairs
+from pasdedeux.cameras import project_pair
+from pasdedeux.errors import InputError
+from pasdedeux.interaction import interaction_dissimilarity
+from pasdedeux.kinematics.rotations import normalise
+from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank, gather_pairs, shows_enough
+from pasdedeux.sampling.density import Pooling
+from pasdedeux.sampling.likelihood import InteractionLikelihood, plain_log_likelihood
+from pasdedeux.skeletons import PAIR17
+
+
+@pytest.fixture(scope="module")
+def annotated() -> tuple[AnnotatedPairs, ViewBank]:
+    rng = np.random.default_rng(1)
+    annotations = random_annotations(rng, random_pairs(rng, 200, spread_rad=0.15), 600)
+    return annotations, random_bank(rng, annotations, 8, num_candidates=80)
+
+
+def test_compiled_likelihood_agrees_with_the_definition(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
+    pairs, bank = annotated
+    exact = InteractionLikelihood(pairs, bank, is_exact=True)
+    for pair in random_pairs(np.random.default_rng(7), 12, spread_rad=0.15):
+        plain = plain_log_likelihood(pair, pairs, bank)
+        match = exact.match(pair)
+        assert match.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-9)
+        mattered = np.isfinite(match.dissimilarity_m)
+        np.testing.assert_allclose(match.dissimilarity_m[mattered], plain.dissimilarity_m[mattered], rtol=1e-9)
+        np.testing.assert_array_equal(match.entry[mattered], plain.entry[mattered])
+
+
+def test_estimates_leave_the_same_best_as_comparing_all() -> None:
+    rng = np.random.default_rng(8)
+    pairs = random_annotations(rng, random_pairs(rng, 500, spread_rad=0.2), 1500)
+    bank = random_bank(rng, pairs, 6, num_candidates=400, view_bandwidth_rad=1.2)
+    assert bank.counts.max() > 300
+    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
+    # An estimate trusted too far loses the best: the comparison can fail.
+    careless = InteractionLikelihood(pairs, bank, min_ratio=1.0, min_own_ratio=1.0)
+    samples = random_pairs(rng, 150, spread_rad=0.2)
+    expected = np.array([exact.log_likelihood(pair) for pair in samples])
+    assert np.array([fast.log_likelihood(pair) for pair in samples]) == pytest.approx(expected, rel=1e-12)
+    assert np.array([careless.log_likelihood(pair) for pair in samples]) != pytest.approx(expected, rel=1e-12)
+
+
+def with_hidden(rng: np.random.Generator, pairs: AnnotatedPairs, share: float) -> AnnotatedPairs:
+    """Return the annotations that still show enough with a share of all joints hidden."""
+    points = np.where(rng.random((*pairs.points_m.shape[:3], 1)) < share, np.nan, pairs.points_m)
+    enough = shows_enough(points)
+    return AnnotatedPairs(points[enough], pairs.directions[enough], pairs.annotation_index[enough])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_a_likelihood_that_every_view_has_a_say_in_is_its_definition(share: float) -> None:
+    rng = np.random.default_rng(23)
+    pairs = random_annotations(rng, random_pairs(rng, 300, spread_rad=0.2), 900)
+    pairs = with_hidden(rng, pairs, share) if share else pairs
+    bank = random_bank(rng, pairs, 6, num_candidates=300, view_bandwidth_rad=1.2)
+    every = InteractionLikelihood(pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
+    best_alone = InteractionLikelihood(pairs, bank, sigma_l=0.03)
+    for pair in random_pairs(rng, 8, spread_rad=0.2):
+        plain = plain_log_likelihood(pair, pairs, bank, sigma_l=0.03, pooling=Pooling.EVERY_VIEW)
+        assert plain.log_likelihood == pytest.approx(-plain.dissimilarity_m.mean() / (2 * 0.03**2), rel=1e-12)
+        value = every.log_likelihood(pair)
+        assert value == pytest.approx(plain.log_likelihood, rel=1e-9)
+        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        # Jensen: the mean of logarithms is at most the logarithm of the mean.
+        assert value <= best_alone.log_likelihood(pair)
+        for level in (value - 1e-9 * abs(value), value + 1e-9 * abs(value), 0.9 * value, 1.1 * value):
+            found = every.log_likelihood(pair, at_least=level)
+            assert found == (value if value >= level else -np.inf)
+            np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        # What was found of this pair is not taken for that of one asked for between, nor of one in the same memory.
+        every.nearest(1.1 * pair)
+        np.testing.assert_array_equal(every.nearest(pair), plain.entry)
+        moving = 1.5 * pair
+        every.log_likelihood(moving)
+        moving[:] = pair
+        np.testing.assert_array_equal(every.nearest(moving), plain.entry)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.35])
+def test_a_likelihood_with_hidden_joints_is_the_definition_and_looks_at_all_that_matter(share: float) -> None:
+    rng = np.random.default_rng(17)
+    pairs = with_hidden(rng, random_annotations(rng, random_pairs(rng, 400, spread_rad=0.2), 1200), share)
+    bank = random_bank(rng, pairs, 6, num_candidates=300, view_bandwidth_rad=1.2)
+    fast, exact = InteractionLikelihood(pairs, bank), InteractionLikelihood(pairs, bank, is_exact=True)
+    assert not pairs.is_seen.all()
+    for pair in random_pairs(rng, 40, spread_rad=0.2):
+        assert fast.log_likelihood(pair) == exact.log_likelihood(pair)
+    for pair in random_pairs(rng, 6, spread_rad=0.2):
+        plain = plain_log_likelihood(pair, pairs, bank)
+        np.testing.assert_array_equal(fast.nearest(pair), plain.entry)
+        assert exact.log_likelihood(pair) == pytest.approx(plain.log_likelihood, rel=1e-9)
+        # The definition itself: the least d_I of one pair and one annotation at a time.
+        image = project_pair(pair, bank.directions[0]).reshape(34, 2)
+        own = bank.candidates[0, : bank.counts[0]]
+        least = min(interaction_dissimilarity(image, points) for points in pairs.points_m[own].reshape(len(own), 34, 2))
+        assert plain.dissimilarity_m[0] == pytest.approx(least, rel=1e-9)
+
+
+def test_an_annotation_with_hidden_joints_still_fits_its_own_pair() -> None:
+    rng = np.random.default_rng(18)
+    pair = random_pairs(rng, 1)[0]
+    view = normalise(np.array([[0.3, 0.1, 1.0]]))
+    whole = AnnotatedPairs(project_pair(pair, view), view, np.zeros(1, dtype=np.int64))
+    part = with_hidden(np.random.default_rng(4), whole, 0.2)
+    assert InteractionLikelihood(part, build_bank(view, part)).log_likelihood(pair) == pytest.approx(0.0, abs=1e-6)
+    # What is hidden may be anywhere: only what is seen counts.
+    waving = pair.copy()
+    waving[~part.is_seen[0]] += 0.3
+    waving[:, [0, 3]] = pair[:, [0, 3]]
+    moved = ~part.is_seen[0].copy()
+    moved[:, [0, 3]] = False
+    assert moved.any()
+    assert InteractionLikelihood(part, build_bank(view, part)).log_likelihood(waving) > -300.0
+    assert InteractionLikelihood(whole, build_bank(view, whole)).log_likelihood(waving) < -300.0
+
+
+def test_views_left_out_add_less_than_rounding_to_the_likelihood() -> None:
+    rng = np.random.default_rng(14)
+    pairs = random_annotations(rng, random_pairs(rng, 60, spread_rad=0.1), 150)
+    bank = build_bank(pairs.directions[:12], pairs, num_candidates=50, view_bandwidth_rad=1.0)
+    left_out = 0
+    for sigma_l in (0.01, 0.05):
+        likelihood = InteractionLikelihood(pairs, bank, sigma_l=sigma_l)
+        for pair in random_pairs(rng, 12, spread_rad=0.1):
+            plain = plain_log_likelihood(pair, pairs, bank, sigma_l=sigma_l)
+            match = likelihood.match(pair)
+            left_out += np.isinf(match.dissimilarity_m).sum()
+            # exp of the logs agrees to 1e-9 relative; d_I itself is only known to that once divided by 2 sigma_l^2.
+            assert match.log_likelihood == pytest.approx(plain.log_likelihood, rel=1e-11, abs=1e-10)
+    assert left_out > 100
+
+
+def test_every_view_finds_its_nearest_annotation_also_where_it_cannot_matter(
+    annotated: tuple[AnnotatedPairs, ViewBank],
+) -> None:
+    pairs, bank = annotated
+    likelihood = InteractionLikelihood(pairs, bank)
+    for pair in random_pairs(np.random.default_rng(9), 12, spread_rad=0.15):
+        plain = plain_log_likelihood(pair, pairs, bank)
+        np.testing.assert_array_equal(likelihood.nearest(pair), plain.entry)
+
+
+def test_likelihood_of_an_annotated_pair_under_its_own_view_is_one() -> None:
+    pair = random_pairs(np.random.default_rng(9), 1)[0]
+    view = normalise(np.array([[0.3, 0.1, 1.0]]))
+    pairs = AnnotatedPairs(project_pair(pair, view), view, np.zeros(1, dtype=np.int64))
+    bank = build_bank(view, pairs)
+    assert InteractionLikelihood(pairs, bank).log_likelihood(pair) == pytest.approx(0.0, abs=1e-6)
+    mirrored = AnnotatedPairs(pairs.points_m * [-1.0, 1.0], view, np.zeros(1, dtype=np.int64))
+    assert InteractionLikelihood(mirrored, bank).log_likelihood(pair) < -100.0
+
+
+def test_a_floor_never_changes_a_value_above_it(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
+    likelihood = InteractionLikelihood(*annotated)
+    for pair in random_pairs(np.random.default_rng(10), 30, spread_rad=0.15):
+        value = likelihood.log_likelihood(pair)
+        for floor in (value - 5.0, value - 1e-9):
+            assert likelihood.log_likelihood(pair, at_least=floor) == pytest.approx(value, rel=1e-12)
+        for floor in (value + 1e-9, value + 5.0):
+            assert likelihood.log_likelihood(pair, at_least=floor) == -np.inf
+
+
+def test_annotations_that_show_too_little_are_left_out_and_counted() -> None:
+    rng = np.random.default_rng(14)
+    pixels = rng.normal(size=(5, 2, 17, 2))
+    pixels[0, :, [6, 7, 9, 10, 12, 13]] = np.nan
+    pixels[1, 0, PAIR17.indices(("neck", "left_hip", "left_shoulder"))] = np.nan
+    pixels[4, :, 4:13] = np.nan
+    gathered = gather_pairs(pixels, np.ones((5, 2)), np.ones((5, 3)), np.ones(5), np.arange(5))
+    assert gathered.num_skipped == 2
+    assert list(gathered.pairs.annotation_index) == [0, 2, 3]
+    np.testing.assert_array_equal(gathered.pairs.is_seen[0], np.isfinite(pixels[0, ..., 0]))
+    pixels[:, 1] = np.nan
+    with pytest.raises(InputError, match="none of the 5 annotated pairs"):
+        gather_pairs(pixels, np.ones((5, 2)), np.ones((5, 3)), np.ones(5), np.arange(5))
+
+
+def test_an_annotation_enters_a_view_once_by_its_nearest_hypothesis() -> None:
+    rng = np.random.default_rng(15)
+    directions = normalise(rng.normal(size=(90, 3)))
+    pairs = AnnotatedPairs(rng.normal(size=(90, 2, 17, 2)), directions, np.repeat(np.arange(30), 3))
+    bank = build_bank(normalise(rng.normal(size=(5, 3))), pairs, num_candidates=25)
+    for view in range(5):
+        own = bank.candidates[view, : bank.counts[view]]
+        assert len(own) >= 20
+        assert len(set(pairs.annotation_index[own])) == len(own)
+        for entry in own:
+            same = np.flatnonzero(pairs.annotation_index == pairs.annotation_index[entry])
+            nearest = same[np.argmax(directions[same] @ bank.directions[view])]
+            assert entry == nearest
+
+
+def test_fewer_annotations_than_candidates_are_all_used() -> None:
+    rng = np.random.default_rng(16)
+    pairs = random_annotations(rng, random_pairs(rng, 3), 3)
+    bank = build_bank(normalise(rng.normal(size=(4, 3))), pairs)
+    assert list(bank.counts) == [3, 3, 3, 3]
+    match = InteractionLikelihood(pairs, bank).match(random_pairs(rng, 1)[0])
+    assert np.isfinite(match.log_likelihood)

@@ -28,10 +28,11 @@ __all__ = [
     "ClusterSettings",
     "connect",
     "installed",
+    "is_refused",
+    "only_fit",
     "peak_memory_bytes",
     "refusals",
     "refuse_other",
-    "same_code",
     "worker_environment",
 ]
 
@@ -49,8 +50,10 @@ _ONE_THREAD = (
 )
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 CONNECT_TIMEOUT_S = 30.0
-refusals: list[str] = []
+is_refused: list[str] = []
 """Why this process, a worker, may compute nothing for the run that it joined; empty where it may."""
+_REFUSALS = "pasdedeux-refusals"
+"""Under which the scheduler keeps what workers that left said."""
 _GREETINGS = 3
 
 
@@ -230,9 +233,7 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
         ) from None
     without = sorted(worker for worker, can in can_write.items() if not can)
     if without:
-        raise ClusterError(
-            f"worker {without[0]} cannot write to the store {store_root}; it must be on a shared file system"
-        )
+        raise _no_store(without[0], store_root)
     try:
         found: Mapping[str, dict[str, str]] = client.run(installed)
     except (ImportError, AttributeError) as error:
@@ -242,8 +243,12 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
     mine = installed()
     for worker in sorted(found):
         refuse_other(mine, found[worker], f"worker {worker}")
-    # Workers that come later: one that has something else leaves.
-    client.register_plugin(same_code(mine), name="pasdedeux-same-code")
+    client.register_plugin(only_fit(mine, store_root), name="pasdedeux-only-fit")
+
+
+def refusals(client: Client) -> list[str]:
+    """Return why workers left that came to a cluster later, oldest first; also those of runs before this one."""
+    return [said for _, said in client.get_events(_REFUSALS) or ()]
 
 
 def installed() -> dict[str, str]:
@@ -261,27 +266,35 @@ def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -
             )
 
 
-def same_code(mine: Mapping[str, str]) -> Any:
-    """Return a Dask worker plugin by which a worker leaves that has something else than this machine.
+def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
+    """Return a Dask worker plugin by which a worker that comes later leaves where it is not fit for the run.
 
-    Dask goes on with a worker whose plugin fails, so it is told to close; a shard that comes in between is refused.
+    Dask goes on with a worker whose plugin fails, so it is told to leave; shards that come in between go elsewhere.
     """
     from distributed import WorkerPlugin
 
-    class SameCode(WorkerPlugin):
+    class OnlyFit(WorkerPlugin):
         def setup(self, worker: Any) -> None:
-            _leave_if_other(mine, worker)
+            _leave_if_unfit(mine, store_root, worker)
 
-    return SameCode()
+    return OnlyFit()
 
 
-def _leave_if_other(mine: Mapping[str, str], worker: Any) -> None:
+def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> None:
     # A function of the module: what is inside the plugin travels as a copy, and so would the list.
     try:
         refuse_other(mine, installed(), f"worker {worker.address}")
+        if not _can_write(store_root):
+            raise _no_store(worker.address, store_root)
     except ClusterError as error:
-        refusals.append(str(error))
-        worker.loop.add_callback(worker.close, nanny=True, reason="other packages or sources")
+        is_refused.append(str(error))
+        worker.log_event(_REFUSALS, str(error))
+        # Gracefully: what it was given counts as given back, not as a death under a shard.
+        worker.loop.add_callback(worker.close_gracefully, reason="not fit for the run")
+
+
+def _no_store(worker: str, store_root: str) -> ClusterError:
+    return ClusterError(f"worker {worker} cannot write to the store {store_root}; it must be on a shared file system")
 
 
 def _peak_memory_bytes() -> int:

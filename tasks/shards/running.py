@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from storage_schema import ArtifactRef, Store
-from tasks.shards.cluster import DEATHS_ALLOWED, peak_memory_bytes, refusals
+from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
 from tasks.stage import Shard
 
@@ -30,6 +30,8 @@ _LOOK_UP_S = 0.2  # how long a pool waits for a shard to end before it says that
 _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker is gone
 _SHORT_S = 0.3  # a worker has a second shard of this length waiting, so that it need not wait for the next
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
+_NO_WORKER_S = 60.0  # how long it may have none after one had to leave
+_GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the scheduler learns meanwhile that it does
 
 
 @dataclass(frozen=True)
@@ -57,9 +59,14 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
 
     The linear algebra has one thread, also where the process was started with more: sums of several threads are
     rounded otherwise, and the bytes would differ.
+
+    A worker that is not fit for the run gives the shard back to the scheduler: another one computes it.
     """
-    if refusals:
-        raise ShardError(_where(shard), "ClusterError", refusals[0])
+    if is_refused:
+        from distributed import Reschedule
+
+        time.sleep(_GIVE_BACK_S)
+        raise Reschedule
     started = time.perf_counter()
     try:
         store = Store(store_root)
@@ -146,6 +153,8 @@ class ClusterPool(Pool):
         self._flying: dict[Any, Shard] = {}
         self._arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._seconds: dict[str, float] = {}
+        self._num_refused_before = len(refusals(client)) if is_shared else 0
+        self._seen_at = time.monotonic()
         self._count_workers()
 
     def has_room(self, shard: Shard) -> bool:
@@ -201,6 +210,12 @@ class ClusterPool(Pool):
             workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
         self.num_workers = max(1, sum(worker["nthreads"] for worker in workers))
         self._counted_at = time.monotonic()
+        if workers:
+            self._seen_at = self._counted_at
+        elif self._counted_at - self._seen_at > _NO_WORKER_S:
+            refused = refusals(self.client)[self._num_refused_before :]
+            if refused:
+                raise ClusterError(f"{refused[-1]}; no other worker came for {_NO_WORKER_S:g} s")
 
     def _result(self, future: Any, shard: Shard) -> tuple[ArtifactRef, float]:
         """Return a finished future's result; only `.result()` tells of a dead worker."""

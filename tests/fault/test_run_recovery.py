@@ -12,7 +12,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -20,9 +20,11 @@ import psutil
 import pytest
 from distributed import Client
 
+from flows.outcomes import Outcome
 from flows.records import describe_runs
 from storage_schema import Store
 from tasks.shards import ClusterError, ClusterPool, ClusterSettings, connect
+from tasks.shards.cluster import DEATHS_ALLOWED
 from tests.builders.toy_runs import ROOT, Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
@@ -169,48 +171,110 @@ def test_prefects_locked_database_and_its_killed_server_cost_the_run_nothing(
 def test_a_killed_scheduler_is_one_sentence_and_the_run_can_be_finished(
     tmp_path: Path, undisturbed: dict[str, list[str]]
 ) -> None:
-    (tmp_path / "gates").mkdir()
-    hold(tmp_path, "grow-t0-s1")
-    study, store = write_study(tmp_path), tmp_path / "store"
-    with outside_cluster(tmp_path) as (scheduler, address), ThreadPoolExecutor(1) as here:
-        store.mkdir()
-        with connect(ClusterSettings(scheduler=address), store_root=str(store)) as client:
-            run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True))
-            ran = tmp_path / "gates" / "ran.txt"
-            wait_until(lambda: ran.exists() and "grow-t0-s1" in ran.read_text(), "a shard in work")
-            scheduler.kill()
-            with pytest.raises(
-                ClusterError, match=r"^the Dask scheduler is gone; the same command continues the work$"
-            ):
-                run.result(timeout=60)
+    with in_mid_shard_elsewhere(tmp_path) as (outside, run):
+        outside.scheduler.kill()
+        with pytest.raises(ClusterError, match=r"^the Dask scheduler is gone; the same command continues the work$"):
+            run.result(timeout=60)
+    finish_here(tmp_path, undisturbed)
+
+
+def test_shards_of_late_workers_with_another_package_go_to_one_that_is_fit(
+    tmp_path: Path, undisturbed: dict[str, list[str]]
+) -> None:
+    with in_mid_shard_elsewhere(tmp_path) as (outside, run):
+        outside.worker.kill()
+        for late in [outside.start("worker", "--preload", str(unfit(tmp_path))) for _ in range(DEATHS_ALLOWED + 1)]:
+            late.wait(timeout=60)
+        another = outside.start("worker")
+        (tmp_path / "gates" / "hold-grow-t0-s1").unlink()
+        assert run.result(timeout=60).num_computed == EVERYTHING
+    ran = (tmp_path / "gates" / "ran.txt").read_text().split()
+    assert set(ran[1::2]) == {str(outside.worker.pid), str(another.pid)}
+    assert digests(tmp_path / "store") == undisturbed
+
+
+def test_a_run_whose_last_worker_had_to_leave_says_why(
+    tmp_path: Path, undisturbed: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tasks.shards.running._COUNT_AGAIN_S", 0.1)
+    monkeypatch.setattr("tasks.shards.running._NO_WORKER_S", 0.1)
+    with in_mid_shard_elsewhere(tmp_path) as (outside, run):
+        outside.start("worker", "--preload", str(unfit(tmp_path))).wait(timeout=60)
+        assert not run.done(), "the first worker is there"
+        outside.worker.kill()
+        with pytest.raises(
+            ClusterError,
+            match=r"^worker tcp://.* has numpy 1\.0, here it is .*: results would differ; .*; no other worker came",
+        ):
+            run.result(timeout=60)
+    finish_here(tmp_path, undisturbed)
+
+
+def unfit(folder: Path) -> Path:
+    """Return what a worker loads first to have another version of a package."""
+    file = folder / "unfit.py"
+    file.write_text(
+        "import tasks.shards.cluster as cluster\n"
+        "mine = cluster.package_versions()\n"
+        "cluster.package_versions = lambda: {**mine, 'numpy': '1.0'}\n"
+    )
+    return file
+
+
+def finish_here(folder: Path, undisturbed: dict[str, list[str]]) -> None:
+    """Build in this process what a run left that failed."""
+    study, store = folder / "toy.toml", folder / "store"
+    (folder / "gates" / "hold-grow-t0-s1").unlink()
     assert [one["status"] for one in describe_runs(Store(store))] == ["failed"]
     assert run_toys(study, store).num_computed < EVERYTHING
     assert digests(store) == undisturbed
 
 
+class Outside:
+    """A scheduler and a worker that no run has started."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "scheduler.json"
+        self._environment = {**os.environ, "TOY_FOLDER": str(folder / "gates")}
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        wait_until(self._file.exists, "the scheduler")
+        self.address: str = json.loads(self._file.read_text())["address"]
+        self.worker = self.start("worker")
+
+    def start(self, kind: str, *more: str) -> subprocess.Popen[bytes]:
+        """Start a scheduler or one more worker."""
+        more = (*more, "--nthreads", "1", "--no-nanny") if kind == "worker" else more
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", kind, "--scheduler-file", str(self._file), "--no-dashboard", *more],
+            cwd=ROOT,
+            env=self._environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self.processes.append(process)
+        return process
+
+
 @contextmanager
-def outside_cluster(folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Start a scheduler and a worker that no run has started; gives the scheduler and its address."""
-    file = folder / "scheduler.json"
-    environment = {**os.environ, "TOY_FOLDER": str(folder / "gates")}
-    dask = [sys.executable, "-m", "dask"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    commands = (
-        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)],
-        ["worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-dashboard", "--no-nanny"],
-    )
-    processes = [
-        subprocess.Popen([*dask, *command], cwd=ROOT, env=environment, **quiet)  # type: ignore[call-overload]
-        for command in commands
-    ]
+def in_mid_shard_elsewhere(folder: Path) -> Iterator[tuple[Outside, Future[Outcome]]]:
+    """Run the toys on somebody's cluster, one shard of them held in work."""
+    hold(folder, "grow-t0-s1")
+    study, store, ran = write_study(folder), folder / "store", folder / "gates" / "ran.txt"
+    store.mkdir()
+    outside = Outside(folder)
     try:
-        wait_until(file.exists, "the scheduler")
-        address = json.loads(file.read_text())["address"]
-        with Client(address, set_as_default=False) as client:
+        with Client(outside.address, set_as_default=False) as client:
             client.wait_for_workers(1)
-        yield processes[0], address
+        with (
+            ThreadPoolExecutor(1) as here,
+            connect(ClusterSettings(scheduler=outside.address), store_root=str(store)) as client,
+        ):
+            run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True))
+            wait_until(lambda: ran.exists() and "grow-t0-s1" in ran.read_text(), "a shard in work")
+            yield outside, run
     finally:
-        for process in processes:
+        for process in outside.processes:
             process.kill()
             process.wait()
 

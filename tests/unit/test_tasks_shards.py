@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +31,6 @@ from tasks.shards import (
     connect,
     worker_environment,
 )
-from tasks.shards.cluster import installed, same_code
 from tasks.shards.profiles import cluster_class
 from tasks.stage import Shard, StageInputs
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
@@ -336,27 +334,6 @@ def test_workers_with_another_version_of_a_package_are_refused(
         connect(ClusterSettings(scheduler=address), store_root=str(tmp_path)),
     ):
         pass
-
-
-def test_a_worker_that_comes_later_with_other_sources_leaves_and_computes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    leaving: list[dict[str, object]] = []
-    worker = SimpleNamespace(
-        address="tcp://late",
-        close="close",
-        loop=SimpleNamespace(add_callback=lambda call, **said: leaving.append({"call": call, **said})),
-    )
-    monkeypatch.setattr("tasks.shards.cluster.refusals", refused := [])
-    monkeypatch.setattr("tasks.shards.running.refusals", refused)
-    same_code(installed()).setup(worker)
-    assert compute(run_grow, shards(1, 1), here(tmp_path))
-    same_code({**installed(), "sources of pasdedeux": "other"}).setup(worker)
-    with pytest.raises(
-        ShardError, match=r"worker tcp://late has sources of pasdedeux .*, here it is other: results would"
-    ):
-        compute(run_grow, shards(1, 2), here(tmp_path))
-    assert [(one["call"], one["nanny"]) for one in leaving] == [("close", True)]
 
 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

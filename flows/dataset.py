@@ -227,8 +227,8 @@ def _stage_flow(run: Run, plan: StagePlan, partitions: Mapping[str, Future[None]
             show_stage(study=run.study.name, run_id=run_id)
         except (ShardError, Stopped):
             return  # it is the run that says what failed
-        except Exception:  # noqa: BLE001 - Prefect only shows what is done: the run goes on without it
-            _log.warning("Prefect does not show stage %s", plan.stage.name, exc_info=True)
+        except Exception as error:  # noqa: BLE001 - Prefect only shows what is done: the run goes on without it
+            _log.warning("Prefect does not show stage %s: %s", plan.stage.name, in_one_line(error))
 
     return show
 

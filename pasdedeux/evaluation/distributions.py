@@ -6,14 +6,21 @@ figure stands that of two halves of the real ones.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["density_coverage", "distances", "frechet_distance", "kernel_distance"]
+from pasdedeux.evaluation.scores import FEWEST_UNITS
+
+__all__ = ["KID_FACTOR", "density_coverage", "distances", "frechet_distance", "kernel_distance", "kernel_interval"]
 
 Array = npt.NDArray[np.float64]
 
+KID_FACTOR = 1000.0
+"""Kernel distances are told times this."""
 _NEIGHBOURS = 5
+_NORMAL_95 = 1.96
 
 
 def frechet_distance(one: Array, other: Array) -> float:
@@ -46,6 +53,26 @@ def kernel_distance(one: Array, other: Array) -> float:
     return float(sum(within) - 2.0 * kernel(one, other).mean())
 
 
+def kernel_interval(
+    one: Array, other: Array, one_units: Sequence[str], other_units: Sequence[str]
+) -> tuple[float, float]:
+    """Return ends of a 95 % interval of `kernel_distance`, by the jackknife over units; NaN of fewer than 5 of either.
+
+    Features of one unit, such as a variant, are left out together (Quenouille 1956, Arvesen 1969 for two samples);
+    draws with repetition would have pairs of a clip with itself, which the distance leaves out.
+    """
+    middle, variance = kernel_distance(one, other), 0.0
+    for found, units, is_first in ((one, one_units, True), (other, other_units, False)):
+        names, labels = sorted(set(units)), np.array(units)
+        if len(names) < FEWEST_UNITS:
+            return float("nan"), float("nan")
+        rests = [found[labels != name] for name in names]
+        values = np.array([kernel_distance(rest, other) if is_first else kernel_distance(one, rest) for rest in rests])
+        variance += (len(names) - 1) * float(values.var())
+    reach = _NORMAL_95 * float(np.sqrt(variance))
+    return middle - reach, middle + reach
+
+
 def density_coverage(real: Array, made: Array) -> tuple[float, float]:
     """Return density and coverage of made features (m, d) among real ones (n, d), by the 5 nearest (Naeem et al. 2020).
 
@@ -62,7 +89,7 @@ def distances(real: Array, made: Array) -> dict[str, float]:
     """Return kernel distance (times 1000), Fréchet distance, density and coverage by name."""
     density, coverage = density_coverage(real, made)
     return {
-        "KID": 1000.0 * kernel_distance(real, made),
+        "KID": KID_FACTOR * kernel_distance(real, made),
         "FID": frechet_distance(real, made),
         "density": density,
         "coverage": coverage,

@@ -54,25 +54,30 @@ def pair_frame(motion_m: Array, frame: int) -> Array:
     return np.stack([cos * x + sin * z, y, cos * z - sin * x], axis=-1)
 
 
-def clips_of(motion_m: Array, rate_hz: float, *, num_frames: int = CLIP_FRAMES, frame: int | None = None) -> Array:
+def clips_of(
+    motion_m: Array, rate_hz: float, *, num_frames: int = CLIP_FRAMES, frame: int | None = None, is_held: bool = True
+) -> Array:
     """Cut a motion (T, 2, 22, 3), metres, into clips (n, num_frames, 2, 22, 3) at 10 Hz, each in its pair's frame.
 
-    A motion that is shorter is held still at its end.  Between frames of the motion, places are interpolated.
+    A motion that is shorter is held still at its end, or has no clip (n = 0).  Between frames of the motion, places are
+    interpolated.
 
     Args:
         motion_m: The motion.
         rate_hz: Its frames per second.
         num_frames: Frames of a clip.
         frame: Frame of the clip that gives its pair's frame; the middle one if not told.
+        is_held: A shorter motion is held.
     """
     times = np.arange(0.0, (len(motion_m) - 1) / rate_hz + 1e-9, 1.0 / CLIP_HZ) * rate_hz
     below = np.minimum(times.astype(int), max(len(motion_m) - 2, 0))
     share = (times - below)[:, None, None, None]
     above = np.minimum(below + 1, len(motion_m) - 1)
     slow = (1.0 - share) * motion_m[below] + share * motion_m[above]
-    slow = np.concatenate([slow, np.repeat(slow[-1:], max(num_frames - len(slow), 0), axis=0)])
-    clips = np.stack([slow[at : at + num_frames] for at in range(0, len(slow) - num_frames + 1, _STRIDE)])
-    return pair_frame(clips, num_frames // 2 if frame is None else frame)
+    if is_held:
+        slow = np.concatenate([slow, np.repeat(slow[-1:], max(num_frames - len(slow), 0), axis=0)])
+    starts = np.arange(0, max(len(slow) - num_frames + 1, 0), _STRIDE)
+    return pair_frame(slow[starts[:, None] + np.arange(num_frames)], num_frames // 2 if frame is None else frame)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ import torch
 
 from pasdedeux.learning.paper_settings import PaperCvaeSettings
 from pasdedeux.learning.torch_layers import (
+    NUM_SINES,
     Shapes,
     Tensors,
     dense,
@@ -27,7 +29,9 @@ from pasdedeux.learning.torch_layers import (
     shapes_of_graph_gru,
     shapes_of_mlp,
     shapes_of_st_gcn,
+    sines,
     st_gcn,
+    tensors,
 )
 from pasdedeux.skeletons import BODY22
 
@@ -49,11 +53,16 @@ _W4 = 1.0 - _W1 - _W2 - _W3
 class InteractionCvae:
     """What the networks compute for sizes that the settings say.
 
-    Batches hold `template_m`, `motion_m` (W, T, 2, 22, 3), metres, and `scale` (W, 22), standardised; in training also
-    unit noise `noise_s` (W, 256), `noise_b`, `noise_a` (W, latent).
+    Batches are those of `WindowNetworks`; the condition is standardised scales (W, 22).
     """
 
     settings: PaperCvaeSettings
+    latent_of_scales: ClassVar[int] = _MLP2[0]
+
+    def noise_shapes(self, num_frames: int) -> Shapes:
+        """Return the shapes of z of scales, of B and of A."""
+        size = (self.settings.latent_size,)
+        return {"s": (_MLP2[0],), "b": size, "a": size}
 
     def shapes(self) -> Shapes:
         """Return the shapes of all weights."""
@@ -66,44 +75,48 @@ class InteractionCvae:
         shapes |= shapes_of_dense("z_b", _JOINTS * s.width + _ENDS, 2 * size)
         shapes |= shapes_of_dense("z_a", 2 * _JOINTS * s.width + _ENDS, 2 * size)
         for name, known in (("g_gru1", size + 6 + 1), ("g_gru2", size + 6 + s.width)):
-            shapes |= shapes_of_graph_gru(name, known, s.hidden, 3)
+            if s.architecture == "st_gcn_decoders":
+                shapes |= shapes_of_st_gcn(name, known + NUM_SINES, s.hidden, s.num_blocks, s.kernel)
+                shapes |= shapes_of_mlp(f"{name}/out", (s.hidden, s.hidden, 3))
+            else:
+                shapes |= shapes_of_graph_gru(name, known, s.hidden, 3)
         return shapes
 
     def loss(self, weights: Tensors, batch: Tensors) -> torch.Tensor:
         """Return equation 4: the sum of the losses of scales, of B and of A, means over the windows."""
         template, motion = batch["template_m"], batch["motion_m"]
-        scale = batch["scale"][:, _BONES]
+        scale = batch["condition"][:, _BONES]
         found = self._encode_scale(weights, scale)
         again = self.decode_scale(weights, draw_latent(found, batch["noise_s"]))
         of_scales = ((again - scale) ** 2).sum(-1).mean() + divergence(found)
         found_b, found_a = self._encode(weights, batch)
         b = self._decode_b(weights, batch, draw_latent(found_b, batch["noise_b"]))
-        a = self._decode_a(weights, batch, draw_latent(found_a, batch["noise_a"]), motion[:, :, 1])
+        seen = self._seen_by_a(weights, batch, motion[:, :, 1])
+        a = self._unroll(weights, "g_gru2", batch, 0, draw_latent(found_a, batch["noise_a"]), seen)
         of_b = self._motion_loss(template[:, :, 1] + b, motion[:, :, 1]) + _W4 * divergence(found_b)
         of_a = self._motion_loss(template[:, :, 0] + a, motion[:, :, 0]) + _W4 * divergence(found_a)
         return of_scales + of_b + of_a
 
-    def posterior(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> tuple[Narrow, Narrow]:
-        """Return the means of z of B and of A (W, latent) that the encoders see in motions: they know the answer."""
-        tensors = _tensors(weights), _tensors(batch)
-        with torch.no_grad():
-            b, a = (found.chunk(2, -1)[0].numpy() for found in self._encode(*tensors))
-        return b, a
-
-    def displacement(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> Narrow:
-        """Return how far both move from the template (W, T, 2, 22, 3), metres, for `z_b`, `z_a` of the batch."""
+    def displacement(
+        self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow], *, is_known: bool = False
+    ) -> Narrow:
+        """Return how far both move from the template, by z of the batch's noise or of the answer."""
         torch.set_num_threads(1)
-        own, given = _tensors(weights), _tensors(batch)
+        own, given = tensors(weights), tensors(batch)
         with torch.no_grad():
-            b = self._decode_b(own, given, given["z_b"])
-            a = self._decode_a(own, given, given["z_a"], given["template_m"][:, :, 1] + b)
+            known = [found.chunk(2, -1)[0] for found in self._encode(own, given)] if is_known else []
+            z_b, z_a = known or (given["noise_b"], given["noise_a"])
+            b = self._decode_b(own, given, z_b)
+            a = self._unroll(
+                own, "g_gru2", given, 0, z_a, self._seen_by_a(own, given, given["template_m"][:, :, 1] + b)
+            )
             return np.asarray(torch.stack([a, b], 2).numpy())
 
     def scales(self, weights: Mapping[str, Narrow], z: Narrow) -> Narrow:
         """Return standardised scales of bones (W, 22) that latents (W, 256) stand for; the root's is 0."""
         with torch.no_grad():
             found = np.zeros((len(z), _JOINTS), np.float32)
-            found[:, _BONES] = self.decode_scale(_tensors(weights), torch.from_numpy(z)).numpy()
+            found[:, _BONES] = self.decode_scale(tensors(weights), torch.from_numpy(z)).numpy()
         return found
 
     def decode_scale(self, weights: Tensors, z: torch.Tensor) -> torch.Tensor:
@@ -116,29 +129,46 @@ class InteractionCvae:
     def _encode(self, weights: Tensors, batch: Tensors) -> tuple[torch.Tensor, torch.Tensor]:
         """Return means and logarithms of variances of z of B and of A: equations 2 and 3, the first lines."""
         template, motion = batch["template_m"], batch["motion_m"]
-        change = motion - template
-        scale = batch["scale"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
+        change = motion if self.settings.architecture == "whole_motion" else motion - template
+        scale = batch["condition"][:, None, :, None].expand(-1, change.shape[1], -1, -1)
         b = self._gcn(weights, "st_gcn1", torch.cat([change[:, :, 1], scale], -1))
-        a, partner = self._gcn(weights, "st_gcn2", change[:, :, 0]), self._gcn(weights, "st_gcn3", motion[:, :, 1])
-        ends = _ends(template).flatten(2)
+        a, partner = self._gcn(weights, "st_gcn2", change[:, :, 0]), self._seen_by_a(weights, batch, motion[:, :, 1])
+        ends = self._ends(template).flatten(2)
         return (
             dense(weights, "z_b", torch.cat([b.flatten(1), ends[:, 1]], -1)),
             dense(weights, "z_a", torch.cat([a.flatten(1), ends[:, 0], partner.flatten(1)], -1)),
         )
 
     def _decode_b(self, weights: Tensors, batch: Tensors, z: torch.Tensor) -> torch.Tensor:
-        return self._unroll(weights, "g_gru1", batch, 1, z, batch["scale"][..., None])
+        return self._unroll(weights, "g_gru1", batch, 1, z, batch["condition"][..., None])
 
-    def _decode_a(self, weights: Tensors, batch: Tensors, z: torch.Tensor, b_m: torch.Tensor) -> torch.Tensor:
-        return self._unroll(weights, "g_gru2", batch, 0, z, self._gcn(weights, "st_gcn3", b_m))
+    def _seen_by_a(self, weights: Tensors, batch: Tensors, b_m: torch.Tensor) -> torch.Tensor:
+        """Return what A knows of B (W, 22, width): its motion as ST-GCN3 sees it."""
+        if self.settings.architecture == "scales_for_a":
+            return batch["condition"][..., None].expand(-1, -1, self.settings.width)
+        return self._gcn(weights, "st_gcn3", b_m)
 
     def _unroll(
         self, weights: Tensors, name: str, batch: Tensors, person: int, z: torch.Tensor, seen: torch.Tensor
     ) -> torch.Tensor:
         """Return the change of one person frame after frame (W, T, 22, 3): equations 2 and 3, the second lines."""
-        template = batch["template_m"]
-        known = torch.cat([z[:, None].expand(-1, _JOINTS, -1), _ends(template)[:, person], seen], -1)
-        return graph_gru(weights, name, known, template.shape[1])
+        s, template = self.settings, batch["template_m"]
+        num_frames = template.shape[1]
+        known = torch.cat([z[:, None].expand(-1, _JOINTS, -1), self._ends(template)[:, person], seen], -1)
+        if s.architecture == "st_gcn_decoders":
+            times = sines(num_frames)[:, None].expand(len(known), -1, _JOINTS, -1)
+            every = torch.cat([known[:, None].expand(-1, num_frames, -1, -1), times], -1)
+            found = mlp(
+                weights, f"{name}/out", st_gcn(weights, name, every, s.num_blocks, s.kernel, is_pooled=False), 2
+            )
+        else:
+            found = graph_gru(weights, name, known, num_frames)
+        return found - template[:, :, person] if s.architecture == "whole_motion" else found
+
+    def _ends(self, template: torch.Tensor) -> torch.Tensor:
+        """Return the first and the last frame of each person's template (W, 2, 22, 6)."""
+        ends = torch.cat([template[:, 0], template[:, -1]], -1)
+        return torch.zeros_like(ends) if self.settings.architecture == "without_ends" else ends
 
     def _gcn(self, weights: Tensors, name: str, x: torch.Tensor) -> torch.Tensor:
         return st_gcn(weights, name, x, self.settings.num_blocks, self.settings.kernel)
@@ -155,14 +185,5 @@ class InteractionCvae:
         return torch.stack([share * values.flatten(1).sum(1).mean() for share, values in terms]).sum()
 
 
-def _ends(template: torch.Tensor) -> torch.Tensor:
-    """Return the first and the last frame of each person's template (W, 2, 22, 6)."""
-    return torch.cat([template[:, 0], template[:, -1]], -1)
-
-
 def _lengths(motion_m: torch.Tensor) -> torch.Tensor:
     return (motion_m[..., _CHILDREN, :] - motion_m[..., _PARENTS, :]).norm(dim=-1)
-
-
-def _tensors(arrays: Mapping[str, Narrow]) -> dict[str, torch.Tensor]:
-    return {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in arrays.items()}

@@ -1,4 +1,4 @@
-"""Settings of `paper_cvae`: every size and choice that the paper's text leaves open, ours, in one place."""
+"""Settings of `paper_cvae` and of what it was compared with: what the paper's text leaves open, ours, in one place."""
 
 from __future__ import annotations
 
@@ -9,12 +9,31 @@ from pydantic import Field, field_validator
 from pasdedeux.learning.torch_settings import TorchSettings
 from pasdedeux.learning.windows import RATE_HZ
 
-__all__ = ["PaperCvaeSettings"]
+__all__ = ["Action2MotionLikeSettings", "ActorLikeSettings", "PaperCvaeSettings", "WindowVaeSettings"]
 
 _LONGEST_S = 60.0
 
 
-class PaperCvaeSettings(TorchSettings):
+class WindowVaeSettings(TorchSettings):
+    """What all variational autoencoders of windows have."""
+
+    num_steps: int = Field(2000, ge=1, description="Steps of training")
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
+    window_s: float = Field(2.0, gt=0, le=_LONGEST_S, description="Length of a window, seconds")
+    windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
+
+    @property
+    def length(self) -> int:
+        """Frames of a window."""
+        return round(self.window_s * RATE_HZ) + 1
+
+    @classmethod
+    def longest(cls) -> int:
+        """Return the most frames that a window may have."""
+        return round(_LONGEST_S * RATE_HZ) + 1
+
+
+class PaperCvaeSettings(WindowVaeSettings):
     """What Li et al. (2024) leave to a supplement that is not with the text: all of it is assumed here.
 
     Printed: equations 1 to 8, the layers of MLP1 (16-32-64-128-256) and MLP2 (256-128-64-32-bones), weights 0.75,
@@ -25,16 +44,18 @@ class PaperCvaeSettings(TorchSettings):
     second block on, no batch normalisation; G-GRU as Li et al. (2020), its state begun by a dense layer from what
     it is given, its input the change so far and what it is given, its output added to it and 0 at the beginning of
     training; G-GRU2 is given ST-GCN3's features of B's motion, the true one in training and the predicted one when
-    asked; velocities are differences of frames.
+    asked; velocities are differences of frames. The alternatives that section 5.5 names are in that supplement too: the
+    other architectures are those that the text gives its own for (sections 3.1 and 3.2), one choice undone in each.
     """
 
-    num_steps: int = Field(2000, ge=1, description="Steps of training")
-    learning_rate: float = Field(1e-3, gt=0, le=1, description="Learning rate of Adam at the start")
     norm: Literal["summed", "averaged"] = Field(
         "averaged", description="Norms of eqs. 6 and 8: summed over frames, joints and axes as printed, or their mean"
     )
-    window_s: float = Field(2.0, gt=0, le=_LONGEST_S, description="Length of a window, seconds")
-    windows_per_step: int = Field(16, ge=1, le=1000, description="Windows of a step, drawn from all takes")
+    architecture: Literal["published", "st_gcn_decoders", "without_ends", "whole_motion", "scales_for_a"] = Field(
+        "published",
+        description="As published, or with ST-GCNs that know the time for G-GRUs, without the template's first and "
+        "last frame, motion itself in place of its change, or A given B's scales in place of B's motion",
+    )
     width: int = Field(32, ge=1, le=1024, description="Features of ST-GCN1, 2 and 3")
     num_blocks: int = Field(3, ge=1, le=12, description="Blocks of each of them")
     kernel: int = Field(5, ge=1, le=99, description="Frames that a block's convolution over time spans; odd")
@@ -48,12 +69,33 @@ class PaperCvaeSettings(TorchSettings):
             raise ValueError(f"{kernel} is even: a convolution spans as many frames before as after")
         return kernel
 
-    @property
-    def length(self) -> int:
-        """Frames of a window."""
-        return round(self.window_s * RATE_HZ) + 1
 
-    @classmethod
-    def longest(cls) -> int:
-        """Return the most frames that a window may have."""
-        return round(_LONGEST_S * RATE_HZ) + 1
+class ActorLikeSettings(WindowVaeSettings):
+    """ACTOR (Petrovich et al. 2021) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
+
+    From ACTOR: a transformer whose first two outputs, for tokens of the class, are mean and variance of z; a decoder
+    that looks at z with the class's bias from sines of the time; squared errors, divergence times 1e-5. Assumed: a
+    class is the scales of one variant, to 1e-4, whatever the take, and scales never seen are those of the nearest
+    class; windows as in `paper_cvae`, joints of both people, and the change from the template in place of the motion
+    itself, as the take must be known from something; for that its first and last frame are a second thing that the
+    decoder looks at; sizes (2 layers of 64 for 8 of 256, no dropout), normalisation without learned parameters.
+    """
+
+    width: int = Field(64, ge=4, le=1024, multiple_of=4, description="Size of tokens and of z; four heads share it")
+    num_blocks: int = Field(2, ge=1, le=12, description="Layers of the encoder, and of the decoder")
+    divergence_weight: float = Field(1e-5, ge=0, le=1, description="Weight of the divergence from the prior")
+
+
+class Action2MotionLikeSettings(WindowVaeSettings):
+    """Action2motion (Guo et al. 2020) as Li et al. (2024) adapted it in a paragraph: each scale is a class of its own.
+
+    From Action2motion: z of every frame, whose prior is a recurrent network's of the frames so far, gated recurrent
+    units of 128, two of them in the decoder, z of 30, squared errors, divergence times 1e-4. Assumed: classes,
+    windows and the change from the template as in `actor_like`; class and the template's first and last frame are
+    known in every frame; the network always goes on from its own last frame, where theirs is told the true one for 60 %
+    of the steps; places of joints in place of a Lie algebra.
+    """
+
+    hidden: int = Field(128, ge=1, le=1024, description="Size of the states of its gated recurrent units")
+    latent_size: int = Field(30, ge=1, le=4096, description="Size of z of a frame")
+    divergence_weight: float = Field(1e-4, ge=0, le=1, description="Weight of the divergence from the prior")

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.learning.baselines import CopyModel, NaiveFkModel
+from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
 from pasdedeux.learning.mesh_refine import MeshRefineModel
 from pasdedeux.learning.model import Arrays, VariantModel
 from pasdedeux.learning.paper_cvae import PaperCvaeModel
@@ -28,6 +29,8 @@ MODELS: dict[str, type[VariantModel]] = {
         MeshRefineModel,
         StartNetModel,
         PaperCvaeModel,
+        ActorLikeModel,
+        Action2MotionLikeModel,
     )
 }
 """Every model, by name: a new one is a file with a `VariantModel` and a line here (and its import)."""

@@ -28,7 +28,7 @@ from pasdedeux.learning.model import (
 )
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from pasdedeux.learning.torch_settings import TorchSettings, require_torch
-from pasdedeux.learning.windows import frames_looked_at, spread
+from pasdedeux.learning.windows import Spread, frames_looked_at
 
 __all__ = ["StartNetModel", "StartNetSettings"]
 
@@ -153,12 +153,12 @@ class _Pass:
     Args:
         frames: Frames looked at (F,).
         response: A^-1 B of each of them (F, 132, 132).
-        spread: Shares of them in each frame of the take (T, F).
+        spread: What gives all frames of the take from them.
     """
 
     frames: npt.NDArray[np.int64]
     response: Narrow
-    spread: Array
+    spread: Spread
 
     @classmethod
     def over(cls, source: Source, weights: Mapping[str, Narrow]) -> _Pass:
@@ -166,13 +166,13 @@ class _Pass:
         from pasdedeux.learning.local_mesh import response
 
         frames = frames_looked_at(source)
-        return cls(frames, response(weights, _known(source, frames)), spread(source, frames))
+        return cls(frames, response(weights, _known(source, frames)), Spread.over(source, frames))
 
     def displacement(self, missing_m: Array) -> Array:
         """Return x = p - r (T, 2, 22, 3) of d = q - r of the same shape, metres."""
         at = missing_m[self.frames].reshape(len(self.frames), -1, 1).astype(np.float32)
         moved = np.matmul(self.response, at)[..., 0]
-        return np.asarray(self.spread @ moved).reshape(missing_m.shape)
+        return self.spread.apply(moved).reshape(missing_m.shape)
 
 
 @dataclass(frozen=True)

@@ -8,31 +8,41 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch.nn.functional import pad
+from torch.nn.functional import layer_norm, pad, scaled_dot_product_attention
 
 from pasdedeux.skeletons import BODY22
 
 __all__ = [
+    "NUM_SINES",
     "Shapes",
     "dense",
     "divergence",
     "draw_latent",
     "first_values",
     "graph_gru",
+    "gru",
+    "look_at",
     "mlp",
     "shapes_of_dense",
     "shapes_of_graph_gru",
+    "shapes_of_gru",
+    "shapes_of_look_at",
     "shapes_of_mlp",
     "shapes_of_st_gcn",
+    "sines",
     "st_gcn",
+    "tensors",
 ]
 
 Narrow = npt.NDArray[np.float32]
 Tensors = Mapping[str, torch.Tensor]
 Shapes = dict[str, tuple[int, ...]]
 
+NUM_SINES = 8
+"""Numbers that say which frame it is, where nothing else needs more."""
 _JOINTS = BODY22.num_joints
 _LAST_LAYER = "out/1"
+_NUM_HEADS = 4
 
 
 def _adjacency() -> torch.Tensor:
@@ -50,7 +60,7 @@ _GRAPH = _adjacency()
 def first_values(shapes: Shapes, generator: np.random.Generator) -> dict[str, Narrow]:
     """Return weights to begin with: matrices uniform within 1 / sqrt(inputs), biases 0, masks of edges 1.
 
-    The last layer of a graph GRU begins at 0, so that what it decodes begins as no change at all.
+    The last layer of what decodes begins at 0, so that what it decodes begins as no change at all.
     """
     values = {}
     for name, shape in shapes.items():
@@ -89,6 +99,58 @@ def mlp(weights: Tensors, name: str, x: torch.Tensor, count: int) -> torch.Tenso
     return x
 
 
+def tensors(arrays: Mapping[str, Narrow]) -> dict[str, torch.Tensor]:
+    """Return arrays as tensors that share their memory."""
+    return {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in arrays.items()}
+
+
+def sines(num_frames: int, size: int = NUM_SINES) -> torch.Tensor:
+    """Return which frame it is as sines and cosines (T, size) of 10000^(-2 k / size) t [Vaswani et al. 2017]."""
+    rates = 10000.0 ** (-2.0 * torch.arange(size // 2) / size)
+    phases = torch.arange(num_frames)[:, None] * rates
+    return torch.cat([phases.sin(), phases.cos()], -1)
+
+
+def shapes_of_look_at(name: str, width: int) -> Shapes:
+    """Return the shapes of `look_at`'s weights."""
+    shapes = shapes_of_mlp(f"{name}/wide", (width, 2 * width, width))
+    for part in ("query", "key", "value", "mixed"):
+        shapes |= shapes_of_dense(f"{name}/{part}", width, width)
+    return shapes
+
+
+def look_at(weights: Tensors, name: str, x: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
+    """Return tokens (W, T, width) after they looked at others (W, S, width), or themselves [Vaswani et al. 2017].
+
+    Attention of four heads and two dense layers, each added and normalised.
+    """
+
+    def heads(part: str, tokens: torch.Tensor) -> torch.Tensor:
+        return dense(weights, f"{name}/{part}", tokens).unflatten(-1, (_NUM_HEADS, -1)).transpose(1, 2)
+
+    found = scaled_dot_product_attention(heads("query", x), heads("key", seen), heads("value", seen))
+    width = x.shape[-1:]
+    x = layer_norm(x + dense(weights, f"{name}/mixed", found.transpose(1, 2).flatten(2)), width)
+    return layer_norm(x + mlp(weights, f"{name}/wide", x, 2), width)
+
+
+def shapes_of_gru(name: str, inputs: int, hidden: int) -> Shapes:
+    """Return the shapes of `gru`'s weights."""
+    return shapes_of_dense(f"{name}/in", inputs, 3 * hidden) | shapes_of_dense(f"{name}/hidden", hidden, 3 * hidden)
+
+
+def gru(weights: Tensors, name: str, x: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+    """Return the next state (W, hidden) of a gated recurrent unit that is given x (W, inputs) [Cho et al. 2014]."""
+    return _next_state(dense(weights, f"{name}/in", x), dense(weights, f"{name}/hidden", state), state)
+
+
+def _next_state(given: torch.Tensor, kept: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+    """Return the state after gates, in the order reset, update, candidate, of what is given and of the state before."""
+    of_given, of_state = given.chunk(3, -1), kept.chunk(3, -1)
+    reset, update = torch.sigmoid(of_given[0] + of_state[0]), torch.sigmoid(of_given[1] + of_state[1])
+    return update * state + (1.0 - update) * torch.tanh(of_given[2] + reset * of_state[2])
+
+
 def shapes_of_st_gcn(name: str, inputs: int, width: int, num_blocks: int, kernel: int) -> Shapes:
     """Return the shapes of `st_gcn`'s weights."""
     shapes: Shapes = {}
@@ -100,22 +162,25 @@ def shapes_of_st_gcn(name: str, inputs: int, width: int, num_blocks: int, kernel
     return shapes
 
 
-def st_gcn(weights: Tensors, name: str, x: torch.Tensor, num_blocks: int, kernel: int) -> torch.Tensor:
+def st_gcn(
+    weights: Tensors, name: str, x: torch.Tensor, num_blocks: int, kernel: int, *, is_pooled: bool = True
+) -> torch.Tensor:
     """Return features (W, 22, width) of motions (W, T, 22, inputs), the mean over time [Yan et al. 2018].
 
     A block is a graph convolution with a learned mask of edges, a convolution over `kernel` frames, and a residual;
-    each block but the first looks at every second frame of the one before.
+    each block but the first looks at every second frame of the one before.  What is not pooled keeps all frames,
+    (W, T, 22, width).
     """
     for block in range(num_blocks):
         at = f"{name}/{block}"
-        step = 2 if block else 1
+        step = 2 if block and is_pooled else 1
         near = (_GRAPH * weights[f"{at}/edges"]) @ x
         here = torch.relu(dense(weights, f"{at}/space", near))
         padded = pad(here, (0, 0, 0, 0, kernel // 2, kernel // 2))
         # Slices beside each other and not `unfold`, whose backward pass is a quarter of a training step.
         beside = torch.cat([padded[:, first : first + x.shape[1] : step] for first in range(kernel)], -1)
         x = torch.relu(dense(weights, f"{at}/time", beside) + dense(weights, f"{at}/past", x[:, ::step]))
-    return x.mean(1)
+    return x.mean(1) if is_pooled else x
 
 
 def shapes_of_graph_gru(name: str, inputs: int, hidden: int, outputs: int) -> Shapes:
@@ -147,10 +212,7 @@ def graph_gru(weights: Tensors, name: str, known: torch.Tensor, num_frames: int)
     last = known.new_zeros(*known.shape[:-1], into.shape[0])
     outputs = []
     for _ in range(num_frames):
-        seen = (given + last @ into).chunk(3, -1)
-        kept = dense(weights, f"{name}/hidden", graph @ state).chunk(3, -1)
-        reset, update = torch.sigmoid(seen[0] + kept[0]), torch.sigmoid(seen[1] + kept[1])
-        state = update * state + (1.0 - update) * torch.tanh(seen[2] + reset * kept[2])
+        state = _next_state(given + last @ into, dense(weights, f"{name}/hidden", graph @ state), state)
         last = last + mlp(weights, f"{name}/out", state, 2)
         outputs.append(last)
     return torch.stack(outputs, 1)

@@ -18,7 +18,7 @@ from pasdedeux.augmentation import Source
 from pasdedeux.learning.model import Items
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["Window", "blend", "cut", "frames_looked_at", "gather_windows", "scaled_persons", "spread"]
+__all__ = ["Spread", "Window", "blend", "cut", "frames_looked_at", "gather_windows", "scaled_persons"]
 
 Array = npt.NDArray[np.float64]
 Narrow = npt.NDArray[np.float32]
@@ -26,6 +26,7 @@ Narrow = npt.NDArray[np.float32]
 RATE_HZ = 10.0
 """Frames a second that are looked at; between them, displacements follow cubic splines."""
 _SCALED = 1e-6
+_STRETCH_KNOTS, _FELT_KNOTS = 200, 40
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,37 @@ def frames_looked_at(source: Source) -> npt.NDArray[np.int64]:
     return np.unique(np.append(np.arange(0, source.num_frames, stride), source.num_frames - 1))
 
 
-def spread(source: Source, frames: npt.NDArray[np.int64]) -> Array:
-    """Return the shares that frames looked at have in each frame of the take (T, F)."""
-    if len(frames) == 1:
-        return np.ones((source.num_frames, 1))
-    return np.asarray(CubicSpline(frames, np.eye(len(frames)))(np.arange(source.num_frames)))
+@dataclass(frozen=True)
+class Spread:
+    """The cubic spline through values of the frames looked at, as matrices: one for every stretch of 20 s or so.
+
+    A frame feels a spline's knots less by a factor of 0.27 for each knot in between, so what lies 4 s away is left out
+    (1e-23): a take's memory grows with its length, not with the square of that.
+
+    Args:
+        stretches: Of each the knots that its frames are made of, and their shares (frames, knots).
+    """
+
+    stretches: tuple[tuple[slice, Array], ...]
+
+    @classmethod
+    def over(cls, source: Source, frames: npt.NDArray[np.int64]) -> Spread:
+        """Return the spline of a take that is looked at in these frames (F,), the first and the last among them."""
+        count = len(frames)
+        if count == 1:
+            return cls(((slice(0, 1), np.ones((source.num_frames, 1))),))
+        found = []
+        firsts = range(0, max(count - _FELT_KNOTS, 1), _STRETCH_KNOTS)
+        for first in firsts:
+            last = count - 1 if first == firsts[-1] else first + _STRETCH_KNOTS
+            knots = slice(max(first - _FELT_KNOTS, 0), min(last + _FELT_KNOTS, count - 1) + 1)
+            times = np.arange(frames[first], frames[last] + (last == count - 1))
+            found.append((knots, np.asarray(CubicSpline(frames[knots], np.eye(knots.stop - knots.start))(times))))
+        return cls(tuple(found))
+
+    def apply(self, values: npt.NDArray[np.floating]) -> Array:
+        """Return values (T, n) of all frames, from those of the frames looked at (F, n)."""
+        return np.concatenate([shares @ values[knots] for knots, shares in self.stretches])
 
 
 def scaled_persons(bone_scale: Array) -> list[int]:
@@ -138,4 +165,4 @@ def blend(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) 
         total[window.frames] += share[:, None, None, None] * (moved.astype(np.float64) @ window.axes.T)
         shares[window.frames] += share
     mean = (total / shares[:, None, None, None])[:, [1 - windows[0].person, windows[0].person]]
-    return np.asarray(spread(source, looked) @ mean.reshape(len(looked), -1)).reshape(source.positions_m.shape)
+    return Spread.over(source, looked).apply(mean.reshape(len(looked), -1)).reshape(source.positions_m.shape)

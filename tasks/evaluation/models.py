@@ -12,13 +12,17 @@ from pasdedeux.evaluation.models import UNITS, model_figure, model_scores, share
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey
+from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, without_torch
 
-__all__ = ["TOPIC"]
+__all__ = ["RIVALS", "TOPIC"]
+
+RIVALS = (RidgeScaleModel.name, *BASELINES)
+"""What a model has to beat: the closed form, mixed over takes where a take is not learned from, and the baselines."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -68,7 +72,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         *scores_where("all", range(len(tested))),
         *share_scores(
             distances,
-            baselines=BASELINES,
+            baselines=RIVALS,
             split=split,
             takes=None if facts["shares_takes"] else [key.take_id for key in tested],
         ),
@@ -138,7 +142,7 @@ TOPIC = Topic(
     run=_run,
     metrics=tuple(UNITS),
     yardsticks=(
-        Yardstick("E_r", "joint error E_r", ("ridge_scale", *BASELINES)),
+        Yardstick("E_r", "joint error E_r", RIVALS),
         Yardstick("E_r", "joint error E_r", BASELINES),
     ),
     cautions=(

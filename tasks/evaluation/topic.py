@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 33
+VERSION = 34
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -228,8 +228,8 @@ class DuetEntry(DuetOptions):
         default=None,
         ge=1,
         le=1000,
-        description="Draw so many takes: variation, speed and everybody's height, no two of the same bodies; their "
-        "names get -001 and so on, another `variation` draws others",
+        description="Draw so many takes: variation, speed and everybody's height, no two of the same bodies in one "
+        "entry; their names get -001 and so on, another `variation` draws others",
     )
 
     @model_validator(mode="after")

@@ -81,8 +81,9 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
 
 
 def _dance_again(store: Store) -> None:
-    """Put another take of each duet into the small study's store, as what is split by take needs two."""
-    again = [duet | {"variation": 1} for duet in tomllib.loads(SMALL)["ingest"]["duets"]]
+    """Put more takes of each duet into the small study's store, long enough to predict: splits by take need two."""
+    told = {"duration_s": 3.1}
+    again = [duet | told | {"variation": one} for duet in tomllib.loads(SMALL)["ingest"]["duets"] for one in (1, 2)]
     planned = ingest.plan(
         StageInputs({}, seed=3), ingest.IngestParameters.model_validate({"duets": again, "rate_hz": 12.0})
     )

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pasdedeux.evaluation.distributions import density_coverage, distances, frechet_distance, kernel_distance
+from pasdedeux.evaluation.distributions import (
+    density_coverage,
+    distances,
+    frechet_distance,
+    kernel_distance,
+    kernel_interval,
+)
 
 
 def _normal(seed: int, count: int = 200, size: int = 4, shift: float = 0.0) -> np.ndarray:
@@ -26,6 +32,26 @@ def test_the_kernel_distance_has_no_bias_and_the_frechet_distance_of_few_has() -
     assert np.mean([frechet_distance(*pair) for pair in pairs]) > 0.3
     apart = [kernel_distance(one, other + 0.5) for one, other in pairs]
     assert np.mean(apart) > 30.0 * kernel.std() / np.sqrt(len(kernel))
+
+
+def _clips_of_units(seed: int, shift: float = 0.0) -> tuple[np.ndarray, list[str]]:
+    """Return features of 12 units with 4 clips each that are much alike."""
+    middles = np.repeat(_normal(seed, 12, shift=shift), 4, axis=0)
+    return middles + 0.2 * _normal(seed + 1, 48), [str(row // 4) for row in range(48)]
+
+
+def test_the_interval_of_the_kernel_distance_holds_what_it_should_and_knows_that_clips_of_a_unit_are_alike() -> None:
+    true, hits, widths = 10.0, [], []  # the mean of 1000 draws of a clip a unit, 10.0 +- 0.2
+    for seed in range(0, 240, 4):
+        one, other = _clips_of_units(seed, 1.0), _clips_of_units(seed + 2)
+        low, high = kernel_interval(one[0], other[0], one[1], other[1])
+        hits.append(low < true < high)
+        alone = [str(row) for row in range(48)]
+        narrow = kernel_interval(one[0], other[0], alone, alone)
+        widths.append((narrow[1] - narrow[0]) / (high - low))
+    assert np.mean(hits) > 0.8  # few units of a skewed figure: not the 95 % of many
+    assert np.median(widths) < 0.7
+    assert np.isnan(kernel_interval(one[0], other[0], ["take"] * 48, other[1])).all()
 
 
 @settings(max_examples=20, deadline=None)

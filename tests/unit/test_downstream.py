@@ -43,6 +43,8 @@ def test_a_motion_that_is_shorter_than_a_clip_is_held_at_its_end() -> None:
     assert len(clip) == CLIP_FRAMES
     np.testing.assert_array_equal(clip[9:], np.repeat(clip[9:10], CLIP_FRAMES - 9, axis=0))
     assert clips_of(MOTION[:1], 30.0).shape == (1, CLIP_FRAMES, 2, 22, 3)
+    assert clips_of(MOTION[:57], 30.0, is_held=False).shape == (0, CLIP_FRAMES, 2, 22, 3)
+    assert len(clips_of(MOTION[:58], 30.0, is_held=False)) == 1
 
 
 def _classes() -> dict[str, np.ndarray]:

@@ -100,6 +100,6 @@ def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_r
     with pytest.raises(InputError, match=r"'st_gcn1/0/edges' has shape \(18, 18\), not \(22, 22\)"):
         load_model("paper_cvae", {**arrays, "st_gcn1/0/edges": np.ones((18, 18), np.float32)})
     with pytest.raises(InputError, match=r"sizes .* are out of range"):
-        load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3], np.float32)})
+        load_model("paper_cvae", {**arrays, "sizes": np.array([11, 1e9, 5, 3, 2, 3, 0], np.float64)})
     with pytest.raises(ValueError, match="is even"):
         PaperCvaeModel.settings.model_validate({"kernel": 4})

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source, reference_motion, uniform_variations
 from pasdedeux.errors import InputError
@@ -17,6 +18,7 @@ from pasdedeux.learning import (
     model_arrays,
 )
 from pasdedeux.learning.local_mesh import first_weights
+from pasdedeux.learning.windows import Spread, frames_looked_at
 from pasdedeux.skeletons import BODY22
 from tests.builders.moving_pairs import swaying_pair
 
@@ -132,3 +134,14 @@ def test_weights_of_another_shape_or_that_are_not_finite_are_refused() -> None:
         load_model("start_net", {**arrays, "own": np.full((22, 22), np.nan, np.float32)})
     with pytest.raises(InputError, match="ridge_scale"):
         load_model("start_net", {name: arrays[name] for name in first_weights()})
+
+
+@pytest.mark.parametrize("num_frames", [1, 2, 30, 605, 1801])
+def test_frames_between_those_looked_at_are_on_a_cubic_spline_and_long_takes_need_little(num_frames: int) -> None:
+    source = Source(np.zeros((num_frames, 2, 22, 3)), 30.0, "still")
+    frames = frames_looked_at(source)
+    values = np.random.default_rng(0).standard_normal((len(frames), 3))
+    wanted = CubicSpline(frames, values)(np.arange(num_frames)) if num_frames > 1 else values
+    spread = Spread.over(source, frames)
+    np.testing.assert_allclose(spread.apply(values), wanted, atol=1e-12)
+    assert sum(shares.size for _, shares in spread.stretches) <= 280 * num_frames

@@ -1,0 +1,107 @@
+"""Models of motion from a class, and the other architectures of the published one: what each cannot know, and laws."""
+
+import numpy as np
+import pytest
+import torch
+
+from pasdedeux.augmentation import Source, uniform_variations
+from pasdedeux.errors import InputError
+from pasdedeux.learning import Training, TrainingItem, VariantRequest, load_model, model_arrays
+from pasdedeux.learning.class_networks import _divergence_between
+from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
+from pasdedeux.learning.interaction_cvae import InteractionCvae
+from pasdedeux.learning.paper_settings import PaperCvaeSettings
+from pasdedeux.learning.torch_layers import divergence
+from pasdedeux.learning.window_vae import WindowVae
+from tests.builders.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(48), 20.0, "sway")
+SIZES = {"actor_like": {"width": 8, "num_blocks": 1}, "action2motion_like": {"hidden": 6, "latent_size": 3}}
+KINDS = pytest.mark.parametrize("kind", [ActorLikeModel, Action2MotionLikeModel], ids=SIZES)
+SMALL = PaperCvaeSettings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
+
+
+def _weights(shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    generator = np.random.default_rng(5)
+    return {name: generator.normal(0.0, 0.3, shape).astype(np.float32) for name, shape in shapes.items()}
+
+
+def _model(kind: type[WindowVae]) -> WindowVae:
+    """Return a model that knows B at 0.8, 0.9 and 1.1."""
+    scales = np.stack([v.bone_scale[1] for v in uniform_variations([0.8, 0.9, 1.1], ["B"])]).astype(np.float32)
+    settings = kind.settings.model_validate({"window_s": 1.0} | SIZES[kind.name])
+    model = kind(settings, settings.length, kind.learned_scales(np.concatenate([scales, scales])), {})
+    model.weights = _weights(model.networks().shapes())
+    return model
+
+
+def _ask(model: WindowVae, scale: float) -> np.ndarray:
+    (variation,) = uniform_variations([scale], ["B"])
+    return model.predict(VariantRequest("another", TAKE, variation.bone_scale))
+
+
+@KINDS
+def test_a_scale_is_a_class_and_one_that_was_not_trained_on_is_the_nearest(kind: type[WindowVae]) -> None:
+    model = _model(kind)
+    assert model.known_scales.shape == (3, 22)
+    np.testing.assert_array_equal(_ask(model, 0.75), _ask(model, 0.8))
+    np.testing.assert_array_equal(_ask(model, 1.5), _ask(model, 1.1))
+    assert np.abs(_ask(model, 0.8) - _ask(model, 0.9)).max() > 1e-3
+
+
+@KINDS
+def test_a_class_model_answers_any_length_comes_back_from_its_arrays_and_refuses_others(kind: type[WindowVae]) -> None:
+    model = _model(kind)
+    for count in (1, 2, 21, 48):
+        source = TAKE.take_frames(slice(0, count))
+        request = VariantRequest("short", source, uniform_variations([0.8], ["A"])[0].bone_scale)
+        motion = model.predict(request)
+        assert motion.shape == source.positions_m.shape
+        assert np.isfinite(motion).all()
+        np.testing.assert_array_equal(load_model(kind.name, model_arrays(model)).predict(request), motion)
+    with pytest.raises(InputError, match="weights of another topology or size"):
+        load_model(kind.name, model_arrays(model) | {"known_scales": np.ones((2, 22), np.float32)})
+    with pytest.raises(InputError, match="scales that are not positive"):
+        load_model(kind.name, model_arrays(model) | {"known_scales": np.zeros((3, 22), np.float32)})
+
+
+@KINDS
+def test_motion_that_is_not_a_number_ends_training_and_names_its_take(kind: type[WindowVae]) -> None:
+    request = VariantRequest("sway", TAKE, uniform_variations([0.8], ["B"])[0].bone_scale)
+    items = [TrainingItem("B", request, np.full_like(TAKE.positions_m, np.nan))]
+    settings = kind.settings.model_validate({"window_s": 1.0, "num_steps": 2} | SIZES[kind.name])
+    with pytest.raises(InputError, match=f"{kind.name}: step 0 .* not finite on takes sway"):
+        kind.train(Training(lambda: iter(items), settings=settings))
+
+
+def test_the_divergence_of_frames_from_their_prior_is_that_of_normals() -> None:
+    found, prior = torch.tensor([[0.3, -1.0, 0.5, -0.2]]), torch.tensor([[0.1, 0.2, -0.3, 0.4]])
+    one, other = (torch.distributions.Normal(x[:, :2], torch.exp(0.5 * x[:, 2:])) for x in (found, prior))
+    torch.testing.assert_close(_divergence_between(found, prior), torch.distributions.kl_divergence(one, other).sum())
+    torch.testing.assert_close(_divergence_between(found, torch.zeros(1, 4)), divergence(found))
+
+
+def _displacement(architecture: str, template: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    networks = InteractionCvae(SMALL.model_copy(update={"architecture": architecture}))
+    condition = np.full((1, 22), scale, np.float32)
+    noise = {f"noise_{name}": np.zeros((1, *shape), np.float32) for name, shape in networks.noise_shapes(11).items()}
+    batch = {"template_m": template[None].astype(np.float32), "condition": condition, **noise}
+    return networks.displacement(_weights(networks.shapes()), batch)[0]
+
+
+def test_other_architectures_do_without_what_they_are_named_for() -> None:
+    template = TAKE.positions_m[:22:2]
+    other = template + np.array([0.0, 0.1])[:, None, None]  # B elsewhere
+    moved = {name: _displacement(name, template) for name in ("published", "scales_for_a", "without_ends")}
+    assert np.abs(_displacement("published", other)[:, 0] - moved["published"][:, 0]).max() > 1e-4
+    np.testing.assert_array_equal(_displacement("scales_for_a", other)[:, 0], moved["scales_for_a"][:, 0])
+    assert np.abs(_displacement("scales_for_a", template, 2.0)[:, 0] - moved["scales_for_a"][:, 0]).max() > 1e-4
+    assert np.abs(_displacement("published", other)[:, 1] - moved["published"][:, 1]).max() > 1e-4
+    np.testing.assert_array_equal(_displacement("without_ends", other)[:, 1], moved["without_ends"][:, 1])
+    # What is said is the motion itself, whatever the template between its ends.
+    middle = template.copy()
+    middle[1:-1] += 0.2
+    said = [_displacement("whole_motion", one) + one for one in (template, middle)]
+    np.testing.assert_allclose(said[0][:, 1], said[1][:, 1], atol=1e-6)
+    # A network that is told the time can say something else in every frame.
+    assert np.ptp(_displacement("st_gcn_decoders", template), axis=0).max() > 1e-3

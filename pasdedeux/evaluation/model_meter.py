@@ -8,6 +8,7 @@ which therefore has figures of its own.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +19,9 @@ from pasdedeux.augmentation.problem import Problem
 from pasdedeux.augmentation.quality import QualityMeter
 from pasdedeux.augmentation.source import complete_scales, points_of, reference_motion, scaled_lengths, widened_m
 from pasdedeux.augmentation.terms import build_targets
-from pasdedeux.evaluation.models import key_contacts, model_errors
+from pasdedeux.evaluation.models import generated_errors, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
-from pasdedeux.learning import VariantRequest
+from pasdedeux.learning import BASELINES, VariantModel, VariantRequest
 from pasdedeux.learning.mesh_refine import window_problems
 from pasdedeux.skeletons import BODY22
 
@@ -121,6 +122,27 @@ class ModelMeter:
                 "penetration": _MM * quality.penetration_m,
                 "jerk_ratio": quality.jerk_ratio,
             }
+        return found
+
+    def measure_generated(
+        self, models: Mapping[str, VariantModel], generator: np.random.Generator
+    ) -> dict[str, dict[str, float]]:
+        """Return E_b and JPD of a motion that each model draws with its scales, and of baselines at these; see there.
+
+        Models that draw nothing are left out; nothing is returned where none draws.
+        """
+        asked = self._request
+        drawn = {name: model.generate(asked.source, generator) for name, model in models.items()}
+        made = {name: found for name, found in drawn.items() if found is not None}
+
+        def errors(motion_m: Array, bone_scale: Array) -> dict[str, float]:
+            return generated_errors(motion_m, asked.source.positions_m, bone_scale, self.keys)
+
+        found = {name: errors(motion, scale) for name, (scale, motion) in made.items()}
+        for name in [name for name in BASELINES if made and name in models]:
+            requests = [replace(asked, bone_scale=scale) for scale, _ in made.values()]
+            rows = [errors(models[name].predict(request), request.bone_scale) for request in requests]
+            found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         return found
 
     def _distances(self, points: Array) -> Array:

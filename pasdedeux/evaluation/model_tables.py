@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import Score
@@ -66,7 +67,7 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
     known = {(s.split, s.item, s.method, s.metric): s for s in scores if np.isnan(s.at)}
     methods = sorted({s.method for s in scores if s.metric == "E_r"}, key=lambda name: _rank(scores, name))
     used = [split for split in splits if any(key[0] == split for key in known)]
-    items = sorted({key[1] for key in known} - {"all"})
+    items = sorted({key[1] for key in known} - {"all", GENERATED})
     motions = [item for item in items if f" at {LARGEST_SCALE}" not in item]
 
     def cell(split: str, item: str, method: str, metrics: Sequence[str]) -> str:
@@ -90,6 +91,11 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         for split in used
         if any((split, f"{motion} at {LARGEST_SCALE}", m, "E_r") in known for m in methods)
     ]
+    drawn = [
+        (method, *(cell(split, GENERATED, method, _PUBLISHED[1:]) for split in used))
+        for method in methods
+        if any((split, GENERATED, method, "E_b") in known for split in used)
+    ]
     headings = ("motion", "split", *methods)
     tables = [
         TextTable(
@@ -103,6 +109,12 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
             f"As table 3 of the paper, scale {LARGEST_SCALE} alone: E_r, cm / E_b, mm / JPD, cm",
             headings,
             tuple(largest),
+        ),
+        TextTable(
+            "As table 2 of the paper (generation), scales of B drawn by the model, baselines at these: E_b, mm, from "
+            "the bones drawn / JPD, cm, from the source, as there is no true motion",
+            ("model", *(split.removesuffix(" test") for split in used)),
+            tuple(drawn),
         ),
     ]
     return [table for table in tables if table.rows]

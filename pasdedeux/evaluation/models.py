@@ -23,7 +23,16 @@ from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["UNITS", "key_contacts", "model_errors", "model_figure", "model_scores", "share_scores"]
+__all__ = [
+    "GENERATED",
+    "UNITS",
+    "generated_errors",
+    "key_contacts",
+    "model_errors",
+    "model_figure",
+    "model_scores",
+    "share_scores",
+]
 
 Array = npt.NDArray[np.float64]
 Errors = Mapping[str, float]
@@ -41,6 +50,8 @@ UNITS: Mapping[str, str] = {
 come from the distance they should have; energy over that of the converged variant, both on exact bones; wandering in
 the worst stance; depth in the partner beyond the source's, 95th percentile over frames; jerk over the source's.  And
 E_r in percent of the best baseline's."""
+GENERATED = "generated"
+"""Item of figures of motions for scales that a model drew itself, and of baselines at these scales."""
 _NEAREST_M = 0.1
 """Distances below this weigh alike."""
 _SCALE_STEP = 0.05
@@ -85,19 +96,38 @@ def model_errors(predicted_m: Array, true_m: Array, keys: Contacts | None = None
         raise InputError(f"predicted motion {predicted_m.shape} and true motion {true_m.shape} must be (T, 2, 22, 3)")
     if not (np.isfinite(predicted_m).all() and np.isfinite(true_m).all()):
         raise InputError("a predicted or true motion is not finite")
-    bones = [child for _, child in BODY22.bones]
-    length_error = np.abs(bone_lengths(BODY22, predicted_m) - bone_lengths(BODY22, true_m))[..., bones]
-    jpd = float("nan")
-    if keys is not None and keys.weights.size:
-        points = [motion.reshape(-1, 1, 2 * BODY22.num_joints, 3) for motion in (predicted_m, true_m)]
-        apart = [np.linalg.norm(keys.vectors(joints), axis=-1) for joints in points]
-        jpd = float(np.abs(apart[0] - apart[1]).mean())
     return {
         "E_r": _CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
-        "E_b": _MM * float(length_error.mean()),
-        "JPD": _CM * jpd,
+        "E_b": _length_error_mm(predicted_m, bone_lengths(BODY22, true_m)),
+        "JPD": _key_error_cm(predicted_m, true_m, keys),
         "PWD": _CM * _weighted_distance_error(predicted_m, true_m),
     }
+
+
+def generated_errors(
+    motion_m: Array, source_m: Array, bone_scale: Array, keys: Contacts | None = None
+) -> dict[str, float]:
+    """Return E_b and JPD of a motion for scales (2, 22) that have no true motion.
+
+    Bones are beside the source's times their scales, distances of key pairs beside those of the source (T, 2, 22, 3).
+    """
+    return {
+        "E_b": _length_error_mm(motion_m, bone_scale * bone_lengths(BODY22, source_m)),
+        "JPD": _key_error_cm(motion_m, source_m, keys),
+    }
+
+
+def _length_error_mm(motion_m: Array, lengths_m: Array) -> float:
+    bones = [child for _, child in BODY22.bones]
+    return _MM * float(np.abs(bone_lengths(BODY22, motion_m) - lengths_m)[..., bones].mean())
+
+
+def _key_error_cm(motion_m: Array, other_m: Array, keys: Contacts | None) -> float:
+    if keys is None or not keys.weights.size:
+        return float("nan")
+    points = [motion.reshape(-1, 1, 2 * BODY22.num_joints, 3) for motion in (motion_m, other_m)]
+    apart = [np.linalg.norm(keys.vectors(joints), axis=-1) for joints in points]
+    return _CM * float(np.abs(apart[0] - apart[1]).mean())
 
 
 def _weighted_distance_error(predicted_m: Array, true_m: Array) -> float:

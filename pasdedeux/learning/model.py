@@ -218,6 +218,10 @@ class VariantModel(ABC):
             InputError: A take that it was trained on has another number of frames.
         """
 
+    def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array] | None:
+        """Return scales (2, 22) that the model draws and a motion (T, 2, 22, 3) for them; None where it draws none."""
+        return None
+
 
 def check_arrays(name: str, arrays: Arrays, wanted: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse arrays that are not those of a model.

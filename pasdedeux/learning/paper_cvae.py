@@ -59,12 +59,13 @@ class PaperCvaeModel(WindowVae):
         return ((bone_scale - self.known_scales[0]) / self.known_scales[1]).astype(np.float32)
 
     def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Return scales of B (22,) drawn from p(B_s), and a motion (T, 2, 22, 3), metres, drawn for them."""
+        """Return scales (2, 22), those of B drawn from p(B_s), and a motion (T, 2, 22, 3), metres, drawn for them."""
         networks = self.networks()
         drawn = networks.scales(self.weights, generator.standard_normal((1, networks.latent_of_scales), np.float32))
         mean, deviation = self.known_scales.astype(np.float64)
         scale = mean + deviation * drawn[0]
-        return scale, source.positions_m + self.moved(source, 1, scale, generator)
+        motion = source.positions_m + self.moved(source, 1, scale, generator)
+        return np.stack([np.ones_like(scale), scale]), motion
 
     def figures(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> dict[str, float]:
         """Return figures of generation, scales from p(B_s) and z from the prior: its bones beside those asked for.

@@ -8,14 +8,14 @@ import numpy as np
 
 from pasdedeux.evaluation.model_meter import SOLVER, ModelMeter
 from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_player, extreme_cases, model_tables
-from pasdedeux.evaluation.models import UNITS, model_figure, model_scores, share_scores
+from pasdedeux.evaluation.models import GENERATED, UNITS, model_figure, model_scores, share_scores
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, VariantKey
+from pasdedeux.learning import BASELINES, VariantKey, VariantModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
-from tasks.stage import Parameters, Shard, StageInputs
+from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored, without_torch
 
@@ -23,6 +23,8 @@ __all__ = ["RIVALS", "TOPIC"]
 
 RIVALS = (RidgeScaleModel.name, *BASELINES)
 """What a model has to beat: the closed form, mixed over takes where a take is not learned from, and the baselines."""
+_DRAWS = 10
+"""Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -83,6 +85,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += scores_where(motion, own)
         largest = [row for row in own if np.isclose(tested[row].furthest_scale, LARGEST_SCALE)]
         scores += scores_where(f"{motion} at {LARGEST_SCALE}", largest)
+    scores += _generated(models, meters, split, stream(shard.seed, "evaluation", "generated", facts["split"]))
     shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
     pictures = {
         f"models-{facts['split']}.svg": model_figure(
@@ -121,6 +124,19 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         *(f"Key pairs of JPD, {one}." for one in keys),
     ]
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)
+
+
+def _generated(
+    models: Mapping[str, VariantModel], meters: Mapping[str, ModelMeter], split: str, generator: np.random.Generator
+) -> list[Score]:
+    """Score motions that models draw with their scales for every take, beside baselines at these scales."""
+    errors: dict[str, list[dict[str, float]]] = {}
+    for meter in meters.values():
+        for _ in range(_DRAWS):
+            for name, found in meter.measure_generated(models, generator).items():
+                errors.setdefault(name, []).append(found)
+    takes = [take_id for take_id in meters for _ in range(_DRAWS)]
+    return model_scores(errors, baselines=BASELINES, split=split, item=GENERATED, takes=takes)
 
 
 def _named(by_take: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:

@@ -8,7 +8,17 @@ import torch
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import Training, TrainingItem, VariantRequest, load_model, model_arrays
+from pasdedeux.evaluation.model_meter import ModelMeter
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning import (
+    MODELS,
+    RidgeScaleModel,
+    Training,
+    TrainingItem,
+    VariantRequest,
+    load_model,
+    model_arrays,
+)
 from pasdedeux.learning.interaction_cvae import InteractionCvae
 from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.torch_layers import divergence, draw_latent
@@ -88,8 +98,23 @@ def test_a_generated_pair_has_scales_of_its_own_and_the_same_seed_gives_the_same
     (scale, motion), again, other = (_model().generate(TAKE, np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(motion, again[1])
     assert np.abs(motion - other[1]).max() > 1e-4
-    assert scale.shape == (22,)
+    assert scale.shape == (2, 22)
     assert scale.min() > 0.0
+    assert (scale[0] == 1.0).all()
+    assert scale[1].std() > 0.0
+
+
+def test_motions_that_are_drawn_are_judged_by_the_bones_drawn_beside_baselines_at_the_same_scales() -> None:
+    meter = ModelMeter(VariantRequest("sway", TAKE, SCALED_B))
+    models = {"cvae": _model(), "copy": MODELS["copy"](), "naive_fk": MODELS["naive_fk"](), "ridge": RidgeScaleModel()}
+    found = meter.measure_generated(models, np.random.default_rng(0))
+    assert set(found) == {"cvae", "copy", "naive_fk"}
+    assert found["naive_fk"]["E_b"] < 1e-6 < 1.0 < found["copy"]["E_b"]
+    assert found["copy"]["JPD"] == 0.0 or np.isnan(found["copy"]["JPD"])
+    scale, motion = _model().generate(TAKE, np.random.default_rng(0))
+    wanted = np.abs(bone_lengths(BODY22, motion) - scale * bone_lengths(BODY22, TAKE.positions_m))
+    assert found["cvae"]["E_b"] == pytest.approx(1000.0 * wanted[..., 1:].mean())
+    assert meter.measure_generated({"copy": models["copy"]}, np.random.default_rng(0)) == {}
 
 
 def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_refused() -> None:

@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cache
 from typing import Any
 
-from flows.reasons import StageRecord, describe_inputs, why_not_fresh
-from flows.records import last_sections, read_last_run
+from flows.reasons import Reasons, StageRecord
+from flows.records import last_sections, read_last_run, uncollected
 from flows.study import Study
 from pasdedeux.verdict import Verdict, summarise_verdicts
-from storage_schema import Manifest, Store
+from storage_schema import Manifest, ShardRecord, Store
 from storage_schema.provenance import source_digest
 from tasks.graph import Graph, GraphError
 from tasks.stage import Shard, Stage, StageInputs, verdict_of
@@ -226,6 +227,7 @@ class Plan:
         return next(item for item in self.stages if item.stage.name == name)
 
 
+@uncollected()
 def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | None = None) -> Plan:
     """Tell for every stage how it stands; reads manifests and the headers of source files, computes nothing.
 
@@ -262,7 +264,7 @@ def make_plan(study: Study, graph: Graph, store: Store, selection: Selection | N
             )
             continue
         inputs = stage_inputs(stage, study.head.seed, {name: plans[name].manifests for name in needed})
-        plan = _plan_stage(stage, study, inputs, store, last(stage.name), is_forced=stage.name in selection.force)
+        plan = _plan_stage(stage, study, inputs, store, last, is_forced=stage.name in selection.force)
         plans[stage.name] = replace(plan, is_selected=stage.name in selected, is_asked=stage.name in asked)
     return Plan(study=study.name, stages=tuple(plans.values()))
 
@@ -306,15 +308,25 @@ def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manif
 
 def plan_stage(stage: Stage, study: Study, inputs: StageInputs, store: Store, *, is_forced: bool = False) -> StagePlan:
     """Ask a stage for its shards and tell how each stands against the store and the last run."""
-    return _plan_stage(stage, study, inputs, store, _last_records(store, study.name)(stage.name), is_forced=is_forced)
+    return _plan_stage(stage, study, inputs, store, _last_records(store, study.name), is_forced=is_forced)
 
 
 def _plan_stage(
-    stage: Stage, study: Study, inputs: StageInputs, store: Store, last: StageRecord, *, is_forced: bool
+    stage: Stage,
+    study: Study,
+    inputs: StageInputs,
+    store: Store,
+    last: Callable[[str], StageRecord],
+    *,
+    is_forced: bool,
 ) -> StagePlan:
     parameters = study.parameters[stage.name]
-    sections = study.sections_of(stage.name)
-    described = describe_inputs([m for artifacts in inputs.manifests.values() for m in artifacts])
+
+    @cache
+    def reasons() -> Reasons:
+        read = [m for artifacts in inputs.manifests.values() for m in artifacts]
+        return Reasons(stage, study.sections_of(stage.name), read, last(stage.name))
+
     shards: list[ShardPlan] = []
     seen: dict[str, Shard] = {}
     for shard in stage.plan(inputs, parameters):
@@ -329,7 +341,7 @@ def _plan_stage(
         elif manifest is not None:
             shards.append(ShardPlan(shard, State.STALE, "forced", manifest))
         else:
-            is_stale, reason = why_not_fresh(stage, sections, shard, described, last)
+            is_stale, reason = reasons().why_not_fresh(shard)
             shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))
     unread = () if stage.unread is None else stage.unread(parameters)
     absent = tuple(table for table in stage.reads if not inputs.of(table) and table not in unread)
@@ -343,7 +355,15 @@ def stage_verdict(manifests: Iterable[Manifest]) -> Verdict | None:
 
 
 def _last_records(store: Store, study: str) -> Callable[[str], StageRecord]:
-    """Return what gives every stage, by name, as the last run of a study recorded it."""
-    last = read_last_run(store, study)
-    stages, sections = last.stages if last else {}, last_sections(store, last)
-    return lambda stage: StageRecord(stages.get(stage), sections)
+    """Return what gives every stage, by name, as the last run of a study recorded it; read when it is asked for."""
+
+    @cache
+    def record() -> tuple[Mapping[str, Sequence[ShardRecord]], Mapping[str, Any]]:
+        last = read_last_run(store, study)
+        return last.stages if last else {}, last_sections(store, last)
+
+    def last(stage: str) -> StageRecord:
+        stages, sections = record()
+        return StageRecord(stages.get(stage), sections)
+
+    return last

@@ -11,7 +11,7 @@ from storage_schema import InputRecord, Manifest, ShardRecord, canonical_json
 from storage_schema.keys import plain_json
 from tasks.stage import Shard, Stage
 
-__all__ = ["StageRecord", "changed_leaves", "describe_inputs", "shorten", "why_not_fresh"]
+__all__ = ["Reasons", "StageRecord", "changed_leaves", "shorten"]
 
 _MAX_NAMED = 3  # differences named one by one; more are counted
 _MAX_CHARACTERS = 40  # of a value that is shown
@@ -25,54 +25,70 @@ class StageRecord:
     sections: Mapping[str, Any]
 
 
-def describe_inputs(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
-    """Return for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
-    described = {}
-    for manifest in manifests:
-        place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
-        is_take = manifest.facts.get("kind") == "take"
-        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _label(place))
-    return described
-
-
-def why_not_fresh(
-    stage: Stage,
-    sections: Mapping[str, Mapping[str, Any]],
-    shard: Shard,
-    inputs: Mapping[str, tuple[InputRecord, str]],
-    last: StageRecord,
-) -> tuple[bool, str]:
-    """Tell whether a shard without an artifact is stale (else it is missing), and why, in words.
+class Reasons:
+    """Says of a stage's shards why they have to be computed; what all of them share is looked at once.
 
     Args:
-        stage: The shard's stage.
+        stage: The stage.
         sections: What the study says of the stage now, as JSON values, by section: its own and those it shares.
-        shard: The shard that has no valid artifact.
-        inputs: What `describe_inputs` says of everything the stage may read.
+        inputs: Everything the stage may read.
         last: The stage in the last run.
     """
-    if last.shards is None:
-        return False, "never built"
-    known = {name: values for name, values in sections.items() if last.sections.get(name)}
-    settings = [word for name, values in known.items() for word in _changes(name, last.sections[name], values)]
-    old = next((r for r in last.shards if (r.partition, r.name) == (shard.partition, shard.name)), None)
-    if old is None:
-        return False, f"new: {_listed(settings)}" if settings else "new"
-    if old.key == shard.key:
-        return False, "its files are missing or incomplete"
-    words = []
-    if old.version != shard.version:
-        words.append(f"stage version {old.version} -> {shard.version}")
-    if old.seed != shard.seed:
-        words.append(f"study.seed {old.seed} -> {shard.seed}")
-    own = _changes(stage.name, old.parameters, shard.values)
-    if own:
-        words.extend(settings or own)
-    words.extend(_file_changes(old, shard))
-    words.extend(_input_changes(old, shard, inputs))
-    if not words and shard.after:
-        words.append("a shard before it changed")
-    return True, _listed(words) if words else "store schema or program changed"
+
+    def __init__(
+        self,
+        stage: Stage,
+        sections: Mapping[str, Mapping[str, Any]],
+        inputs: Sequence[Manifest],
+        last: StageRecord,
+    ) -> None:
+        self._stage, self._is_new = stage, last.shards is None
+        self._old = {(record.partition, record.name): record for record in last.shards or ()}
+        self._inputs = _described(inputs)
+        self._names = {_label(place): label for place, label in self._inputs.values()}
+        known = {name: values for name, values in sections.items() if last.sections.get(name)}
+        self._settings = [w for name, values in known.items() for w in _changes(name, last.sections[name], values)]
+
+    def why_not_fresh(self, shard: Shard) -> tuple[bool, str]:
+        """Tell whether a shard without a valid artifact is stale (else it is missing), and why, in words."""
+        if self._is_new:
+            return False, "never built"
+        old = self._old.get((shard.partition, shard.name))
+        if old is None:
+            return False, f"new: {_listed(self._settings)}" if self._settings else "new"
+        if old.key == shard.key:
+            return False, "its files are missing or incomplete"
+        words = []
+        if old.version != shard.version:
+            words.append(f"stage version {old.version} -> {shard.version}")
+        if old.seed != shard.seed:
+            words.append(f"study.seed {old.seed} -> {shard.seed}")
+        own = _changes(self._stage.name, old.parameters, shard.values)
+        if own:
+            words.extend(self._settings or own)
+        words.extend(_file_changes(old, shard))
+        words.extend(self._input_changes(old, shard))
+        if not words and shard.after:
+            words.append("a shard before it changed")
+        return True, _listed(words) if words else "store schema or program changed"
+
+    def _input_changes(self, old: ShardRecord, shard: Shard) -> list[str]:
+        """Name the inputs that changed; many of them by stage only.
+
+        Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
+        """
+        names, inputs = self._names, self._inputs
+        read = [record for record in old.inputs if record.stage != shard.stage]
+        before = {names.get(_label(record), _label(record)): record.content_digest for record in read}
+        now: dict[str, str] = {}
+        for ref in shard.all_inputs:
+            now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
+        words = _differences(before, now)
+        if len(words) <= _MAX_NAMED:
+            return words
+        digests = {record.content_digest for record in read}
+        stages = dict.fromkeys(ref.stage for ref in shard.all_inputs if ref.content_digest not in digests)
+        return [f"input {name} changed" for name in stages] or ["inputs are gone"]
 
 
 def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> dict[str, tuple[str, str]]:
@@ -85,6 +101,16 @@ def changed_leaves(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str =
 def shorten(text: str) -> str:
     """Return a text as it is shown: the beginning of a long one."""
     return text if len(text) <= _MAX_CHARACTERS else text[: _MAX_CHARACTERS - 3] + "..."
+
+
+def _described(manifests: Sequence[Manifest]) -> dict[str, tuple[InputRecord, str]]:
+    """Return for each input artifact, by key, its record and its name: `take 60_03`, else stage and partition."""
+    described = {}
+    for manifest in manifests:
+        place = InputRecord(manifest.ref.stage, manifest.partition, manifest.name, manifest.ref.content_digest)
+        is_take = manifest.facts.get("kind") == "take"
+        described[manifest.ref.key] = (place, f"take {manifest.facts['take_id']}" if is_take else _label(place))
+    return described
 
 
 def _changes(prefix: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -101,25 +127,6 @@ def _file_changes(old: ShardRecord, shard: Shard) -> list[str]:
     before = dict(old.files)
     now = {Path(file.path).name: file.sha256 for file in shard.files}
     return _differences({f"file {n}": d for n, d in before.items()}, {f"file {n}": d for n, d in now.items()})
-
-
-def _input_changes(old: ShardRecord, shard: Shard, inputs: Mapping[str, tuple[InputRecord, str]]) -> list[str]:
-    """Name the inputs that changed; many of them by stage only.
-
-    Artifacts of the shard's own stage are those it comes after: manifests record them, a plan has only their keys.
-    """
-    names = {_label(place): label for place, label in inputs.values()}
-    read = [record for record in old.inputs if record.stage != shard.stage]
-    before = {names.get(_label(record), _label(record)): record.content_digest for record in read}
-    now: dict[str, str] = {}
-    for ref in shard.all_inputs:
-        now[inputs[ref.key][1] if ref.key in inputs else ref.stage] = ref.content_digest
-    words = _differences(before, now)
-    if len(words) <= _MAX_NAMED:
-        return words
-    digests = {record.content_digest for record in read}
-    stages = dict.fromkeys(ref.stage for ref in shard.all_inputs if ref.content_digest not in digests)
-    return [f"input {name} changed" for name in stages] or ["inputs are gone"]
 
 
 def _differences(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,7 @@ __all__ = [
     "record_stage",
     "report_folder",
     "run_record",
+    "uncollected",
 ]
 
 STUDY_FILE, PLAN_FILE, ENVIRONMENT_FILE = "study.json", "plan.json", "environment.json"
@@ -61,6 +64,19 @@ def read_last_run(store: Store, study: str) -> LatestRun | None:
         return None
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Look for no garbage in this block: among 100,000 manifests, which hold no cycles, that takes a third of it."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+@uncollected()
 def last_manifests(store: Store, last: LatestRun) -> dict[str, list[Manifest]]:
     """Return what the last run made and what is still there of it, by stage."""
     return {

@@ -16,6 +16,8 @@ __all__ = ["MANIFEST_NAME", "ArtifactRef", "FileEntry", "Manifest", "TableFile"]
 
 MANIFEST_NAME = "manifest.json"
 
+_SHARED: dict[tuple[tuple[str, str], ...], dict[str, str]] = {}
+"""Package versions as manifests have them: one and the same in nearly all, so they are kept once."""
 _HEX_KEY = re.compile(r"[0-9a-f]{64}")
 
 
@@ -150,4 +152,5 @@ def _parsed(values: Mapping[str, Any]) -> dict[str, Any]:
         "tables": {name: TableFile(**part) for name, part in values["tables"].items()},
         "attachments": {name: FileEntry(**entry) for name, entry in values["attachments"].items()},
         "sources": tuple(SourceCredit(**source) for source in values["sources"]),
+        "package_versions": _SHARED.setdefault(tuple(values["package_versions"].items()), values["package_versions"]),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import typer
@@ -18,7 +18,7 @@ from flows.planning import Plan, StagePlan, State
 from flows.records import last_manifests, read_last_run
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
-from storage_schema import Store
+from storage_schema import Manifest, Store
 from tasks.shards import ShardDone
 from tasks.summary import summary_of
 
@@ -31,6 +31,7 @@ __all__ = [
     "format_table",
     "left_text",
     "make_listener",
+    "manifest_lines",
     "outcome_lines",
     "plan_lines",
     "print_table",
@@ -209,7 +210,11 @@ def outcome_lines(outcome: Outcome) -> list[str]:
 def summary_lines(store: Store, study: str) -> list[str]:
     """Return what the last run of a study built, from what, and whether it is good, as the report and the card do."""
     last = read_last_run(store, study)
-    found = {} if last is None else last_manifests(store, last)
+    return manifest_lines({} if last is None else last_manifests(store, last))
+
+
+def manifest_lines(found: Mapping[str, Sequence[Manifest]]) -> list[str]:
+    """Return the same of artifacts by stage; none where there are none."""
     return summary_of([one for manifests in found.values() for one in manifests]).lines() if found else []
 
 

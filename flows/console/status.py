@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,10 @@ from typing import Any
 import typer
 
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
-from flows.console.display import print_table, summary_lines
+from flows.console.display import manifest_lines, print_table
 from flows.planning import stage_verdict
 from flows.records import describe_runs, last_manifests, read_last_run
-from storage_schema import Store, UnknownReference, latest_studies
+from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 
 __all__ = ["app"]
@@ -27,7 +28,9 @@ _VERIFY = "Read every file of the store again and compare it with its manifest; 
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show what is in a store."""
     opened = open_store(store)
-    described = _describe(opened)
+    lasts = [last for name in latest_studies(opened) if (last := read_last_run(opened, name)) is not None]
+    found = {last.study: last_manifests(opened, last) for last in lasts}
+    described = _describe(opened, lasts, found)
     if as_json:
         print_json(described)
         return
@@ -45,7 +48,7 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
             for s in study["stages"]
         ]
         print_table(("  stage", "shards", "there", "size"), rows)
-        for line in summary_lines(opened, study["study"]):
+        for line in manifest_lines(found[study["study"]]):
             typer.echo(f"  {line}")
     for record in described["runs"][-5:]:
         typer.echo(f"run {record['run_id']}: {record['status']}")
@@ -69,14 +72,13 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         raise typer.Exit(1)
 
 
-def _describe(store: Store) -> dict[str, Any]:
+def _describe(
+    store: Store, lasts: Sequence[LatestRun], manifests: Mapping[str, Mapping[str, Sequence[Manifest]]]
+) -> dict[str, Any]:
     studies = []
-    for name in latest_studies(store):
-        last = read_last_run(store, name)
-        if last is None:
-            continue
+    for last in lasts:
         stages = []
-        for stage, found in last_manifests(store, last).items():
+        for stage, found in manifests[last.study].items():
             verdict = stage_verdict(found)
             stages.append(
                 {

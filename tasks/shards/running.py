@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import time
 import traceback
 import uuid
@@ -10,9 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from storage_schema import ArtifactRef, Store
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
@@ -71,7 +73,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     try:
         store = Store(store_root)
         store.measure()
-        with threadpool_limits(limits=1):
+        with _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
         failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
@@ -243,6 +245,12 @@ def _scheduler_is_there() -> Iterator[None]:
         yield
     except (CancelledError, CommClosedError):
         raise ClusterError("the Dask scheduler is gone; the same command continues the work") from None
+
+
+@lru_cache(maxsize=1)
+def _libraries(num_modules: int) -> ThreadpoolController:
+    """Return the libraries with threads of their own; looked for again only where modules were imported since."""
+    return ThreadpoolController()
 
 
 def _where(shard: Shard) -> str:

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup blender clean
+.PHONY: demo test lint setup blender soak clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -31,6 +31,10 @@ lint: $(VENV)/.tested
 
 test: $(VENV)/.tested lint
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadgroup
+
+# Half an hour in which something of a toy build is killed every 20 s; not among the tests.
+soak: $(VENV)/.tested
+	$(BIN)/python -m tests.fault.soak --minutes 30 --every 20
 
 # Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
 blender:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from distributed import Client
 
 from flows.execution import begin, execute
 from flows.outcomes import Outcome, Run
@@ -124,6 +125,45 @@ class Started:
         """Wait for the end; gives exit code, standard output and standard error."""
         out, err = self.process.communicate(timeout=240)
         return self.process.returncode, out, err
+
+
+class Outside:
+    """A scheduler and a worker that no run has started."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "scheduler.json"
+        self._file.unlink(missing_ok=True)
+        self._environment = {**os.environ, "TOY_FOLDER": str(folder / "gates")}
+        self.processes: list[subprocess.Popen[bytes]] = []
+        self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        wait_until(lambda: self._file.exists() and "}" in self._file.read_text(), "the scheduler")
+        self.address: str = json.loads(self._file.read_text())["address"]
+        self.worker = self.start("worker")
+
+    def start(self, kind: str, *more: str) -> subprocess.Popen[bytes]:
+        """Start a scheduler or one more worker."""
+        more = (*more, "--nthreads", "1", "--no-nanny") if kind == "worker" else more
+        process = subprocess.Popen(
+            [sys.executable, "-m", "dask", kind, "--scheduler-file", str(self._file), "--no-dashboard", *more],
+            cwd=ROOT,
+            env=self._environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self.processes.append(process)
+        return process
+
+    def __enter__(self) -> Outside:
+        """Wait for the worker."""
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(1)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all of it."""
+        for process in self.processes:
+            process.kill()
+            process.wait()
 
 
 def wait_until(is_so: Callable[[], bool], what: str, *, limit_s: float = 120.0) -> None:

@@ -39,6 +39,7 @@ HOLD_LIMIT_S = 60.0
 
 
 def note_and_obey(shard: Shard) -> None:
+    time.sleep(float(os.environ.get("TOY_PAUSE_S", "0")))
     folder = Path(os.environ.get("TOY_FOLDER", "/nonexistent"))
     if not folder.is_dir():
         return

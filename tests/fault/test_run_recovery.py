@@ -5,12 +5,9 @@ Real store, real two-process Dask cluster, real Prefect, in a process of its own
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
@@ -18,14 +15,13 @@ from pathlib import Path
 
 import psutil
 import pytest
-from distributed import Client
 
 from flows.outcomes import Outcome
 from flows.records import describe_runs
 from storage_schema import Store
 from tasks.shards import ClusterError, ClusterPool, ClusterSettings, connect
 from tasks.shards.cluster import DEATHS_ALLOWED
-from tests.builders.toy_runs import ROOT, Started, digests, run_toys, wait_until, write_study
+from tests.builders.toy_runs import Outside, Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
 
@@ -230,53 +226,18 @@ def finish_here(folder: Path, undisturbed: dict[str, list[str]]) -> None:
     assert digests(store) == undisturbed
 
 
-class Outside:
-    """A scheduler and a worker that no run has started."""
-
-    def __init__(self, folder: Path) -> None:
-        self._file = folder / "scheduler.json"
-        self._environment = {**os.environ, "TOY_FOLDER": str(folder / "gates")}
-        self.processes: list[subprocess.Popen[bytes]] = []
-        self.scheduler = self.start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        wait_until(self._file.exists, "the scheduler")
-        self.address: str = json.loads(self._file.read_text())["address"]
-        self.worker = self.start("worker")
-
-    def start(self, kind: str, *more: str) -> subprocess.Popen[bytes]:
-        """Start a scheduler or one more worker."""
-        more = (*more, "--nthreads", "1", "--no-nanny") if kind == "worker" else more
-        process = subprocess.Popen(
-            [sys.executable, "-m", "dask", kind, "--scheduler-file", str(self._file), "--no-dashboard", *more],
-            cwd=ROOT,
-            env=self._environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        self.processes.append(process)
-        return process
-
-
 @contextmanager
 def in_mid_shard_elsewhere(folder: Path) -> Iterator[tuple[Outside, Future[Outcome]]]:
     """Run the toys on somebody's cluster, one shard of them held in work."""
     hold(folder, "grow-t0-s1")
     study, store, ran = write_study(folder), folder / "store", folder / "gates" / "ran.txt"
     store.mkdir()
-    outside = Outside(folder)
-    try:
-        with Client(outside.address, set_as_default=False) as client:
-            client.wait_for_workers(1)
-        with (
-            ThreadPoolExecutor(1) as here,
-            connect(ClusterSettings(scheduler=outside.address), store_root=str(store)) as client,
-        ):
+    with Outside(folder) as outside:
+        settings = ClusterSettings(scheduler=outside.address)
+        with ThreadPoolExecutor(1) as here, connect(settings, store_root=str(store)) as client:
             run = here.submit(run_toys, study, store, pool=ClusterPool(client, str(store), is_shared=True))
             wait_until(lambda: ran.exists() and "grow-t0-s1" in ran.read_text(), "a shard in work")
             yield outside, run
-    finally:
-        for process in outside.processes:
-            process.kill()
-            process.wait()
 
 
 def test_a_full_disk_in_a_shard_is_one_sentence_that_names_it_and_the_run_can_be_finished(

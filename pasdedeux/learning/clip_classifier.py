@@ -111,7 +111,7 @@ class ClipClassifier:
         """
         require_torch("the classifier of clips")
         from pasdedeux.learning import clip_network
-        from pasdedeux.learning.torch_training import Batch, train_segment
+        from pasdedeux.learning.torch_training import Batch, train_whole
 
         labels = tuple(sorted(clips))
         if len(labels) < 2 or not all(len(clips[label]) for label in labels):
@@ -128,21 +128,14 @@ class ClipClassifier:
             known = np.eye(len(labels), dtype=np.float32)[which]
             return Batch({"clips": _channels(found), "is_class": known}, f"clips of {', '.join(labels)}")
 
-        state: Mapping[str, npt.NDArray[np.float32]] = {}
-        best: Mapping[str, Narrow] = {}
-        for segment in range(settings.num_segments):
-            done = train_segment(
-                "clip_classifier",
-                settings,
-                segment,
-                state,
-                lambda: clip_network.first_weights(_CHANNELS, _TIME, len(labels), generator),
-                draw,
-                clip_network.loss,
-                lambda weights: {},
-            )
-            state, best = done.state, done.best
-        return cls(labels, best)
+        weights = train_whole(
+            "clip_classifier",
+            settings,
+            lambda: clip_network.first_weights(_CHANNELS, _TIME, len(labels), generator),
+            draw,
+            clip_network.loss,
+        )
+        return cls(labels, weights)
 
     def features(self, clips: Array) -> Array:
         """Return the features (n, 32) of clips (n, 20, 2, 22, 3)."""

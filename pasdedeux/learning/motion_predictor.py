@@ -50,7 +50,7 @@ class MotionPredictor:
         """
         require_torch("the predictor of motion")
         from pasdedeux.learning import predictor_network
-        from pasdedeux.learning.torch_training import Batch, train_segment
+        from pasdedeux.learning.torch_training import Batch, train_whole
 
         if not len(clips):
             raise InputError("the predictor of motion has no clip of 3 s to learn from")
@@ -59,21 +59,14 @@ class MotionPredictor:
         def draw() -> Batch:
             return Batch({"clips": flat[generator.integers(len(flat), size=settings.clips_per_step)]}, "clips")
 
-        state: Mapping[str, npt.NDArray[np.float32]] = {}
-        best: Mapping[str, Narrow] = {}
-        for segment in range(settings.num_segments):
-            done = train_segment(
-                "motion_predictor",
-                settings,
-                segment,
-                state,
-                lambda: predictor_network.first_weights(flat.shape[2], generator),
-                draw,
-                predictor_network.loss,
-                lambda weights: {},
-            )
-            state, best = done.state, done.best
-        return cls(best)
+        weights = train_whole(
+            "motion_predictor",
+            settings,
+            lambda: predictor_network.first_weights(flat.shape[2], generator),
+            draw,
+            predictor_network.loss,
+        )
+        return cls(weights)
 
     def predict(self, known: Array) -> Array:
         """Return the next 10 frames (n, 10, 2, 22, 3) of 20 known ones (n, 20, 2, 22, 3), metres."""

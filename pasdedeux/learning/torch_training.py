@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning.model import Arrays, LogEntry
 from pasdedeux.learning.torch_settings import TorchSettings
 
-__all__ = ["Batch", "TrainedSegment", "train_segment"]
+__all__ = ["Batch", "TrainedSegment", "train_segment", "train_whole"]
 
 Narrow = npt.NDArray[np.float32]
 Tensors = dict[str, torch.Tensor]
@@ -112,3 +112,18 @@ def train_segment(
         left |= {f"weights/{key}": now[key], f"best/{key}": best[key]}
         left |= {f"{moment}/{key}": optimiser.state[tensor][moment].cpu().numpy() for moment in _MOMENTS}
     return TrainedSegment(best, log, left)
+
+
+def train_whole(
+    name: str,
+    settings: TorchSettings,
+    first: Callable[[], Mapping[str, Narrow]],
+    draw: Callable[[], Batch],
+    loss: Callable[[Tensors, Tensors], torch.Tensor],
+) -> dict[str, Narrow]:
+    """Return the weights after all segments, for what is not stored in between; see `train_segment`."""
+    state: Arrays = {}
+    for segment in range(settings.num_segments):
+        done = train_segment(name, settings, segment, state, first, draw, loss, lambda weights: {})
+        state = done.state
+    return done.best

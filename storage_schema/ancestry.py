@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from storage_schema.errors import CorruptArtifact, MissingArtifact
@@ -29,18 +30,19 @@ class SourceFileUse:
     stage: str
 
 
-def lineage(store: Store, ref: ArtifactRef) -> list[LineageStep]:
-    """Return the artifact and everything it was computed from, each once, by distance.
+def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
+    """Return the artifacts and everything they were computed from, each once, by distance.
 
     An input that is no longer in the store is listed without a manifest and ends its branch.
 
     Raises:
-        MissingArtifact: The artifact asked about is not in the store.
+        MissingArtifact: An artifact asked about is not in the store.
     """
-    store.manifest(ref)
     steps: list[LineageStep] = []
-    seen = {ref}
-    level = [ref]
+    level = list(dict.fromkeys(refs))
+    seen = set(level)
+    for ref in level:
+        store.manifest(ref)
     while level:
         depth = steps[-1].depth + 1 if steps else 0
         added = [LineageStep(part, depth, _manifest(store, part)) for part in level]
@@ -51,12 +53,12 @@ def lineage(store: Store, ref: ArtifactRef) -> list[LineageStep]:
     return steps
 
 
-def source_files(store: Store, ref: ArtifactRef) -> list[SourceFileUse]:
-    """Return every outside file that the artifact was computed from, sorted by name; raises what `lineage` raises."""
+def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:
+    """Return every outside file that was read in these steps, sorted by name."""
     return sorted(
         {
             SourceFileUse(name, sha256, step.ref.stage)
-            for step in lineage(store, ref)
+            for step in steps
             if step.manifest is not None
             for name, sha256 in step.manifest.files
         }

@@ -94,7 +94,7 @@ def run(
     until: UntilOption = None,
     force: ForceOption = None,
     is_preview: Annotated[
-        bool, typer.Option("--preview", help=f"On {PREVIEW_S:g} s of each take, on record as <study>-preview.")
+        bool, typer.Option("--preview", help=f"On {PREVIEW_S:g} s of each take and video, kept as <study>-preview.")
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

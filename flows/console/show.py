@@ -23,8 +23,7 @@ __all__ = ["app"]
 app = typer.Typer(rich_markup_mode=None)
 
 SCORES = "scores"
-_MIN_SCORE_ROWS = 12
-"""Rows of scores that are shown of each topic, where fewer were asked for."""
+_ROWS, _SCORE_ROWS = 5, 12
 
 ReferenceArgument = Annotated[
     str, typer.Argument(metavar="REF", help="table@key, table:study/partition or table:dataset@version, with #row.")
@@ -55,7 +54,9 @@ _EXPORT = """Write what a reference names into files, with licence and credits b
 def show(
     reference: ReferenceArgument,
     store: StoreOption = Path("store"),
-    rows: Annotated[int, typer.Option(min=0, help="Rows to show, of scores those of each topic.")] = 5,
+    rows: Annotated[
+        int | None, typer.Option(min=0, help=f"Rows to show ({_ROWS}), of scores those of each topic ({_SCORE_ROWS}).")
+    ] = None,
     has_files: Annotated[
         bool, typer.Option("--files", help="Only the paths of the Parquet files, one a line.")
     ] = False,
@@ -66,14 +67,14 @@ def show(
         for path in table_files(reference, open_store(store)):
             typer.echo(str(path))
         return
-    described = _describe(open_store(store), reference, rows)
+    described = _describe(open_store(store), reference, _ROWS if rows is None else rows)
     if as_json:
         print_json(described)
         return
     typer.echo(f"{described['table']}: {described['meaning']}")
     typer.echo(f"{counted(described['num_rows'], 'row')} in {counted(len(described['artifacts']), 'artifact')}")
     if described["table"] == SCORES and described["row"] is None:
-        for line in _score_lines(open_store(store), reference, max(rows, _MIN_SCORE_ROWS)):
+        for line in _score_lines(open_store(store), reference, _SCORE_ROWS if rows is None else rows):
             typer.echo(line)
     else:
         _echo_rows(described, open_store(store), reference)
@@ -127,21 +128,7 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
     refs = resolve(reference, store)
     table = TABLES[reference.table]
     manifests = [store.manifest(ref) for ref in refs]
-    steps: dict[str, dict[str, Any]] = {}
-    for ref in refs:
-        for step in lineage(store, ref):
-            manifest = step.manifest
-            steps.setdefault(
-                step.ref.key,
-                {
-                    "depth": step.depth,
-                    "stage": step.ref.stage,
-                    "key": step.ref.key,
-                    "partition": "" if manifest is None else manifest.partition,
-                    "name": "(gone)" if manifest is None else manifest.name,
-                },
-            )
-    files = sorted({use for ref in refs for use in source_files(store, ref)})
+    steps = lineage(store, *refs)
     sources = {source.name: source for manifest in manifests for source in manifest.sources}
     return {
         "reference": text,
@@ -154,8 +141,17 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
             {"name": c.name, "type": _type_words(c), "unit": c.unit, "meaning": c.meaning} for c in table.columns
         ],
         "rows": _first_rows(store, text, num_rows),
-        "lineage": list(steps.values()),
-        "files": [{"name": use.name, "sha256": use.sha256, "stage": use.stage} for use in files],
+        "lineage": [
+            {
+                "depth": step.depth,
+                "stage": step.ref.stage,
+                "key": step.ref.key,
+                "partition": "" if step.manifest is None else step.manifest.partition,
+                "name": "(gone)" if step.manifest is None else step.manifest.name,
+            }
+            for step in steps
+        ],
+        "files": [{"name": use.name, "sha256": use.sha256, "stage": use.stage} for use in source_files(steps)],
         "sources": [{"name": s.name, "licence": s.licence, "credit": s.credit} for s in sources.values()],
     }
 

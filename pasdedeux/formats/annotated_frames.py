@@ -157,6 +157,13 @@ class AnnotatedFrames:
             confidence=self.confidence[chosen],
         )
 
+    def start_of_each(self, num_frames: int) -> AnnotatedFrames:
+        """Return the rows of the first frames of each sequence, so many frames from its first one on."""
+        first: dict[str, int] = {}
+        for name, frame in zip(self.sequence_id, self.frame.tolist(), strict=True):
+            first.setdefault(name, frame)
+        return self.rows(self.frame < np.array([first[name] + num_frames for name in self.sequence_id]))
+
     @property
     def num_rows(self) -> int:
         """Number of rows."""

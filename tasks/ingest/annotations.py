@@ -68,7 +68,11 @@ class FoundAnnotations:
         """
         try:
             decisions = [Decision.from_words(row) for row in self.parameters.people]
-            return settle_people(self.read(), self.parameters.part(PeopleSettings), decisions)
+            frames = self.read()
+            if self.parameters.take_seconds is not None:  # who is who is told of the whole sequence
+                last = dict(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
+                decisions = [one for one in decisions if one.first_frame <= last.get(one.sequence_id, -1)]
+            return settle_people(frames, self.parameters.part(PeopleSettings), decisions)
         except InputError as error:
             raise type(error)(f"annotations {self.parameters.id}: {error}") from None
 
@@ -96,7 +100,11 @@ class FoundAnnotations:
 
 
 def find_annotations(
-    options: AnnotationOptions, *, is_held_out: bool = False, left_out: dict[str, str] | None = None
+    options: AnnotationOptions,
+    *,
+    is_held_out: bool = False,
+    left_out: dict[str, str] | None = None,
+    take_seconds: float | None = None,
 ) -> list[FoundAnnotations]:
     """Find a source's files, a camera at a time, and read them once, so that bad input is refused before any work.
 
@@ -104,6 +112,7 @@ def find_annotations(
         options: The source.
         is_held_out: Whether it shows a take that is held out.
         left_out: Where given, a camera that cannot be read goes there with the reason, and stops nothing.
+        take_seconds: Only so much from the start of each sequence.
 
     Raises:
         InputError: The path does not exist, a file is mangled, or the layout is not the one asked for.
@@ -115,7 +124,7 @@ def find_annotations(
         decisions = [] if options.people_file is None else _read_people(options.people_file)
         for camera in find_cameras(options.path, options.format, left_out=left_out):
             try:
-                one = _find_camera(options, camera, is_held_out=is_held_out)
+                one = _find_camera(options, camera, is_held_out=is_held_out, take_seconds=take_seconds)
                 sequences = set(one.read().sequence_id)
                 told = one.parameters
                 if told.id in ids:
@@ -140,7 +149,9 @@ def find_annotations(
     return found
 
 
-def _find_camera(options: AnnotationOptions, camera: CameraFiles, *, is_held_out: bool) -> FoundAnnotations:
+def _find_camera(
+    options: AnnotationOptions, camera: CameraFiles, *, is_held_out: bool, take_seconds: float | None
+) -> FoundAnnotations:
     video = video_beside(options.path, camera)
     header = UNKNOWN if video is None else read_header(video)
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", camera.name)
@@ -153,6 +164,7 @@ def _find_camera(options: AnnotationOptions, camera: CameraFiles, *, is_held_out
         video_rate_hz=header.rate_hz,
         video_size_px=header.image_size_px,
         people=(),
+        take_seconds=take_seconds,
     )
     files = tuple(load_file(path).file for path in camera.paths)
     return FoundAnnotations(parameters, files, None if header == UNKNOWN else video)
@@ -169,7 +181,7 @@ def _read_people(path: Path) -> list[Decision]:
 @lru_cache(maxsize=16)
 def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> AnnotatedFrames:
     """Read a source; the last few are remembered, because a study is planned several times in a run."""
-    return read_annotations(
+    frames = read_annotations(
         ANNOTATION_FORMATS[parameters.format],
         {Path(file.path).name: read_again(file) for file in files},
         source_id=parameters.id,
@@ -179,6 +191,9 @@ def _read(parameters: AnnotationParameters, files: tuple[SourceFile, ...]) -> An
         min_confidence=parameters.min_confidence,
         skip_unreadable=parameters.on_unreadable == "skip",
     )
+    if parameters.take_seconds is None:
+        return frames
+    return frames.start_of_each(max(2, round(parameters.take_seconds * (frames.rate_hz or DEFAULT_RATE_HZ))))
 
 
 def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters) -> ArtifactRef:

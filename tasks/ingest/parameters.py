@@ -384,7 +384,8 @@ class IngestParameters(Parameters):
     take_seconds: float | None = Field(
         default=None,
         gt=0,
-        description="Only so much from the start of each take, all of it by default; `run --preview`",
+        description="Only so much from the start of each take and of each sequence of 2D poses, all of it by default; "
+        "`run --preview`",
     )
     annotations: tuple[AnnotationOptions, ...] = Field(default=(), description="2D poses of your own")
     mappings: Mappings = Field(

@@ -67,7 +67,9 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
     for options in parameters.annotations:
         waiting: dict[str, str] | None = {} if options.is_watched else None
         is_held_out = options.take_id in parameters.held_out
-        for one in find_annotations(options, is_held_out=is_held_out, left_out=waiting):
+        for one in find_annotations(
+            options, is_held_out=is_held_out, left_out=waiting, take_seconds=parameters.take_seconds
+        ):
             shards.append(_shard(inputs.seed, one.parameters.id, "annotations", one.parameters, one.files))
         if waiting:
             shards.append(_shard(inputs.seed, options.id, "left out", LeftOutParameters(left_out=waiting)))

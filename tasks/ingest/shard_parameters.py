@@ -105,6 +105,7 @@ class AnnotationParameters(AnnotationCommon):
         video_rate_hz: What the header of the video beside the files says; None without.
         video_size_px: Its width and height.
         people: Rows of the table of who is who that are about its sequences.
+        take_seconds: Only so much from the start of each sequence; None: all of it.
     """
 
     is_held_out: bool
@@ -112,3 +113,4 @@ class AnnotationParameters(AnnotationCommon):
     video_rate_hz: float | None
     video_size_px: tuple[int, int] | None
     people: tuple[str, ...]
+    take_seconds: float | None = None

@@ -51,6 +51,22 @@ def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
     assert set(coco["layout"]) == {"coco17"}
 
 
+def test_a_preview_takes_the_first_frames_of_each_sequence_and_of_the_table_of_who_is_who(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk")
+    (tmp_path / "people.csv").write_text(
+        "sequence,first_frame,last_frame,person,is\nwalk,0,3,0,1\nwalk,0,3,1,0\nwalk,4,5,0,0\nwalk,4,5,1,1\n"
+    )
+    source = {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "people_file": tmp_path / "people.csv"}
+    store = Store(tmp_path / "store")
+    whole, short = (
+        run(store, planned(annotations=[source], take_seconds=seconds))["walk", "annotations"]
+        for seconds in (None, 0.12)
+    )
+    assert (whole.facts["num_frames"], short.facts["num_frames"]) == (6, 3)
+    rows = store.read(short.ref, "annotations")
+    assert rows["frame"].tolist() == [0, 0, 1, 1, 2, 2]
+
+
 def test_an_unreadable_openpose_frame_is_named_or_skipped_and_counted(tmp_path: Path) -> None:
     write_openpose(tmp_path / "walk")
     bad = tmp_path / "walk" / "w_000000000003_keypoints.json"

@@ -64,7 +64,7 @@ def test_lineage_reaches_every_source_once(store: Store) -> None:
     assert steps[0].ref == last
     assert sorted(step.ref for step in steps) == sorted([first, second, seeds, last])
     assert {step.ref: step.depth for step in steps} == {last: 0, seeds: 1, first: 1, second: 2}
-    assert [(use.name, use.sha256, use.stage) for use in source_files(store, last)] == [
+    assert [(use.name, use.sha256, use.stage) for use in source_files(steps)] == [
         ("a.bvh", "aa", "ingest"),
         ("b.bvh", "bb", "ingest"),
     ]

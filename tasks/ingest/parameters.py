@@ -158,6 +158,10 @@ class PairOptions(CommonOptions):
         "later, and one that cannot be read, or not yet, is left out with a warning",
     )
     id: str = Field(default="{subject}_{take}", description="Name of each take; {subject} is the first subject")
+    is_watched: bool = Field(
+        default=False,
+        description="Takes that are held out or for priors may come later: until then a warning names them",
+    )
 
     @field_validator("pattern", "id")
     @classmethod
@@ -430,8 +434,9 @@ class IngestParameters(Parameters):
             *(self.prior or ()),
             *(source.take_id for source in self.annotations if source.take_id),
         ]
+        awaited = self.awaited()
         for name in named:
-            if name not in ids:
+            if name not in ids and name not in awaited:
                 near = difflib.get_close_matches(name, ids, n=1)
                 hint = f"; did you mean '{near[0]}'?" if near else f"; takes: {', '.join(ids) or 'none'}"
                 raise ValueError(f"'{name}' is not a take of this study{hint}")
@@ -450,6 +455,13 @@ class IngestParameters(Parameters):
     def take_ids(self) -> list[str]:
         """Return the names of all takes, in the order in which they are planned."""
         return [take_id for take_id, _ in self._takes()]
+
+    def awaited(self) -> tuple[str, ...]:
+        """Return the takes held out or for priors that are not there yet, where a folder is watched for them."""
+        if not any(family.is_watched for family in self.pairs.values()):
+            return ()
+        ids = set(self.take_ids())
+        return tuple(name for name in dict.fromkeys([*self.held_out, *(self.prior or ())]) if name not in ids)
 
     def num_people(self) -> dict[str, int]:
         """Return the number of people of every take."""

@@ -55,9 +55,13 @@ def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
         *(_take_shard(inputs.seed, parameters, take) for take in parameters.takes),
     ]
     shards: list[Shard] = []
+    awaited = parameters.awaited()
     for name, family in parameters.pairs.items():
         found, left_out = _family_shards(inputs.seed, parameters, name, family)
         takes += found
+        if family.is_watched:
+            left_out |= dict.fromkeys(awaited, "the study names it, and it has not come yet")
+            awaited = ()
         if left_out:
             shards.append(_shard(inputs.seed, name, "left out", LeftOutParameters(left_out=left_out)))
     _refuse_twins([take.parameters for take in takes if isinstance(take.parameters, TakeParameters)])
@@ -143,7 +147,7 @@ def _family_shards(
     takes = family.take_names()
     if not takes:
         raise InputError(f"ingest.pairs.{name}: no file {' or '.join(family.patterns)} is in {family.folder}")
-    common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id"})
+    common = family.model_dump(exclude={"folder", "pattern", "subjects", "takes", "id", "is_watched"})
     for take in takes:
         take_id = family.take_id(take)
         try:

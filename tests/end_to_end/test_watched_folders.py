@@ -93,6 +93,22 @@ def test_what_is_dropped_into_a_folder_is_all_that_is_computed(study: Path) -> N
     assert build(study).num_computed == 0
 
 
+def test_a_take_that_is_to_be_held_out_is_waited_for_where_its_folder_is_watched(tmp_path: Path) -> None:
+    first, second = write_figure_pair(tmp_path)
+    family = {"folder": tmp_path, "subjects": ["60", "61"], "is_watched": True}
+    held_out = ["60_01", "60_02"]
+    before = planned(pairs={"all": family}, held_out=held_out)
+    (said,) = [shard.parameters for shard in before if shard.name == "left out"]
+    assert "'60_02': 'the study names it, and it has not come yet'" in str(said)
+    for file in (first, second):
+        shutil.copy(file, file.with_name(file.name.replace("_01", "_02")))
+    after = planned(pairs={"all": family}, held_out=held_out)
+    come = [shard for shard in after if shard.partition == "60_02"]
+    assert come[0].values["is_held_out"]
+    assert {shard.key for shard in after} - {shard.key for shard in before} == {shard.key for shard in come}
+    assert not [shard for shard in after if shard.name == "left out"]
+
+
 def test_files_and_folders_are_watched_alike_and_no_two_are_taken_for_one(tmp_path: Path) -> None:
     films = tmp_path / "films"
     (films / "tuesday").mkdir(parents=True)

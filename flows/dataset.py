@@ -45,6 +45,7 @@ telemetry_off()
 # Telemetry is off first, so these imports come late.
 from prefect import flow, task  # noqa: E402
 from prefect.artifacts import create_link_artifact, create_markdown_artifact, create_table_artifact  # noqa: E402
+from prefect.assets import Asset, AssetProperties, add_asset_metadata, materialize  # noqa: E402
 from prefect.cache_policies import NO_CACHE  # noqa: E402
 from prefect.settings import (  # noqa: E402
     PREFECT_API_URL,
@@ -104,14 +105,16 @@ def dataset(
                 with _Shown(record.run_id) as shown:
                     outcome = execute(run, record, plan, pool, shown.stage)
         published = publish(run, outcome)
-    _show(chosen.name, outcome, published)
+    _show(run, outcome, published)
     refuse_nothing(outcome.missing)
     refuse_failed_gates(published)
     return {stage.name: stage.num_computed for stage in outcome.stages}
 
 
-def _show(study: str, outcome: Outcome, published: Published | None) -> None:
-    """Put what a build did, where its report is and what it published on the page of its flow run."""
+def _show(run: Run, outcome: Outcome, published: Published | None) -> None:
+    """Put what a build did, where its report is and what it made and published on the page of its flow run."""
+    study = run.study.name
+    _show_assets(run, outcome, published)
     rows = [
         {
             "stage": stage.name,
@@ -131,6 +134,30 @@ def _show(study: str, outcome: Outcome, published: Published | None) -> None:
     elif published is not None:
         words = "\n- ".join([published.words, *published.failures])
         create_markdown_artifact(words, key=f"{key}-dataset", description=published.words)
+
+
+def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> None:
+    """Have each table that the build computed a part of, and the version it published, known as an asset."""
+    made = {
+        f"pasdedeux://{run.study.name}/{table}": {"stage": stage.name, "shards": stage.num_shards}
+        for stage in outcome.stages
+        if stage.num_computed
+        for table in run.graph.stage(stage.name).writes
+    }
+    if published is not None and published.dataset is not None and published.is_new:
+        version = published.dataset
+        made[f"pasdedeux://{version.name}/versions/{version.version}"] = {"digest": version.digest}
+    if not made:
+        return
+    properties = AssetProperties(url=run.store.root.as_uri())
+    assets = [Asset(key=key, properties=properties) for key in made]
+
+    @materialize(*assets, by="pasdedeux", name="assets", cache_policy=NO_CACHE, persist_result=False)
+    def note() -> None:
+        for key, said in made.items():
+            add_asset_metadata(key, {**said, "run": outcome.run_id})
+
+    note()
 
 
 def _graph_flow(run: Run, plan: Plan, pool: Pool) -> Outcome:

@@ -36,12 +36,14 @@ class Published:
         words: What happened, in one line.
         dataset: The version that holds what the run made; None where nothing is published.
         failures: The gates that do not hold, with the figure.
+        is_new: Whether the version was made just now.
     """
 
     name: str
     words: str
     dataset: Dataset | None = None
     failures: tuple[str, ...] = ()
+    is_new: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON values."""
@@ -85,7 +87,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
             made = create_dataset(store, name, refs, version=version, note=note, attachments=files)
         except DatasetExists:  # another run was first: what it published is what to compare with
             continue
-        return Published(name, f"{made.label} is published; what is new: {made.path / CHANGES_FILE}", made)
+        return Published(name, f"{made.label} is published; what is new: {made.path / CHANGES_FILE}", made, is_new=True)
 
 
 def refuse_failed_gates(published: Published | None) -> None:

@@ -77,6 +77,11 @@ def _get(environment: dict[str, str], path: str, body: dict[str, Any] | None = N
         return None
 
 
+def _materialised(environment: dict[str, str], wanted: dict[str, Any]) -> list[str]:
+    found = _get(environment, "/events/filter", {"filter": wanted}) or {"events": []}
+    return [event["resource"]["prefect.resource.id"] for event in found["events"]]
+
+
 def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -121,6 +126,11 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert [one["status"] for one in describe_runs(Store(store))] == ["finished"]
     links = {one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"}
     (version,) = list_datasets(Store(store))
+    wanted = {"event": {"prefix": ["prefect.asset.materialization.succeeded"]}}
+    wait_until(lambda: len(_materialised(environment, wanted)) > 1, "the assets")
+    assets = _materialised(environment, wanted)
+    assert len(assets) == len(set(assets)), "the second build makes nothing"
+    assert {"pasdedeux://duets/poses", f"pasdedeux://duets/versions/{version.version}"} <= set(assets)
     assert links == {f"[{version.label}]({(version.path / 'CHANGES.md').as_uri()})"}
 
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flows.gates import figures_of
+from flows.gates import Figure, figures_of
 from flows.reasons import changed_leaves, shorten
 from flows.recorded import Recorded, environment_changes
 from storage_schema import Store
@@ -21,12 +21,7 @@ _WHICH = ("same", "other", "only_a", "only_b")
 class ScoreChange:
     """A score before and after; None where it is not there, or no number."""
 
-    topic: str
-    metric: str
-    method: str
-    split: str
-    item: str
-    at: float | None
+    figure: Figure
     unit: str
     a: float | None
     b: float | None
@@ -34,10 +29,9 @@ class ScoreChange:
     @property
     def name(self) -> str:
         """Return what it is of, in words."""
-        words = (self.topic, self.metric, self.method, self.split, self.item)
-        return " ".join(word for word in words if word not in ("", "all")) + (
-            "" if self.at is None else f" at {self.at:g}"
-        )
+        *words, at = self.figure
+        said = " ".join(str(word) for word in words if word not in ("", "all"))
+        return said if at is None else f"{said} at {at:g}"
 
     @property
     def cells(self) -> tuple[str, str, str]:
@@ -87,7 +81,7 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
     before, after = (figures_of(store, recorded.artifacts.values()) for recorded in (one, other))
     names = {**before, **after}
     scores = [
-        ScoreChange(*name, names[name][1], a, b)
+        ScoreChange(name, names[name][1], a, b)
         for name in names
         for a, b in [(before.get(name, (None, ""))[0], after.get(name, (None, ""))[0])]
         if a != b

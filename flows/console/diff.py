@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -54,7 +53,7 @@ def diff(
                 },
                 "artifacts": found.by_stage,
                 "num_scores": found.num_scores,
-                "scores": [asdict(score) for score in found.scores],
+                "scores": [{**s.figure._asdict(), "unit": s.unit, "a": s.a, "b": s.b} for s in found.scores],
             }
         )
         return

@@ -154,15 +154,8 @@ _METRICS = {
     ),
 }
 """Words, a sentence, and which values are better, of each metric."""
-_ENDINGS = {
-    "mean": "mean",
-    "median": "median",
-    "p90": "90 %",
-    "p95": "95 %",
-    "worst": "worst",
-    "min": "least",
-    "max": "most",
-}
+_ENDINGS = {"mean": "mean", "median": "median", "p90": "90 %", "p95": "95 %", "worst": "worst"}
+_ENDINGS |= {"min": "least", "max": "most"}
 
 
 def in_words(name: str) -> str:

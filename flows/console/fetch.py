@@ -157,10 +157,14 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
     fault = _fault(data, skeleton)
     if fault is not None:
         raise FetchError(f"{url} did not send a motion file: {fault}")
+    coming = path.with_name(f"{path.name}.part")  # an AMC file cut off between two frames is a good one
     try:
-        path.write_bytes(data)
+        coming.write_bytes(data)
+        coming.replace(path)
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
+    finally:
+        coming.unlink(missing_ok=True)
     return Fetched(path=path, num_bytes=len(data), was_there=False)
 
 

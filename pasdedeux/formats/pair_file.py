@@ -17,6 +17,7 @@ from pasdedeux.errors import FormatError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.bvh_writer import write_bvh
 from pasdedeux.formats.positions_as_motion import exact_motion
+from pasdedeux.formats.text import MAX_MAGNITUDE, parse_json
 from pasdedeux.formats.working_poses import derive_working_poses
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.skeletons import PAIR17
@@ -89,10 +90,7 @@ def read_pair_json(data: bytes | str, *, is_partial: bool = False) -> PairFile:
         FormatError: It is no such file, a joint is missing, unknown or not three finite numbers, or a bone has a length
             that no person's has; names the person and the joint.
     """
-    try:
-        tree = json.loads(data)
-    except (UnicodeDecodeError, ValueError) as error:
-        raise FormatError(f"this is not JSON: {error}") from None
+    tree = parse_json(data, "pair", has_nan=True)
     if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
         raise FormatError(f"this is no pair: the key 'format' must be '{_FORMAT}'")
     unknown = sorted(set(tree) - set(_KEYS))
@@ -170,8 +168,8 @@ def _joints(name: str, joints: Any, *, is_partial: bool) -> Array:
         if is_partial and joints.get(joint) is None:
             continue
         values = joints[joint]
-        is_number = isinstance(values, list) and all(type(value) in (int, float) for value in values)
-        if not is_number or len(values) != 3 or not np.isfinite(values).all():
+        numbers = values if isinstance(values, list) else []
+        if len(numbers) != 3 or not all(type(n) in (int, float) and abs(n) <= MAX_MAGNITUDE for n in numbers):
             raise FormatError(f"person {name}: joint '{joint}' is {values!r}, it must be three finite numbers, metres")
         positions[index] = values
     return positions

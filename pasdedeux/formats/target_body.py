@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from pasdedeux.errors import FormatError, InputError
 from pasdedeux.formats.npz import is_npz, read_npz
 from pasdedeux.formats.own_skeleton import OwnSkeleton, standing
-from pasdedeux.formats.text import parse_table, split_lines
+from pasdedeux.formats.text import parse_json, parse_table, split_lines
 from pasdedeux.kinematics import bone_directions, bone_lengths, place_bones
 from pasdedeux.skeletons import BODY22
 
@@ -110,9 +109,9 @@ def read_body(name: str, data: bytes) -> TargetBody:
     text = data.decode("utf-8-sig", errors="replace").strip()
     if text[:1] in ("{", "["):
         try:
-            tree = json.loads(text)
-        except ValueError as error:
-            raise FormatError(f"{name}: this is not JSON: {error}") from None
+            tree = parse_json(text, "body")
+        except FormatError as error:
+            raise FormatError(f"{name}: {error}") from None
         if not isinstance(tree, dict):
             raise FormatError(f"{name}: an object of joints is expected, each [x, y, z] in metres")
         if "positions_m" not in tree:
@@ -120,7 +119,7 @@ def read_body(name: str, data: bytes) -> TargetBody:
         try:
             arrays = {key: np.array(tree[key]) for key in ("joint_names", "positions_m", "parents") if key in tree}
             arrays["positions_m"] = arrays["positions_m"].astype(np.float64)
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, OverflowError):
             raise FormatError(f"{name}: each joint needs three numbers, metres") from None
         return _of_arrays(name, arrays)
     return _of_table(name, text)

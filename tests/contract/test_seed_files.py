@@ -110,7 +110,7 @@ def test_a_file_that_changes_between_plan_and_run_is_noticed(tmp_path: Path) -> 
     ("text", "more", "message"),
     [
         (None, "", "seed.json does not exist"),
-        ("{", "", "seeds.files: seed.json: this is not JSON"),
+        ("{", "", "seeds.files: seed.json: this pair is not valid JSON: line "),
         ("{}", "", "seeds.files: seed.json: this is no pair: the key 'format' must be 'pasdedeux pair'"),
         ("HIERARCHY", "", "seed.json is the BVH of one person; `other` must name that of person B"),
         (write_pair_json(PairFile(PAIR)), ', other = "b.bvh"', "b.bvh does not exist"),

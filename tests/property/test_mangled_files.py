@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -9,12 +11,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.annotated_frames import AnnotatedFrames, check_anatomy
 from pasdedeux.formats.bvh import read_bvh, read_bvh_header
 from pasdedeux.formats.guess import guess_motion
+from pasdedeux.formats.pair_file import PairFile, read_pair_json, write_pair_json
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, recognise_format
 from pasdedeux.formats.source_motion import SourceMotion
+from pasdedeux.formats.target_body import read_body
+from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons.humanoid import t_pose
 from tests.builders.source_samples import (
     BVH_SMALL,
     GOOD_ANNOTATIONS,
@@ -49,6 +56,11 @@ def _readers() -> dict[str, tuple[bytes, Callable[[bytes], object]]]:
         image_text("ultralytics").encode(),
         lambda data: ANNOTATION_FORMATS["image_results"].read({"w_1.json": data}, sequence_id="s"),
     )
+    pair = random_pairs(np.random.default_rng(1), 1)[0]
+    readers["pair"] = write_pair_json(PairFile(pair)).encode(), read_pair_json
+    rest = np.array([t_pose(joint) for joint in BODY22.joint_names]).tolist()
+    body = json.dumps(dict(zip(BODY22.joint_names, rest, strict=True))).encode()
+    readers["body"] = body, lambda data: read_body("body", data)
     texts = result_texts() | landmark_texts()
     for name, wanted in forms.items():
         for form in wanted:
@@ -114,6 +126,22 @@ def check(result: object) -> None:
         assert np.isfinite(result.keypoints_px[seen]).all()
         assert np.isnan(result.keypoints_px[~seen]).all()
         check_anatomy(result)
+
+
+@pytest.mark.parametrize("name", ["pair", "body"])
+@pytest.mark.parametrize("number", [b"9" * 20, b"9" * 400, b"1e999", b"-Infinity"])
+def test_numbers_that_no_float_holds_raise_our_error(name: str, number: bytes) -> None:
+    sample, read = READERS[name]
+    damaged = re.sub(rb"(?<=\[)-?[0-9.]+", number, sample, count=1)
+    assert damaged != sample
+    with pytest.raises(InputError):
+        read(damaged)
+
+
+@pytest.mark.parametrize("name", ["pair", "body", "coco", "mediapipe", "openpose"])
+def test_json_that_is_nested_too_deeply_raises_our_error(name: str) -> None:
+    with pytest.raises(InputError, match="nested too deeply"):
+        READERS[name][1](b"[" * 100_000)
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from flows.console.fetch import FetchError, app, fetch_cmu, takes_of_study
 from pasdedeux.errors import InputError
+from pasdedeux.formats.asf_amc import read_amc, read_asf
 from tests.builders.source_samples import AMC, ASF
 
 PAGE = '<a href="subjects/60/60_01.amc">amc</a> <a href="subjects/60/60_02.amc">amc</a> <a href="61_01.amc">x</a>'
@@ -99,6 +101,27 @@ def test_a_file_that_was_cut_off_is_asked_for_again(site: Site, tmp_path: Path) 
     list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert site.requests.count(path) == 3
+
+
+def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_whole(
+    site: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, first_frame = Path.write_bytes, AMC.encode().partition(b"\n2\n")[0] + b"\n"
+    assert read_amc(first_frame, read_asf(ASF)).num_frames == 1
+
+    def broken(path: Path, data: bytes) -> int:
+        if ".amc" not in path.name:
+            return write(path, data)
+        write(path, first_frame)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", broken)
+        with pytest.raises(FetchError, match=r"60_01.amc cannot be written: No space"):
+            list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CREDITS.txt"]
+    list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
+    assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
 
 def test_a_site_that_is_busy_is_asked_again(site: Site, tmp_path: Path) -> None:

@@ -12,38 +12,13 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import project_pair
 from pasdedeux.kinematics.rotations import normalise
-from storage_schema import Manifest, SourceCredit, Store, artifact_key
+from storage_schema import Manifest, Store
 from tasks import seeds
 from tasks.seeds import SeedsParameters
 from tasks.stage import Shard, StageInputs
+from tests.builders.storage_rows import put, take_rows
 
 NUM_FRAMES = 40
-
-
-def put(
-    store: Store,
-    stage: str,
-    name: str,
-    tables: dict[str, Any],
-    facts: dict[str, Any],
-    inputs: tuple[Manifest, ...] = (),
-) -> Manifest:
-    """Commit what an earlier stage would have written."""
-    ref = store.commit(
-        stage=stage,
-        key=artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0),
-        partition=name,
-        name=name,
-        version=1,
-        parameters={"name": name},
-        seed=0,
-        inputs=[manifest.ref for manifest in inputs],
-        files=[],
-        tables=tables,
-        facts=facts,
-        sources=[SourceCredit("pairs", "CC0", "made up for tests")],
-    )
-    return store.manifest(ref)
 
 
 def pairs_of(take_id: str) -> np.ndarray:
@@ -52,28 +27,8 @@ def pairs_of(take_id: str) -> np.ndarray:
 
 def put_take(store: Store, take_id: str, *, is_held_out: bool = False, num_persons: int = 2) -> Manifest:
     pairs = pairs_of(take_id)[:, :num_persons]
-    count = num_persons * NUM_FRAMES
-    columns = {
-        "take_id": [take_id] * count,
-        "person": np.repeat(np.arange(num_persons), NUM_FRAMES),
-        "frame": np.tile(np.arange(NUM_FRAMES), num_persons),
-        "time_s": np.tile(np.arange(NUM_FRAMES), num_persons) / 30.0,
-        "root_translation_m": np.zeros((count, 3)),
-        "local_unitquat": [np.zeros(4)] * count,
-        "pair17_m": np.moveaxis(pairs, 1, 0).reshape(count, 17, 3),
-        "op14_m": np.zeros((count, 14, 3)),
-        "body22_m": np.zeros((count, 22, 3)),
-        "body22_world_unitquat": np.zeros((count, 22, 4)),
-    }
-    facts = {
-        "kind": "take",
-        "take_id": take_id,
-        "takes": [take_id],
-        "num_persons": num_persons,
-        "num_frames": NUM_FRAMES,
-        "rate_hz": 30.0,
-        "is_held_out": is_held_out,
-    }
+    joints = np.moveaxis(pairs, 1, 0).reshape(-1, 17, 3)
+    columns, facts = take_rows(take_id, num_persons, NUM_FRAMES, is_held_out=is_held_out, pair17_m=joints)
     return put(store, "ingest", take_id, {"poses": columns}, facts)
 
 
@@ -147,11 +102,7 @@ def inputs(tmp_path: Path) -> tuple[Store, dict[str, list[Manifest]]]:
     poses.append(put_take(store, "single", num_persons=1))
     annotations, views = put_annotations(store, "one")
     hidden_annotations, hidden_views = put_annotations(store, "kept_back", is_held_out=True)
-    return store, {
-        "poses": poses,
-        "annotations": [annotations, hidden_annotations],
-        "views": [views, hidden_views],
-    }
+    return store, {"poses": poses, "annotations": [annotations, hidden_annotations], "views": [views, hidden_views]}
 
 
 def run(shards: list[Shard], module: Any, store: Store) -> list[Manifest]:

@@ -18,15 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from storage_schema import (
-    ShardRecord,
-    Store,
-    create_dataset,
-    list_datasets,
-    read_latest,
-    record_latest,
-    verify,
-)
+from storage_schema import ShardRecord, Store, create_dataset, list_datasets, read_latest, record_latest, verify
 from storage_schema.garbage import find_unneeded, remove_unneeded
 from tests.builders.storage_rows import commit_rows
 

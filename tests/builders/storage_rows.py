@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, artifact_key
+from storage_schema import TABLES, ArtifactRef, Manifest, SourceCredit, Store, artifact_key
 from storage_schema.arrow import Kind, column_kind, value_type
 from storage_schema.columns import Table
 
+MADE_UP = SourceCredit("made up", "CC0", "made up for tests")
 _WORDS = np.array(["waltz", "hug", "judo", "push", "", "Tänzer Ω", "a,b|c"], dtype=object)
 
 
@@ -97,3 +98,52 @@ def assert_same_values(found: Any, given: Any) -> None:
                 np.testing.assert_array_equal(one, other)
             else:
                 assert one == other
+
+
+def put(
+    store: Store,
+    stage: str,
+    name: str,
+    tables: dict[str, Any],
+    facts: dict[str, Any],
+    inputs: tuple[Manifest, ...] = (),
+    source: SourceCredit = MADE_UP,
+) -> Manifest:
+    """Commit what an earlier stage would have written."""
+    ref = store.commit(
+        stage=stage,
+        key=artifact_key(stage=stage, version=1, parameters={"name": name}, input_digests=[], seed=0),
+        partition=name,
+        name=name,
+        version=1,
+        parameters={"name": name},
+        seed=0,
+        inputs=[manifest.ref for manifest in inputs],
+        files=[],
+        tables=tables,
+        facts=facts,
+        sources=[source],
+    )
+    return store.manifest(ref)
+
+
+def take_rows(
+    take_id: str, num_persons: int, num_frames: int, *, rate_hz: float = 30.0, is_held_out: bool = False, **given: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return columns of the table poses, person after person, zeros where nothing is given, and the facts of a take."""
+    count = num_persons * num_frames
+    frame = np.tile(np.arange(num_frames), num_persons)
+    columns = {
+        "take_id": [take_id] * count,
+        "person": np.repeat(np.arange(num_persons), num_frames),
+        "frame": frame,
+        "time_s": frame / rate_hz,
+        "root_translation_m": np.zeros((count, 3)),
+        "local_unitquat": [np.zeros(4)] * count,
+        "pair17_m": np.zeros((count, 17, 3)),
+        "op14_m": np.zeros((count, 14, 3)),
+        "body22_m": np.zeros((count, 22, 3)),
+        "body22_world_unitquat": np.zeros((count, 22, 4)),
+    }
+    facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
+    return {**columns, **given}, {**facts, "num_persons": num_persons, "num_frames": num_frames}

@@ -215,16 +215,7 @@ def run_judge(shard: Shard, store: Store) -> ArtifactRef:
 def plan_aside(inputs: StageInputs, parameters: AsideParameters) -> list[Shard]:
     if not parameters.size:
         return []
-    return [
-        Shard(
-            stage="aside",
-            version=1,
-            partition="aside",
-            name="all",
-            parameters=parameters,
-            seed=inputs.seed,
-        )
-    ]
+    return [Shard(stage="aside", version=1, partition="aside", name="all", parameters=parameters, seed=inputs.seed)]
 
 
 def run_aside(shard: Shard, store: Store) -> ArtifactRef:

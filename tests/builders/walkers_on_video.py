@@ -15,8 +15,8 @@ from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from storage_schema import Store
 from tasks.projections import ProjectionsParameters
+from tests.builders.storage_rows import put
 from tests.builders.walkers import walk
-from tests.builders.walking_takes import put_artifact
 
 LAYOUT = KEYPOINT_LAYOUTS["coco18"]
 FRAMES = 40
@@ -72,7 +72,7 @@ def build_store(folder: Path) -> Store:
         "rate_hz": 24.0,
         "views": ProjectionsParameters().views.model_dump(mode="json"),
     }
-    put_artifact(built, "projections", "walk", tables, facts)
+    put(built, "projections", "walk", tables, facts)
     return built
 
 

@@ -17,7 +17,7 @@ from pasdedeux.kinematics import bone_lengths, forward_kinematics
 from pasdedeux.learning import VariantRequest, load_model
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
-from storage_schema import Manifest, Store, artifact_key
+from storage_schema import Manifest, Store
 from tasks import augmentation
 from tasks.augmentation import AugmentationParameters, read_take
 from tasks.evaluation.augmentation import TOPIC
@@ -30,16 +30,13 @@ from tasks.training.parameters import TrainingParameters
 from tasks.training.run import read_arrays
 from tests.builders.dying_training import train_until_killed
 from tests.builders.moving_pairs import standing_person, swaying_people
+from tests.builders.storage_rows import put, take_rows
 
 FRAMES = 12
 
 
 def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: bool = False) -> Manifest:
     people = np.swapaxes(swaying_people(num_persons, FRAMES, seed=len(take_id)), 0, 1).reshape(-1, 22, 3)
-    rows = len(people)
-    identity = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 22, 1))
-    frame = np.tile(np.arange(FRAMES), num_persons)
-    person = np.repeat(np.arange(num_persons), FRAMES)
     takes = {
         "take_id": [take_id] * num_persons,
         "person": np.arange(num_persons),
@@ -64,41 +61,18 @@ def put_take(store: Store, take_id: str, *, num_persons: int = 2, is_held_out: b
         "licence": ["CC0"] * num_persons,
         "credit": ["nobody"] * num_persons,
     }
-    poses = {
-        "take_id": [take_id] * rows,
-        "person": person,
-        "frame": frame,
-        "time_s": frame / 30.0,
-        "root_translation_m": people[:, 0],
-        "local_unitquat": [np.zeros(88)] * rows,
-        "pair17_m": np.zeros((rows, 17, 3)),
-        "op14_m": np.zeros((rows, 14, 3)),
-        "body22_m": people,
-        "body22_world_unitquat": identity,
-    }
-    facts = {
-        "kind": "take",
-        "take_id": take_id,
-        "takes": [take_id],
-        "num_persons": num_persons,
-        "num_frames": FRAMES,
-        "rate_hz": 30.0,
-        "is_held_out": is_held_out,
-    }
-    ref = store.commit(
-        stage="ingest",
-        key=artifact_key(stage="ingest", version=1, parameters={"name": take_id}, input_digests=[], seed=0),
-        partition=take_id,
-        name=take_id,
-        version=1,
-        parameters={"name": take_id},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables={"takes": takes, "poses": poses},
-        facts=facts,
+    rows = len(people)
+    poses, facts = take_rows(
+        take_id,
+        num_persons,
+        FRAMES,
+        is_held_out=is_held_out,
+        root_translation_m=people[:, 0],
+        local_unitquat=[np.zeros(88)] * rows,
+        body22_m=people,
+        body22_world_unitquat=np.tile([0.0, 0.0, 0.0, 1.0], (rows, 22, 1)),
     )
-    return store.manifest(ref)
+    return put(store, "ingest", take_id, {"takes": takes, "poses": poses}, facts)
 
 
 @pytest.fixture

@@ -20,36 +20,14 @@ from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import ANGLES, JointLimits, Occupancy
 from pasdedeux.verdict import Level
-from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, artifact_key
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
 from tasks import priors, views
 from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.priors import read_limits
 from tasks.stage import Shard, StageInputs, verdict_of
 from tasks.torso_bases import read_torso_basis
 from tests.builders.poses import dancers, wild
-
-DANCERS = SourceCredit("dancers", "CC0", "made up for tests")
-
-
-def put(
-    store: Store, name: str, tables: dict[str, Any], facts: dict[str, Any], source: SourceCredit = DANCERS
-) -> Manifest:
-    """Commit what `ingest` would have written."""
-    ref = store.commit(
-        stage="ingest",
-        key=artifact_key(stage="ingest", version=1, parameters={"name": name}, input_digests=[], seed=0),
-        partition=name,
-        name=name,
-        version=1,
-        parameters={"name": name},
-        seed=0,
-        inputs=[],
-        files=[],
-        tables=tables,
-        facts=facts,
-        sources=[source],
-    )
-    return store.manifest(ref)
+from tests.builders.storage_rows import MADE_UP, put, take_rows
 
 
 def put_take(
@@ -59,24 +37,11 @@ def put_take(
     is_prior: bool,
     is_held_out: bool = False,
     frames: int = 60,
-    source: SourceCredit = DANCERS,
+    source: SourceCredit = MADE_UP,
 ) -> Manifest:
-    count = 2 * frames
-    pairs = dancers(sum(map(ord, take_id)), frames)
-    columns = {
-        "take_id": [take_id] * count,
-        "person": np.repeat([0, 1], frames),
-        "frame": np.tile(np.arange(frames), 2),
-        "time_s": np.tile(np.arange(frames) / 30.0, 2),
-        "root_translation_m": np.zeros((count, 3)),
-        "local_unitquat": [np.zeros(4)] * count,
-        "pair17_m": pairs.swapaxes(0, 1).reshape(count, 17, 3),
-        "op14_m": np.zeros((count, 14, 3)),
-        "body22_m": np.zeros((count, 22, 3)),
-        "body22_world_unitquat": np.zeros((count, 22, 4)),
-    }
-    facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "is_prior": is_prior, "is_held_out": is_held_out}
-    return put(store, take_id, {"poses": columns}, facts, source)
+    joints = dancers(sum(map(ord, take_id)), frames).swapaxes(0, 1).reshape(-1, 17, 3)
+    columns, facts = take_rows(take_id, 2, frames, is_held_out=is_held_out, pair17_m=joints)
+    return put(store, "ingest", take_id, {"poses": columns}, facts | {"is_prior": is_prior}, source=source)
 
 
 def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
@@ -131,7 +96,7 @@ def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manif
         "purpose": "random_views",
         "num_persons": persons,
     }
-    return put(store, name, {"annotations": columns}, facts), truth
+    return put(store, "ingest", name, {"annotations": columns}, facts), truth
 
 
 def _px(camera: PinholeCamera, pose: np.ndarray) -> np.ndarray:
@@ -168,7 +133,7 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     poses = np.asarray(store.read(takes[0].ref, "poses")["pair17_m"], dtype=np.float64)
     learned = Occupancy.empty().extended(poses)
     np.testing.assert_array_equal(priors.read_occupancy(store, [ref]).counts, learned.counts)
-    assert store.manifest(ref).sources[0].name == "dancers"
+    assert store.manifest(ref).sources == (MADE_UP,)
 
 
 def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp_path: Path) -> None:
@@ -246,10 +211,7 @@ def test_sequences_of_one_person_are_skipped_with_the_reason(tmp_path: Path) -> 
     assert store.manifest(ref).tables["views"].rows == 0
     verdict = verdict_of(store.manifest(ref))
     assert verdict is not None
-    assert (verdict.level, verdict.reason) == (
-        Level.PASS,
-        "no annotated frame shows two people who are partners",
-    )
+    assert (verdict.level, verdict.reason) == (Level.PASS, "no annotated frame shows two people who are partners")
     skipped = store.manifest(ref).facts["skipped"]
     assert skipped[0] == "solo.view000: 1 frames skipped, nobody has a partner"
     assert skipped[-1] == "10 more sequences: 10 frames skipped, nobody has a partner"

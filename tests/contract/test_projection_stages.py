@@ -23,8 +23,9 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks import projections, reconstruction
 from tasks.evaluation.reconstruction import search_notes
 from tasks.stage import StageInputs
+from tests.builders.storage_rows import put
 from tests.builders.walkers import walk
-from tests.builders.walking_takes import put_artifact, put_take
+from tests.builders.walking_takes import put_take
 
 
 def put_video(
@@ -74,7 +75,7 @@ def put_video(
         "purpose": purpose,
         "num_frames": frames,
     }
-    manifest = put_artifact(store, "ingest", sequence_id, {"annotations": columns}, facts)
+    manifest = put(store, "ingest", sequence_id, {"annotations": columns}, facts)
     return manifest, (worlds - camera.position_m) @ camera.camera_from_world_rotmat.T
 
 
@@ -109,14 +110,14 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
     assert np.flatnonzero(table["is_sequence_start"]).tolist() == [0, 72]
     np.testing.assert_allclose(mid_hip(np.asarray(table["op14_m"], dtype=float)), 0.0, atol=1e-6)
     assert set(table["origin"]) == {"take"}
-    assert [credit.name for credit in built[0].sources] == ["walkers"]
+    assert [credit.name for credit in built[0].sources] == ["made up"]
 
 
 def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:
     rng = np.random.default_rng(0)
     drawn_pairs = rng.normal(size=(2, 2, 17, 3))
     draws = [
-        put_artifact(
+        put(
             store,
             "chains",
             density,
@@ -141,7 +142,7 @@ def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(s
         )
         for density in ("prior_only", "ic")
     ]
-    variants = put_artifact(
+    variants = put(
         store,
         "augmentation",
         "variants",

@@ -12,12 +12,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera, PinholeCamera
 from pasdedeux.projections.database import Database, concatenate
 from pasdedeux.projections.retarget import centre_and_face
-from pasdedeux.projections.search import (
-    SLACK_BEYOND,
-    ProjectionIndex,
-    build_index,
-    measure_recall,
-)
+from pasdedeux.projections.search import SLACK_BEYOND, ProjectionIndex, build_index, measure_recall
 from tests.builders.walkers import random_poses, walk
 
 CAMERAS: list[DatabaseCamera] = [OrthographicCamera(), OrthographicCamera(0.35), PinholeCamera(distance_m=3.0)]

@@ -34,10 +34,7 @@ def test_both_people_scale_alike_under_ab() -> None:
 
 def test_letters_name_those_who_are_there_and_each_variation_is_made_once() -> None:
     settings = VariationSettings(
-        kinds=("uniform", "drawn"),
-        scales=(0.9,),
-        persons=("A", "CA", "B", "all"),
-        drawn=DrawnScales(count=1),
+        kinds=("uniform", "drawn"), scales=(0.9,), persons=("A", "CA", "B", "all"), drawn=DrawnScales(count=1)
     )
     made = {
         count: make_variations(settings, lambda *labels: np.random.default_rng(len(str(labels))), count)

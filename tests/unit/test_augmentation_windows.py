@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pasdedeux.augmentation import (
-    AugmentationSettings,
-    Augmenter,
-    Source,
-    UserContact,
-    uniform_variations,
-)
+from pasdedeux.augmentation import AugmentationSettings, Augmenter, Source, UserContact, uniform_variations
 from pasdedeux.augmentation.windows import blend_weights, plan_windows
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import bone_lengths

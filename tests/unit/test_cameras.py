@@ -6,14 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pasdedeux.cameras import (
-    PinholeCamera,
-    ViewDistribution,
-    annotate,
-    frame_take,
-    look_at_camera,
-    sample_views,
-)
+from pasdedeux.cameras import PinholeCamera, ViewDistribution, annotate, frame_take, look_at_camera, sample_views
 from pasdedeux.errors import InputError
 
 

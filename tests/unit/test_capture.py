@@ -65,15 +65,9 @@ FAULTS: dict[str, tuple[Callable[[Array], Array], str]] = {
         one_changed(lambda body: body + np.linspace(0.0, 8.0, len(body))[:, None, None] * [1.0, 0.0, 0.0]),
         "A: the feet slide at 1.0",
     ),
-    "noise": (
-        one_changed(lambda body: body + np.random.default_rng(1).normal(0.0, 0.03, body.shape)),
-        "m/s3",
-    ),
+    "noise": (one_changed(lambda body: body + np.random.default_rng(1).normal(0.0, 0.03, body.shape)), "m/s3"),
     "partners far apart": (lambda pair: pair + np.array([[[0.0, 0.0, 0.0]], [[9.0, 0.0, 0.0]]]), "come no nearer than"),
-    "through each other": (
-        lambda pair: pair - pair[:, :, :1] * [1.0, 0.0, 1.0],
-        "the partners' spines come to",
-    ),
+    "through each other": (lambda pair: pair - pair[:, :, :1] * [1.0, 0.0, 1.0], "the partners' spines come to"),
 }
 
 

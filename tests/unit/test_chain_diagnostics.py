@@ -23,11 +23,7 @@ SEED = standing_pair()
 def report(log_density: np.ndarray, *, num_accepted: int = 1) -> object:
     pairs = random_pairs(np.random.default_rng(1), len(log_density))
     (found,) = diagnose(
-        pairs[None],
-        log_density[None],
-        np.full((1, len(log_density)), num_accepted),
-        thin=4,
-        log_ceiling=5.0,
+        pairs[None], log_density[None], np.full((1, len(log_density)), num_accepted), thin=4, log_ceiling=5.0
     )
     return found
 

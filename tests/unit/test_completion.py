@@ -137,10 +137,7 @@ def test_a_hidden_wrist_is_completed_better_than_by_the_mean_pair() -> None:
             PAIRS.mean(axis=0).reshape(-1, 3)
         )
         errors.append(
-            [
-                np.linalg.norm(done.fitted_m[0, WRIST] - pair[0, WRIST]),
-                np.linalg.norm(mean[WRIST] - pair[0, WRIST]),
-            ]
+            [np.linalg.norm(done.fitted_m[0, WRIST] - pair[0, WRIST]), np.linalg.norm(mean[WRIST] - pair[0, WRIST])]
         )
         is_visible = np.isfinite(seen)
         np.testing.assert_array_equal(done.pair_m[is_visible], pair[is_visible])

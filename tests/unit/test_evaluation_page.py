@@ -9,8 +9,8 @@ from tasks.evaluation import STAGE
 from tasks.stage import StageInputs
 from tasks.summary import summary_of
 from tests.builders.pages import Page
-from tests.builders.storage_rows import random_columns
-from tests.builders.walking_takes import put_artifact, put_take
+from tests.builders.storage_rows import put, random_columns
+from tests.builders.walking_takes import put_take
 
 MARKUP = '"><script>alert(1)</script> & <b>'
 
@@ -43,7 +43,7 @@ def test_a_run_of_one_stage_has_a_page_that_says_what_is_not_there_and_which_key
     assert "`evaluation.num_completed_pairs`" in text
     assert "1 take" in card
     assert "othing to show" not in card, "the card says what the data leaves out, not the page"
-    assert "walkers (CC0)" in text
+    assert "made up (CC0)" in text
 
 
 def test_takes_that_do_not_fit_lie_beside_the_page_which_says_so(tmp_path: Path) -> None:
@@ -60,5 +60,5 @@ def test_takes_that_do_not_fit_lie_beside_the_page_which_says_so(tmp_path: Path)
 
 def test_a_model_of_many_arrays_is_one_model(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    made = [put_artifact(store, "training", name, {"models": random_columns("models", 5)}, {}) for name in "ab"]
+    made = [put(store, "training", name, {"models": random_columns("models", 5)}, {}) for name in "ab"]
     assert summary_of(made).built.startswith("2 models (")

@@ -23,15 +23,14 @@ from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tests.builders.own_sources import write_walk
 from tests.builders.source_samples import bvh_text
-from tests.builders.storage_rows import random_columns
+from tests.builders.storage_rows import put, random_columns
 from tests.builders.walkers import reconstruction, walk
-from tests.builders.walking_takes import put_artifact
 
 
 def exported(tmp_path: Path, columns: dict[str, Any], facts: dict[str, Any]) -> dict[str, Motion]:
     """Return the motions of the BVH files that reconstructed ones become, by the name of their file."""
     store = Store(tmp_path / "store")
-    ref = put_artifact(store, "reconstruction", "walk", {"motions": columns}, facts).ref
+    ref = put(store, "reconstruction", "walk", {"motions": columns}, facts).ref
     export_reference(store, f"motions@{ref.key[:8]}", "bvh", tmp_path / "out")
     return {
         path.stem: read_bvh(path.read_bytes()).to_motion(metres_per_unit=0.01, rate_hz=30.0, up_axis="y")

@@ -142,7 +142,9 @@ def test_an_unknown_study_is_answered_with_those_that_ship() -> None:
 
 def test_a_study_file_that_is_not_there_or_not_toml_is_refused(tmp_path: Path) -> None:
     assert "does not exist" in problems(tmp_path / "none.toml")[0]
-    assert "not valid TOML" in problems(write(tmp_path, "[grow\n"))[0]
+    (found,) = problems(write(tmp_path, "[grow\n"))
+    assert "not valid TOML" in found
+    assert "line 3" in found
 
 
 def test_a_study_without_a_name_or_with_a_path_for_one_is_refused(tmp_path: Path) -> None:

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
 from pasdedeux.experiments.detections import film, people_of
 from pasdedeux.experiments.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
-from pasdedeux.people.faults import FaultOptions, RepairedCrowd, repair_faults
+from pasdedeux.people.faults import RepairedCrowd, repair_faults
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
 
@@ -114,5 +113,3 @@ def test_scraps_are_left_as_they_are_and_bad_input_is_named() -> None:
         repair_faults(np.zeros((5, 14, 2)), np.ones((5, 14)), rate_hz=30.0)
     with pytest.raises(InputError, match="rate"):
         repair_faults(np.zeros((1, 5, 14, 2)), np.ones((1, 5, 14)), rate_hz=-1.0)
-    with pytest.raises(ValidationError):
-        FaultOptions(mask_cost=0.0)

@@ -14,12 +14,7 @@ from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import centre_and_face
 from pasdedeux.projections.search import Neighbours, build_index
 from pasdedeux.reconstruction.bones import bone_rotations
-from pasdedeux.reconstruction.smoothing import (
-    OneEuro,
-    OneEuroFilter,
-    bridge_gaps,
-    smooth_savitzky_golay,
-)
+from pasdedeux.reconstruction.smoothing import OneEuro, OneEuroFilter, bridge_gaps, smooth_savitzky_golay
 from pasdedeux.reconstruction.temporal import (
     FixedLagViterbi,
     TemporalWeights,

@@ -7,11 +7,7 @@ import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.shape_context import (
-    ShapeCoverage,
-    plane_shape_dissimilarity,
-    shape_bins,
-)
+from pasdedeux.interaction.shape_context import ShapeCoverage, plane_shape_dissimilarity, shape_bins
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from tests.builders.oracles_interaction import pair_shape_dissimilarity
 

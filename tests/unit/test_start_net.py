@@ -114,9 +114,7 @@ def test_numbers_that_are_not_finite_end_training_and_are_named() -> None:
     with pytest.raises(InputError, match=r"start_net: step \d+ came to a number that is not finite on takes sway"):
         StartNetModel.train(
             Training(
-                lambda: iter([replace(item, motion_m=broken) for item in items]),
-                settings=FEW,
-                start=RidgeScaleModel(),
+                lambda: iter([replace(item, motion_m=broken) for item in items]), settings=FEW, start=RidgeScaleModel()
             )
         )
     with pytest.raises(InputError, match="device 'abacus' cannot be used"):

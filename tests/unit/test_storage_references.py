@@ -139,10 +139,7 @@ def test_what_a_reference_does_not_find_is_said_with_what_is_there(store: Store,
 def test_a_prefix_of_two_keys_is_refused_with_both(store: Store) -> None:
     keys = ["ab12" + "0" * 60, "ab12" + "1" * 60]
     for key in keys:
-        store.commit(
-            **about(key),
-            tables={"poses": random_columns("poses", 1)},
-        )
+        store.commit(**about(key), tables={"poses": random_columns("poses", 1)})
     with pytest.raises(UnknownReference, match=r"names 2 artifacts; give more digits: ingest@ab12.*, ingest@ab12"):
         resolve("poses@ab12", store)
     assert resolve("poses@ab121", store)[0].key == keys[1]

@@ -29,14 +29,7 @@ class ArtifactWriter:
     `timings` are seconds by name, in no digest; they may be set until the block ends.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        where: Path,
-        facts: Mapping[str, Any],
-        sources: Sequence[SourceCredit],
-    ) -> None:
+    def __init__(self, folder: Path, *, where: Path, facts: Mapping[str, Any], sources: Sequence[SourceCredit]) -> None:
         self.facts: dict[str, Any] = dict(facts)
         self.timings: dict[str, float] = {}
         self.sources: list[SourceCredit] = list(sources)

@@ -69,8 +69,7 @@ class AugmentationParameters(SolvedParameters):
     """Which variants are made, and how."""
 
     contacts: dict[str, tuple[UserContact, ...]] = Field(
-        {},
-        description="Contacts stated by take, in place of what is found between their bones, and of the take's own",
+        {}, description="Contacts stated by take, in place of what is found between their bones, and of the take's own"
     )
     variants_per_shard: int = Field(32, ge=1, le=1000, description="Variants of a take in one unit of work")
 

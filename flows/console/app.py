@@ -122,8 +122,7 @@ def command_line() -> typer.Typer:
 
     @app.callback()
     def options(
-        context: typer.Context,
-        debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error."),
+        context: typer.Context, debug: bool = typer.Option(False, "--debug", help="Show the traceback of an error.")
     ) -> None:
         context.obj.is_debug = debug
 

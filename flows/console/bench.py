@@ -28,8 +28,7 @@ app = typer.Typer(rich_markup_mode=None)
 def bench(
     stage: Annotated[str | None, typer.Argument(metavar="[STAGE]", help="One stage; all when none.")] = None,
     large: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Also measure databases of N projections; 2 GB for 10^7."),
+        int | None, typer.Option(min=1, metavar="N", help="Also measure databases of N projections; 2 GB for 10^7.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

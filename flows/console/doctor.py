@@ -13,13 +13,7 @@ from pathlib import Path
 import typer
 
 from flows.console.context import JsonOption, StoreOption, print_json
-from flows.machine import (
-    GIB,
-    free_bytes,
-    memory_bytes,
-    nearest_folder,
-    usable_cores,
-)
+from flows.machine import GIB, free_bytes, memory_bytes, nearest_folder, usable_cores
 from flows.prefect_server import ServerError, check_server
 from tasks.shards import worker_environment
 

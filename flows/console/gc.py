@@ -62,10 +62,7 @@ def gc(
 def _by_stage(found: Collection) -> dict[str, tuple[int, int, int, int]]:
     """Return number and bytes of what stays and of what goes: for each stage, for the folders of runs, for all."""
     counts: Counter[tuple[str, int]] = Counter()
-    for at, stored, runs in (
-        (0, found.artifacts.kept, found.kept_runs),
-        (2, found.artifacts.going, found.going_runs),
-    ):
+    for at, stored, runs in ((0, found.artifacts.kept, found.kept_runs), (2, found.artifacts.going, found.going_runs)):
         for name, num_bytes in [
             *((one.place[0], one.num_bytes) for one in stored),
             *(("runs", n) for n in runs.values()),

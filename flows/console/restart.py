@@ -83,10 +83,7 @@ def restart(
     if num_chains is not None:
         tree["chains"]["num_chains"] = num_chains
     study, graph = study_from_tree(
-        StudyTree(name, tree, {(): Path.cwd()}),
-        graph_of(context),
-        here=Path.cwd(),
-        settings=settings or (),
+        StudyTree(name, tree, {(): Path.cwd()}), graph_of(context), here=Path.cwd(), settings=settings or ()
     )
     out.mkdir(parents=True, exist_ok=True)
     path.write_text(write_pair_json(chosen.pair), encoding="utf-8")

@@ -39,12 +39,7 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     for study in described["studies"]:
         typer.echo(f"study {study['study']}, last run {study['run_id']}")
         rows = [
-            (
-                f"  {s['stage']}",
-                str(s["num_shards"]),
-                str(s["num_there"]),
-                f"{s['bytes'] / 1e6:.1f} MB",
-            )
+            (f"  {s['stage']}", str(s["num_shards"]), str(s["num_there"]), f"{s['bytes'] / 1e6:.1f} MB")
             for s in study["stages"]
         ]
         print_table(("  stage", "shards", "there", "size"), rows)

@@ -11,13 +11,7 @@ import numpy.typing as npt
 from pasdedeux.augmentation.bulk import project_to_bones
 from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
-from pasdedeux.augmentation.source import (
-    Source,
-    complete_scales,
-    points_of,
-    reference_motion,
-    scaled_lengths,
-)
+from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths
 from pasdedeux.augmentation.variations import Variation
 from pasdedeux.augmentation.window_solver import SOLVERS, WindowSolver
 from pasdedeux.augmentation.windows import OVERLAP_S, blend_weights, plan_windows
@@ -89,11 +83,7 @@ class Augmenter:
     """
 
     def __init__(
-        self,
-        source: Source,
-        settings: AugmentationSettings | None = None,
-        *,
-        user_contacts: Sequence[UserContact] = (),
+        self, source: Source, settings: AugmentationSettings | None = None, *, user_contacts: Sequence[UserContact] = ()
     ) -> None:
         self.settings = settings or AugmentationSettings()
         if self.settings.floor_m is not None:

@@ -64,10 +64,7 @@ class Clearance:
 
 
 def find_clearance(
-    source: Source,
-    weight_between: float,
-    weight_within: float,
-    girth: Girths = (1.0, 1.0),
+    source: Source, weight_between: float, weight_within: float, girth: Girths = (1.0, 1.0)
 ) -> Clearance:
     """Find the pairs of bones that are near each other in the source, or would be with their new girth."""
     model = capsule_model(BODY22)

@@ -94,12 +94,6 @@ def _catmull_rom(frames: Indices, total: int) -> tuple[Indices, Array]:
     first = np.minimum(place.astype(np.intp), max(last - 1, 0))
     t = place - first
     shares = 0.5 * np.stack(
-        [
-            -t + 2.0 * t**2 - t**3,
-            2.0 - 5.0 * t**2 + 3.0 * t**3,
-            t + 4.0 * t**2 - 3.0 * t**3,
-            -(t**2) + t**3,
-        ],
-        axis=-1,
+        [-t + 2.0 * t**2 - t**3, 2.0 - 5.0 * t**2 + 3.0 * t**3, t + 4.0 * t**2 - 3.0 * t**3, -(t**2) + t**3], axis=-1
     )
     return np.clip(first[:, None] + np.arange(-1, 3), 0, last), shares

@@ -21,14 +21,7 @@ from pasdedeux.settings import Settings
 from pasdedeux.skeletons import BODY22, PAIR17, JointMap
 from pasdedeux.verdict import Level, Verdict
 
-__all__ = [
-    "FrameLimits",
-    "FrameQuality",
-    "Measured",
-    "Quality",
-    "QualityLimits",
-    "QualityMeter",
-]
+__all__ = ["FrameLimits", "FrameQuality", "Measured", "Quality", "QualityLimits", "QualityMeter"]
 
 Array = npt.NDArray[np.float64]
 

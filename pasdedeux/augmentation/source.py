@@ -229,11 +229,7 @@ def scaled_lengths(source: Source, bone_scale: Array) -> Array:
 
 
 def widened_m(
-    lengths_m: Array,
-    bones: npt.NDArray[np.int64],
-    source: Source,
-    girth: Girths,
-    bone_scale: Array,
+    lengths_m: Array, bones: npt.NDArray[np.int64], source: Source, girth: Girths, bone_scale: Array
 ) -> Array:
     """Return distances of points of bones in bodies of another girth (variant, *batch), metres.
 

@@ -44,13 +44,7 @@ from pasdedeux.augmentation.variations import persons_of
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.skeletons import BODY22
 
-__all__ = [
-    "bending_rows",
-    "build_problem",
-    "build_targets",
-    "right_hand_side",
-    "temporal_couplings",
-]
+__all__ = ["bending_rows", "build_problem", "build_targets", "right_hand_side", "temporal_couplings"]
 
 Array = npt.NDArray[np.float64]
 

@@ -148,8 +148,7 @@ def _chain() -> BenchmarkResult:
         unit="steps",
         fast_name="compiled, level drawn first",
         fast_per_s=measure_rate(
-            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed),
-            count=100,
+            lambda: run_segment(rng, state, target, propose, num_draws=10, thin=10, gauge=chart.gauge_fixed), count=100
         ),
         plain_name="numpy",
         plain_per_s=measure_rate(plain_step),

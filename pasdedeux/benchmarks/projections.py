@@ -23,12 +23,7 @@ from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M, centre_and_face
-from pasdedeux.projections.search import (
-    Neighbours,
-    build_index,
-    prepare_query,
-    recall,
-)
+from pasdedeux.projections.search import Neighbours, build_index, prepare_query, recall
 from pasdedeux.reconstruction.bones import place_bone_rotations
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePeople
 from pasdedeux.reconstruction.live.cleanup import LiveCleanUp

@@ -37,6 +37,8 @@ PERSON_HEIGHT_M = 1.7
 
 
 _JUNK_CONFIDENCE = (0.05, 0.2)
+_MIN_DEPTH_M = 1.0
+"""Nothing that a camera sees is nearer than this."""
 _WALK_M_S = 1.3
 """Comfortable walking speed (Bohannon 1997)."""
 _MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
@@ -148,25 +150,19 @@ def frame_take(
     distance_m: float,
     yaw_rad: float,
     pitch_rad: float,
-    person_height_px: float = PERSON_HEIGHT_PX,
-    person_height_m: float = PERSON_HEIGHT_M,
     image_size_px: tuple[int, int] | None = None,
-    min_depth_m: float = 1.0,
 ) -> VirtualView:
-    """Return a camera that looks at the mean root and sees a person of `person_height_m` about `person_height_px` tall.
+    """Return a camera that looks at the mean root and sees a person of 1.7 m about 600 px tall.
 
     Args:
         positions: Every joint of every person and frame to be seen, (*batch, 3), metres.
         roots: Roots of the people, (*batch, 3), metres; their mean is looked at.
         distance_m: Wanted distance from the camera to the mean root; grown where a joint would come nearer than
-            `min_depth_m` to the image plane.  The focal length grows with it, so people keep their size.
+            1 m to the image plane.  The focal length grows with it, so people keep their size.
         yaw_rad: Azimuth of the camera.
         pitch_rad: Elevation of the camera.
-        person_height_px: Height in the image of an upright person at the mean root, pixels.
-        person_height_m: Height of that person, metres.
         image_size_px: Width and height; when not given, the smallest image of at least 1280 x 720 in steps of 16 that
             holds every joint with a margin of 5 % of the person's height.
-        min_depth_m: Least depth of any joint, metres.
 
     Raises:
         InputError: There are no finite positions or roots.
@@ -180,8 +176,8 @@ def frame_take(
     target = centres.mean(axis=0)
     angles = ViewAngles(yaw_rad=np.array([yaw_rad]), pitch_rad=np.array([pitch_rad]))
     towards = float(((points - target) @ angles.directions()[0]).max())
-    distance = max(distance_m, towards + min_depth_m)
-    focal = person_height_px * distance / person_height_m
+    distance = max(distance_m, towards + _MIN_DEPTH_M)
+    focal = PERSON_HEIGHT_PX * distance / PERSON_HEIGHT_M
 
     def camera(size: tuple[int, int]) -> PinholeCamera:
         return look_at_camera(
@@ -189,7 +185,7 @@ def frame_take(
         )
 
     if image_size_px is None:
-        reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * person_height_px
+        reach = np.abs(camera((2, 2)).project(points).px - 1.0).max(axis=0) + 0.05 * PERSON_HEIGHT_PX
         size = np.maximum(np.ceil(2.0 * reach / 16.0).astype(int) * 16, [1280, 720])
         image_size_px = (int(size[0]), int(size[1]))
     return VirtualView(camera=camera(image_size_px), distance_m=distance, yaw_rad=yaw_rad, pitch_rad=pitch_rad)

@@ -26,9 +26,7 @@ class RetrievalOptions(Settings):
 
     num_neighbours: int = Field(8, ge=1, le=1000, description="Near draws that a pair's depth is averaged over")
     neighbour_deviation_m: float = Field(
-        0.03,
-        gt=0,
-        description="Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws, metres",
+        0.03, gt=0, description="Width s of the weights exp(-(d^2 - d_nearest^2) / (2 s^2)) of near draws, metres"
     )
 
 

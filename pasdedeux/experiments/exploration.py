@@ -18,11 +18,7 @@ _COVERAGE = {
     "as_good_as_real_frames_D_C": "as good as",
     "draw_to_nearest_real_D_C_median": "draw to nearest real, median",
 }
-_CHAINS = {
-    "acceptance_rate_mean": "accepted",
-    "travelled_mean": "travelled",
-    "ess_min": "smallest ESS",
-}
+_CHAINS = {"acceptance_rate_mean": "accepted", "travelled_mean": "travelled", "ess_min": "smallest ESS"}
 
 
 def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> list[TextTable]:

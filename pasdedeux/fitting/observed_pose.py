@@ -36,6 +36,8 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 _DEPTH_HOLD = 1e-2
+_FEWEST_DIFFERENCES = 5
+"""Fewer third differences than this say nothing of the noise."""
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,13 @@ class ObservedFit:
     Args:
         positions_m: (T, N, 3), metres; x and y as observed, z about the first guess's.
         noise_m: Standard deviation of the image that was measured and used (N,), metres.
-        residual_m: Distance of each joint from its observation (T, N); NaN where not seen.
     """
 
     positions_m: Array
     noise_m: Array
-    residual_m: Array
 
 
-def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_], *, window: int = 5) -> float:
+def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_]) -> float:
     """Return the standard deviation of the noise of observed joints (T, N, 2) from third differences; 0 for too few.
 
     The third difference of white noise has 20 times its variance, and little of a motion; the median of its size over
@@ -126,7 +126,7 @@ def image_noise(observed_m: Array, is_seen: npt.NDArray[np.bool_], *, window: in
         return 0.0
     third = np.diff(observed_m, n=3, axis=0)
     all_seen = is_seen[3:] & is_seen[2:-1] & is_seen[1:-2] & is_seen[:-3]
-    if int(all_seen.sum()) < window:
+    if int(all_seen.sum()) < _FEWEST_DIFFERENCES:
         return 0.0
     return float(np.median(np.abs(third[all_seen])) / 0.6745 / np.sqrt(20.0))
 
@@ -183,12 +183,12 @@ def fit_observed(
         stop = FitSettings(settings.max_iterations, settings.tolerance)
         result = fit_bones(forest, state, [image, smooth, bones], stop)
         state, positions = result.state, result.positions_m
-        residual = np.linalg.norm(flatten_image(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
-        residual = np.where(is_seen, residual, np.nan)
         if round_number < settings.num_rounds - 1:
+            residual = np.linalg.norm(flatten_image(observed_m, positions, distance_m) - positions[..., :2], axis=-1)
+            residual = np.where(is_seen, residual, np.nan)
             noise = np.maximum(noise, _joint_noise(residual))
             robust = 1.0 / (1.0 + (np.nan_to_num(residual) / (3.0 * noise)) ** 2)
-    return ObservedFit(positions, noise, residual)
+    return ObservedFit(positions, noise)
 
 
 def flatten_image(observed_m: Array, positions_m: Array, distance_m: Array | float | None) -> Array:

@@ -370,10 +370,7 @@ def _parse_header(lines: list[str]) -> BvhHeader:
             f"allowed: {MIN_FRAME_TIME_S:g} to {MAX_FRAME_TIME_S:g}"
         )
     return BvhHeader(
-        **vars(hierarchy),
-        num_frames=num_frames,
-        rate_hz=rate_from_frame_time(time_text),
-        first_line=time_line + 1,
+        **vars(hierarchy), num_frames=num_frames, rate_hz=rate_from_frame_time(time_text), first_line=time_line + 1
     )
 
 

@@ -15,15 +15,7 @@ from pasdedeux.formats.source_motion import UP_AXES, SourceMotion
 from pasdedeux.kinematics.forward import forward_kinematics
 from pasdedeux.skeletons.layouts import find_layout
 
-__all__ = [
-    "AxisGuess",
-    "MotionGuess",
-    "UnitGuess",
-    "common_up_axis",
-    "guess_motion",
-    "guess_unit",
-    "guess_up_axis",
-]
+__all__ = ["AxisGuess", "MotionGuess", "UnitGuess", "common_up_axis", "guess_motion", "guess_unit", "guess_up_axis"]
 
 Array = npt.NDArray[np.float64]
 

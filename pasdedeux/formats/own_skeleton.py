@@ -15,14 +15,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.formats.euler import identity_unitquat
-from pasdedeux.kinematics import (
-    Motion,
-    best_rotation,
-    bone_directions,
-    bone_lengths,
-    forward_kinematics,
-    place_bones,
-)
+from pasdedeux.kinematics import Motion, best_rotation, bone_directions, bone_lengths, forward_kinematics, place_bones
 from pasdedeux.kinematics.rotations import conjugate, multiply, normalise, rotate, swing_between, unitquat_from_rotmat
 from pasdedeux.skeletons import BODY22, Skeleton
 from pasdedeux.skeletons.humanoid import t_pose
@@ -238,10 +231,7 @@ class OwnSkeleton:
                     turn[:, joint] = _turn_onto(start, end)
             world[:, joint] = multiply(turn[:, joint], old_world[:, joint])
         return replace(
-            source,
-            rest_offsets_m=offsets,
-            root_translation_m=place[:, root],
-            local_unitquat=_local(skeleton, world),
+            source, rest_offsets_m=offsets, root_translation_m=place[:, root], local_unitquat=_local(skeleton, world)
         )
 
     def worn(self, body22_m: Array, bone_scale: Array) -> OwnSkeleton:

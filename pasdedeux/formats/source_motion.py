@@ -51,9 +51,7 @@ class SourceMotion:
     def frames(self, start: int, stop: int) -> SourceMotion:
         """Return frames `start` to `stop` (exclusive)."""
         return replace(
-            self,
-            root_translation=self.root_translation[start:stop],
-            local_unitquat=self.local_unitquat[start:stop],
+            self, root_translation=self.root_translation[start:stop], local_unitquat=self.local_unitquat[start:stop]
         )
 
     @classmethod

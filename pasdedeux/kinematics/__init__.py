@@ -1,13 +1,7 @@
 """Kinematics: rotations, forward kinematics, bone lengths, rigid alignment, motions."""
 
 from pasdedeux.kinematics.alignment import RigidTransform, align_rigid, best_rotation
-from pasdedeux.kinematics.forward import (
-    bone_directions,
-    bone_lengths,
-    forward_kinematics,
-    local_rotations,
-    place_bones,
-)
+from pasdedeux.kinematics.forward import bone_directions, bone_lengths, forward_kinematics, local_rotations, place_bones
 from pasdedeux.kinematics.motion import Motion
 
 __all__ = [

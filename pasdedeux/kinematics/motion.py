@@ -81,9 +81,7 @@ class Motion:
     def slice(self, start: int, stop: int) -> Motion:
         """Return frames `start` to `stop` (exclusive)."""
         return replace(
-            self,
-            root_translation_m=self.root_translation_m[start:stop],
-            local_unitquat=self.local_unitquat[start:stop],
+            self, root_translation_m=self.root_translation_m[start:stop], local_unitquat=self.local_unitquat[start:stop]
         )
 
     def resample(self, rate_hz: float) -> Motion:

@@ -18,16 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
 
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import body_size_px
 from pasdedeux.people.identity_kernels import MIN_TRUST
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
 __all__ = [
-    "FaultOptions",
     "RepairedCrowd",
     "repair_exchanges",
     "repair_faults",
@@ -49,28 +46,19 @@ _MEMORY_S = 0.2
 """Joints not seen for longer than this say nothing about continuity."""
 
 _USUAL_QUANTILE = 0.95
-
-
-class FaultOptions(Settings):
-    """What counts as a fault.  Lengths are shares of the size of the body in the image (about its height)."""
-
-    relabel_cost: float = Field(
-        0.004, gt=0, description="Cost of a frame with changed labels, in second differences (mean over joints)"
-    )
-    switch_cost: float = Field(0.02, gt=0, description="Cost of a change of the labelling between two frames")
-    speed_per_s: float = Field(
-        3.0, gt=0, description="Speed up to which what a joint moves between two frames costs nothing"
-    )
-    usual_speeds: float = Field(2.0, gt=0, description="... but at most this many times the joint's usual top speed")
-    mask_cost: float = Field(
-        0.012, gt=0, description="Cost of masking a joint in one frame, against 1 for a jump of the body's size"
-    )
-    longest_wild_s: float = Field(
-        0.4, ge=0, description="A joint that is elsewhere for longer than this is taken to be there"
-    )
-    bone_excess: float = Field(
-        1.4, gt=0, description="A bone this many times as long as it usually is at most cannot be that bone"
-    )
+# Lengths are shares of the size of the body in the image (about its height).
+_RELABEL_COST = 0.004
+"""Cost of a frame with changed labels, in second differences (mean over joints)."""
+_SWITCH_COST = 0.02
+"""Cost of a change of the labelling between two frames."""
+_SPEED_PER_S, _USUAL_SPEEDS = 3.0, 2.0
+"""Speed up to which what a joint moves between two frames costs nothing, but at most this many times its top speed."""
+_MASK_COST = 0.012
+"""Cost of masking a joint in one frame, against 1 for a jump of the body's size."""
+_LONGEST_WILD_S = 0.4
+"""A joint that is elsewhere for longer than this is taken to be there."""
+_BONE_EXCESS = 1.4
+"""A bone this many times as long as it usually is at most cannot be that bone."""
 
 
 @dataclass(frozen=True)
@@ -107,16 +95,13 @@ class RepairedCrowd:
         return self.is_swapped | self.is_exchanged | self.is_masked
 
 
-def repair_faults(
-    keypoints_px: Array, confidence: Array, *, rate_hz: float, options: FaultOptions | None = None
-) -> RepairedCrowd:
+def repair_faults(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> RepairedCrowd:
     """Repair or mask the faults of people seen together.
 
     Args:
         keypoints_px: (person, frame, 14, 2), people whose identities are known; NaN where not seen.
         confidence: (person, frame, 14), 0 where not seen.
         rate_hz: Frames per second.
-        options: What counts as a fault.
 
     Returns:
         The repaired keypoints.  Who is seen in fewer than three frames is left as they are.
@@ -124,7 +109,6 @@ def repair_faults(
     Raises:
         InputError: Shapes that do not fit, or a rate that is not positive.
     """
-    options = options or FaultOptions()
     people = len(keypoints_px)
     if keypoints_px.ndim != 4 or keypoints_px.shape[2:] != (14, 2) or confidence.shape != keypoints_px.shape[:3]:
         raise InputError(
@@ -143,7 +127,7 @@ def repair_faults(
     for person, own in enumerate(spans):
         if own.stop - own.start < 3:
             continue
-        source = repair_sides(_trusted(points[person, own], weight[person, own]), rate_hz=rate_hz, options=options)
+        source = repair_sides(_trusted(points[person, own], weight[person, own]), rate_hz=rate_hz)
         points[person, own] = np.take_along_axis(points[person, own], source[..., None], axis=1)
         weight[person, own] = np.take_along_axis(weight[person, own], source, axis=1)
         source_joint[person, own] = source
@@ -155,25 +139,22 @@ def repair_faults(
                 continue
             at = np.ix_([first, second], common)
             pair = np.stack([_trusted(points[one, common], weight[one, common]) for one in (first, second)])
-            exchanged = repair_exchanges(pair, rate_hz=rate_hz, options=options)
+            exchanged = repair_exchanges(pair, rate_hz=rate_hz)
             for given in (points, weight, source_person, source_joint):
                 two = given[at]
                 given[at] = np.where(exchanged.reshape(1, *exchanged.shape, *(1,) * (two.ndim - 3)), two[::-1], two)
     for person, own in enumerate(spans):
         if own.stop - own.start >= 3:
-            is_masked[person, own] = wild_joints(
-                points[person, own], weight[person, own], rate_hz=rate_hz, options=options
-            )
+            is_masked[person, own] = wild_joints(points[person, own], weight[person, own], rate_hz=rate_hz)
     points = np.where(is_masked[..., None], np.nan, points)
     return RepairedCrowd(points, np.where(is_masked, 0.0, weight), source_person, source_joint, is_masked)
 
 
-def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Integers:
+def repair_sides(keypoints_px: Array, *, rate_hz: float) -> Integers:
     """Return for each frame and joint of a person the joint whose keypoint it really is (frame, 14).
 
     The four labellings of a frame: as given, arms swapped, legs swapped, both.
     """
-    options = options or FaultOptions()
     sources = np.tile(np.arange(14), (_SIDE_STATES, 1))
     for state in range(_SIDE_STATES):
         for bit, side in ((1, _ARMS), (2, _LEGS)):
@@ -183,63 +164,55 @@ def repair_sides(keypoints_px: Array, *, rate_hz: float, options: FaultOptions |
     used = np.concatenate([_ARMS, _MIRROR[np.array(_ARMS)], _LEGS, _MIRROR[np.array(_LEGS)]])
     states = keypoints_px[:, sources][:, :, used]
     changed = np.array([np.count_nonzero(source != np.arange(14)) for source in sources]) / len(used)
-    path = _smoothest(states, changed, track_size_px(keypoints_px), rate_hz, options)
+    path = _smoothest(states, changed, track_size_px(keypoints_px), rate_hz)
     return np.asarray(sources[path], dtype=np.int64)
 
 
-def repair_exchanges(pair_px: Array, *, rate_hz: float, options: FaultOptions | None = None) -> Booleans:
+def repair_exchanges(pair_px: Array, *, rate_hz: float) -> Booleans:
     """Tell which joints of two people (2, frame, 14, 2) were given to the wrong one (frame, 14), limb by limb."""
-    options = options or FaultOptions()
     exchanged = np.zeros(pair_px.shape[1:3], dtype=bool)
     size = np.nanmax([track_size_px(pair_px[0]), track_size_px(pair_px[1])], axis=0)
     for limb in _EXCHANGED_LIMBS:
         own = pair_px[:, :, np.array(limb)]
         given = np.concatenate([own[0], own[1]], axis=1)
         other = np.concatenate([own[1], own[0]], axis=1)
-        path = _smoothest(np.stack([given, other], axis=1), np.array([0.0, 1.0]), size, rate_hz, options)
+        path = _smoothest(np.stack([given, other], axis=1), np.array([0.0, 1.0]), size, rate_hz)
         # Exchange needs both limbs; with one missing it may be the partner's or one's own, so masking decides.
         is_complete = np.isfinite(given).all(axis=(-1, -2))
         exchanged[:, np.array(limb)] = ((path == 1) & is_complete)[:, None]
     return exchanged
 
 
-def wild_joints(
-    keypoints_px: Array, confidence: Array, *, rate_hz: float, options: FaultOptions | None = None
-) -> Booleans:
+def wild_joints(keypoints_px: Array, confidence: Array, *, rate_hz: float) -> Booleans:
     """Tell which joints of a person (frame, 14) are where they cannot have got to, or end a bone that is too long."""
-    options = options or FaultOptions()
     size = track_size_px(_trusted(keypoints_px, confidence))
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
-    is_wild = wild_points(keypoints_px, confidence, size, rate_hz=rate_hz, options=options)
+    is_wild = wild_points(keypoints_px, confidence, size, rate_hz=rate_hz)
     for parent, child in OP14.bones:
         both = is_seen[:, parent] & is_seen[:, child] & ~is_wild[:, parent] & ~is_wild[:, child]
         if both.sum() < 10:
             continue
         length = np.linalg.norm(keypoints_px[:, child] - keypoints_px[:, parent], axis=-1) / size
         usual = float(np.quantile(length[both], _USUAL_QUANTILE))
-        is_wild[:, child] |= both & (length > options.bone_excess * usual)
+        is_wild[:, child] |= both & (length > _BONE_EXCESS * usual)
     return is_wild
 
 
-def wild_points(
-    keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float, options: FaultOptions | None = None
-) -> Booleans:
+def wild_points(keypoints_px: Array, confidence: Array, size_px: Array, *, rate_hz: float) -> Booleans:
     """Tell which keypoints of a person (frame, K) are where they cannot have got to.
 
-    Per keypoint the cheapest chain of kept frames: dropping a frame costs `mask_cost` times the trust in it, going from
-    one kept frame to the next costs the distance beyond what the speed allows.
+    Per keypoint the cheapest chain of kept frames: dropping a frame costs `_MASK_COST` times the trust in it, going
+    from one kept frame to the next costs the distance beyond what the speed allows.
 
     Args:
         keypoints_px: (frame, K, 2); NaN where not seen.
         confidence: (frame, K); 0 where not seen.
         size_px: Size of the person in the image (frame,).
         rate_hz: Frames per second.
-        options: What counts as a fault.
     """
-    options = options or FaultOptions()
     is_seen = np.isfinite(keypoints_px).all(axis=-1) & (confidence > 0)
     trust, is_wild = _trust(confidence), np.zeros(is_seen.shape, dtype=bool)
-    reach = max(2, round(options.longest_wild_s * rate_hz))
+    reach = max(2, round(_LONGEST_WILD_S * rate_hz))
     for point in range(is_seen.shape[1]):
         frames = np.flatnonzero(is_seen[:, point])
         if len(frames) < 3:
@@ -247,8 +220,8 @@ def wild_points(
         places, own = keypoints_px[frames, point] / size_px[frames, None], trust[frames, point]
         speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / np.diff(frames) * rate_hz
         speed = speed[(own[1:] >= MIN_TRUST) & (own[:-1] >= MIN_TRUST)]
-        usual = options.usual_speeds * float(np.quantile(speed, _USUAL_QUANTILE)) if len(speed) else np.inf
-        kept = _kept(frames, places, min(usual, options.speed_per_s) / rate_hz, reach, options.mask_cost * own)
+        usual = _USUAL_SPEEDS * float(np.quantile(speed, _USUAL_QUANTILE)) if len(speed) else np.inf
+        kept = _kept(frames, places, min(usual, _SPEED_PER_S) / rate_hz, reach, _MASK_COST * own)
         is_wild[frames[~kept], point] = True
     return is_wild
 
@@ -277,7 +250,7 @@ def track_size_px(keypoints_px: Array) -> Array:
     return np.full(len(size), float(np.median(known)) if len(known) else 1.0)
 
 
-def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float, options: FaultOptions) -> Integers:
+def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float) -> Integers:
     """Return the labelling of each frame (frame,) with the least second differences.
 
     Viterbi over pairs of labellings of neighbouring frames.  Where a joint was not seen its last place stands for
@@ -288,12 +261,11 @@ def _smoothest(states: Array, changed: Array, size: Array, rate_hz: float, optio
         changed: Share of the joints that each labelling changes (state,).
         size: Size of the body (frame,).
         rate_hz: Frames per second.
-        options: Costs.
     """
     frames, count = states.shape[:2]
     scaled = _hold(states, round(_MEMORY_S * rate_hz)) / size[:, None, None, None]
-    unary = options.relabel_cost * changed
-    switch = options.switch_cost * (1.0 - np.eye(count))
+    unary = _RELABEL_COST * changed
+    switch = _SWITCH_COST * (1.0 - np.eye(count))
     cost = unary[:, None] + unary[None, :] + switch  # (state of frame 0, state of frame 1)
     back = np.zeros((frames, count, count), dtype=np.int64)
     for frame in range(2, frames):

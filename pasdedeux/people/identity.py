@@ -16,12 +16,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
-from pasdedeux.people.identity_kernels import (
-    clean_detections,
-    match_costs,
-    predict_joints,
-    update_joints,
-)
+from pasdedeux.people.identity_kernels import clean_detections, match_costs, predict_joints, update_joints
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 

@@ -83,8 +83,7 @@ class CaptureLimits(Settings):
         (1.0, 5.0), description="Least distance of the partners' closest joints, metres; of who is furthest from others"
     )
     trunk_m: Limit = Field(
-        (0.12, 0.08),
-        description="Least distance of the partners' spines, metres; close dance has 0.15, a hug 0.25",
+        (0.12, 0.08), description="Least distance of the partners' spines, metres; close dance has 0.15, a hug 0.25"
     )
     twin_m: Limit = Field(
         (0.03, 0.015),
@@ -250,11 +249,7 @@ def check_capture(body22_m: Array, *, rate_hz: float) -> list[PersonCapture]:
             trunk_m.append(float(axes.gap_m[:, is_trunk][:, :, is_trunk].min()))
             twin_m.append(_difference(*(pair * (USUAL_HEIGHT_M / statures[both, None, None])).swapaxes(0, 1)))
         is_high &= nearest >= _HELD_M
-        of_take |= {
-            "distance_m": float(nearest.min(axis=0).max()),
-            "trunk_m": min(trunk_m),
-            "twin_m": min(twin_m),
-        }
+        of_take |= {"distance_m": float(nearest.min(axis=0).max()), "trunk_m": min(trunk_m), "twin_m": min(twin_m)}
     step = max(1, round(rate_hz * _STEP_S))
     found = []
     for person in range(body22_m.shape[1]):

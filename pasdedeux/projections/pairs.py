@@ -107,8 +107,6 @@ def search_pairs(
     projection = np.concatenate([straight.projection, exchanged.projection], axis=-1)
     order = np.argsort(distance, axis=-1, kind="stable")[..., :num_neighbours]
     best = Neighbours(
-        np.take_along_axis(projection, order, axis=-1),
-        np.take_along_axis(distance, order, axis=-1),
-        straight.num_yaws,
+        np.take_along_axis(projection, order, axis=-1), np.take_along_axis(distance, order, axis=-1), straight.num_yaws
     )
     return PairNeighbours(best, np.logical_and(order >= num_neighbours, best.projection >= 0))

@@ -40,9 +40,7 @@ VARIANTS = Table(
         TIME_S,
         positions("body22", "World positions"),
         unitquats(
-            "body22_unitquat",
-            "body22",
-            "Local rotations (x, y, z, w): swing from the bones, twist from the source",
+            "body22_unitquat", "body22", "Local rotations (x, y, z, w): swing from the bones, twist from the source"
         ),
     ),
 )

@@ -422,10 +422,7 @@ class IngestParameters(Parameters):
             ValueError: Says which, and what is there.
         """
         ids = self.take_ids()
-        for kind, names in (
-            ("take", ids),
-            ("annotation source", [source.id for source in self.annotations]),
-        ):
+        for kind, names in (("take", ids), ("annotation source", [source.id for source in self.annotations])):
             double = sorted(name for name, count in Counter(names).items() if count > 1)
             if double:
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")

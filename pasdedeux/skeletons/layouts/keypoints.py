@@ -152,14 +152,7 @@ def _mix(
     }
 
 
-_RIGHT_THEN_LEFT_ARMS = (
-    "right_shoulder",
-    "right_elbow",
-    "right_wrist",
-    "left_shoulder",
-    "left_elbow",
-    "left_wrist",
-)
+_RIGHT_THEN_LEFT_ARMS = ("right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist")
 _RIGHT_THEN_LEFT_LEGS = ("right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle")
 _FACE = ("right_eye", "left_eye", "right_ear", "left_ear")
 
@@ -185,14 +178,7 @@ BODY25 = _detector(
 )
 """OpenPose's BODY_25 model."""
 
-_LEFT_AND_RIGHT_ARMS = (
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-)
+_LEFT_AND_RIGHT_ARMS = ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist")
 _LEFT_AND_RIGHT_LEGS = ("left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle")
 _COCO17_NAMES = (
     *("nose", "left_eye", "right_eye", "left_ear", "right_ear"),

@@ -21,6 +21,8 @@ _METHODS = {
     "largest_class": ("largest class", "always the same answer: the trivial way"),
     "mesh_refine": ("predicted, then refined", "another model's answer, from which the interaction mesh goes on"),
     "paper_cvae": ("the published network", "a conditional variational autoencoder as in Li et al. 2024"),
+    "actor_like": ("ACTOR, adapted", "a transformer that knows scales as classes, as Li et al. 2024 adapted it"),
+    "action2motion_like": ("Action2motion, adapted", "a recurrent network that knows scales as classes, likewise"),
     "nearest": ("nearest pose", "each frame alone: the pose of the database, or the draw, whose image is nearest"),
     "viterbi": ("best path", "the candidates of all frames that follow each other best"),
     "window": ("window rule", "the published rule: the candidate that fits a window of frames"),

@@ -55,7 +55,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 19
+VERSION = 20
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 _STANDS = 0.5
 """A joint stands where its fading stance weight is above this."""
 _PERCENTILE = 95.0
+_SHOWN = {"m": (" mm", 1e3), "rad": (" rad", 1.0)}
+"""Units of figures by the ending of their name, as reasons say them."""
 _STILL_M = 1e-9
 """A source with less jerk than this, in metres of third difference, is still."""
 _LIMITED = JointMap(
@@ -128,7 +130,11 @@ class Quality:
                 continue
             is_failed = value > fail
             level = Level.FAIL if is_failed or level is Level.FAIL else Level.WARN
-            reasons.append(f"{name} {value:.3g} is above {fail if is_failed else warn:g}")
+            base, _, ending = name.rpartition("_")
+            unit, factor = _SHOWN.get(ending, ("", 1.0))
+            words = (base if unit else name).replace("_", " ")
+            limit = factor * (fail if is_failed else warn)
+            reasons.append(f"{words} {factor * value:.3g}{unit} is above {limit:.3g}{unit}")
         return Verdict(
             level,
             "; ".join(reasons),

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.evaluation.figures import Curve, CurvePanel, panel_figure
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.sampling.coverage import Coverage, CoverageCurve, coverage_curve
 from pasdedeux.sampling.density import PRIOR_ONLY
@@ -15,7 +16,6 @@ from pasdedeux.sampling.density import PRIOR_ONLY
 __all__ = [
     "as_good_as_real_frames",
     "coverage_figure",
-    "coverage_note",
     "coverage_scores",
     "curve_points",
     "real_frame_levels",
@@ -138,20 +138,6 @@ def realism_scores(
     return scores
 
 
-def coverage_note(curves: Mapping[str, CoverageCurve], *, split: str) -> str:
-    """Say in a sentence whether the annotations helped: densities that use them against prior-only, at all draws."""
-    if PRIOR_ONLY not in curves or len(curves) < 2:
-        return ""
-    baseline = float(curves[PRIOR_ONLY].cartesian_m[-1])
-    parts = [
-        f"{name} is {'better' if (own := float(curve.cartesian_m[-1])) < baseline else 'not better'} "
-        f"({100 * own:.1f} against {100 * baseline:.1f} cm in D_C)"
-        for name, curve in curves.items()
-        if name != "seeds" and not name.startswith(PRIOR_ONLY)
-    ]
-    return f"Coverage of {split.replace('_', ' ')} frames against prior-only: {'; '.join(parts)}."
-
-
 def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, *, split: str) -> bytes:
     """Draw coverage in D_I, D_C and D_S against the number of draws (Yin et al. 2018, Fig. 9); SVG bytes.
 
@@ -164,7 +150,12 @@ def coverage_figure(curves: Mapping[str, CoverageCurve], levels: CoverageCurve, 
         panels.append(
             CurvePanel(
                 curves=[
-                    Curve(name, counts, factor * measures[index][1], is_baseline=name.startswith((PRIOR_ONLY, "seeds")))
+                    Curve(
+                        in_words(name),
+                        counts,
+                        factor * measures[index][1],
+                        is_baseline=name.startswith((PRIOR_ONLY, "seeds")),
+                    )
                     for name, (measures, counts) in by_method.items()
                 ],
                 y_label=f"{measure} to the nearest draw" + (" (cm)" if unit == "m" else ""),

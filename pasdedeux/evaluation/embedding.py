@@ -15,12 +15,15 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import figure_svg, new_figure
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.interaction.nearest import interaction_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
 
 __all__ = ["PairMap", "map_figure"]
 
 Array = npt.NDArray[np.float64]
+
+_MARKERS = ("^", "s", "X", "D", "v")
 
 
 @dataclass(frozen=True)
@@ -94,12 +97,13 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     }
     points: dict[str, Any] = {"linewidths": 0, "rasterized": True}
     columns = max(len(panels), 1)
-    figure, ((*axes,),) = new_figure(2.9 * columns, 3.1, columns=columns, has_common_axes=True)
+    figure, ((*axes,),) = new_figure(2.9 * columns, 2.9, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
         axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", label="real", **points)
         for number, (method, places) in enumerate(sets.items()):
             colour = colours.get(method, f"C{number + 4}")
-            axis.scatter(100 * places[:, 0], 100 * places[:, 1], s=4, color=colour, label=method, **points)
+            marker = _MARKERS[number % len(_MARKERS)]  # who does not see colours sees these
+            axis.scatter(*(100 * places.T), s=7, color=colour, marker=marker, label=in_words(method), **points)
         if seed is not None:
             axis.plot(100 * seed[0], 100 * seed[1], "kx", markersize=7)
         axis.set_title(name, fontsize=8)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import Score, summarise
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
@@ -139,7 +140,7 @@ def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
     for method in dict.fromkeys(name for example in examples for name in example):
         pairs = [example.get(method, np.full((2, PAIR17.num_joints, 3), np.nan)) for example in examples]
         people = np.stack([pair - pair.reshape(-1, 3).mean(axis=0) for pair in pairs])
-        panels.append(people_panel(method.replace("_", " "), PAIR17, people))
+        panels.append(people_panel(in_words(method), PAIR17, people))
     labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
     return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
 

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import Curve, curve_figure
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics import bone_lengths
@@ -213,10 +214,10 @@ def model_figure(
     for model, found in errors.items():
         values = np.array([error["E_r"] for error in found])
         means = np.array([values[np.isclose(at, scale)].mean() for scale in known])
-        curves.append(Curve(model, known, means, is_baseline=model in baselines))
+        curves.append(Curve(in_words(model), known, means, is_baseline=model in baselines))
     return curve_figure(
         curves,
         title=f"models on {split.replace('_', ' ')} test variants",
         x_label="scale furthest from 1, of anybody's bones",
-        y_label="E_r (cm)",
+        y_label="mean joint error E_r (cm)",
     )

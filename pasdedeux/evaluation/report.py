@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 from jinja2 import Environment, PackageLoader, select_autoescape
+from markupsafe import Markup
 
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
@@ -14,10 +16,12 @@ from pasdedeux.evaluation.verdicts import figure_words
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Verdict
 
-__all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "render_report"]
+__all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "fit_rows", "folded", "render_report"]
 
 PLAYER = ".player.json"
 """Ending of what a player shows."""
+_NUM_NAMED = 6
+"""Things that share a sentence and are named in it, at most."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,17 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the report: a heading with its verdict, paragraphs, pictures, and tables that are folded."""
+    """A section of the report: a heading with its verdict, paragraphs, pictures, and tables that are folded.
+
+    Paragraphs after the first `num_read` and pictures after the first `num_shown` are folded too.
+    """
 
     heading: str
     paragraphs: tuple[str, ...] = ()
     tables: tuple[TextTable, ...] = ()
     pictures: tuple[Picture, ...] = ()
     num_shown: int = 4
+    num_read: int = 6
     verdict: Verdict | None = None
 
     @property
@@ -85,28 +93,87 @@ class Report:
 
 
 def fit_pictures(sections: Sequence[Section], max_bytes: int) -> tuple[list[Section], int]:
-    """Leave out pictures, evenly in every section but never its first ones, until all fit; gives how many went.
+    """Leave out pictures until all fit; gives how many went, which lie beside the page all the same.
 
-    They lie beside the page all the same.
+    The first ones of every section are taken in turn, then others, evenly in every section.
     """
-    sizes = [picture.num_bytes for section in sections for picture in section.pictures]
-    if sum(sizes) <= max_bytes:
-        return list(sections), 0
-    share, kept = max_bytes / sum(sizes), []
-    for section in sections:
-        more = section.pictures[section.num_shown :]
-        chosen = evenly_spread(len(more), int(share * len(more)))
-        kept.append(replace(section, pictures=(*section.pictures[: section.num_shown], *(more[at] for at in chosen))))
-    return kept, len(sizes) - sum(len(section.pictures) for section in kept)
+    left = max_bytes
+    kept: list[set[int]] = [set() for _ in sections]
+
+    def take(number: int, at: int) -> None:
+        nonlocal left
+        size = sections[number].pictures[at].num_bytes
+        if size <= left:
+            left -= size
+            kept[number].add(at)
+
+    first = [min(section.num_shown, len(section.pictures)) for section in sections]
+    for rank in range(max(first, default=0)):
+        for number, count in enumerate(first):
+            if rank < count:
+                take(number, rank)
+    more = sum(one.num_bytes for section in sections for one in section.pictures[section.num_shown :])
+    share = min(1.0, left / max(more, 1))
+    for number, section in enumerate(sections):
+        count = len(section.pictures) - first[number]
+        for at in evenly_spread(count, int(share * count)):
+            take(number, first[number] + int(at))
+    fitted = [
+        replace(section, pictures=tuple(section.pictures[at] for at in sorted(chosen)))
+        for section, chosen in zip(sections, kept, strict=True)
+    ]
+    return fitted, sum(len(section.pictures) for section in sections) - sum(map(len, kept))
 
 
-def render_report(report: Report) -> str:
-    """Return the report as one HTML page; the same report always gives the same text."""
+def fit_rows(sections: Sequence[Section], max_rows: int) -> tuple[list[Section], int]:
+    """Leave out the rows of each table after so many; gives how many went."""
+    fitted = [
+        replace(section, tables=tuple(replace(table, rows=table.rows[:max_rows]) for table in section.tables))
+        for section in sections
+    ]
+    return fitted, sum(max(0, len(table.rows) - max_rows) for section in sections for table in section.tables)
+
+
+def folded(sentences: Iterable[str]) -> list[str]:
+    """Say once what holds of several things, where sentences are the same after the name of the thing and a colon.
+
+    >>> folded(["waltz: two people.", "hug: two people.", "hug: warm.", "waltz: two people."])
+    ['waltz, hug: two people.', 'hug: warm.']
+    """
+    names: dict[str, list[str]] = {}
+    for sentence in dict.fromkeys(sentences):
+        name, colon, said = sentence.partition(": ")
+        names.setdefault(colon + said if colon else sentence, []).append(name if colon else "")
+    return [f"{_listed(found)}{said}" for said, found in names.items()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = len(names) - _NUM_NAMED
+    return ", ".join(names[:_NUM_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _coded(text: str) -> Markup:
+    """Return text with what stands between backticks as code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return Markup.escape(text)
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if at % 2 else Markup.escape(part) for at, part in enumerate(parts)
+    )
+
+
+@cache
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("pasdedeux.evaluation"),
         autoescape=select_autoescape(("html",)),
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"figure_words": figure_words}
-    return environment.get_template("report.html").render(report=report)
+    environment.filters |= {"figure_words": figure_words, "coded": _coded}
+    return environment
+
+
+def render_report(report: Report) -> str:
+    """Return the report as one HTML page; the same report always gives the same text."""
+    return _environment().get_template("report.html").render(report=report)

@@ -73,7 +73,7 @@ def score_table(scores: Sequence[Score], *, caption: str, has_marks: bool = Fals
     headings = tuple(
         f"{in_words(method)} (baseline)" if is_baseline else in_words(method) for is_baseline, method in methods
     )
-    return TextTable(
+    return _without_all(
         caption=caption,
         headings=("figure", "part", "item", *headings),
         rows=tuple(
@@ -115,11 +115,19 @@ def _by_item(scores: Sequence[Score], caption: str) -> TextTable:
     metrics = sorted({score.metric for score in scores})
     rows = sorted({(score.split, score.item) for score in scores}, key=lambda row: (row[0], _natural(row[1])))
     cells = {(score.split, score.item, score.metric): format_score(score) for score in scores}
-    return TextTable(
+    return _without_all(
         caption=caption,
         headings=("part", "item", *(in_words(metric) for metric in metrics)),
         rows=tuple((split, item, *(cells.get((split, item, m), "") for m in metrics)) for split, item in rows),
     )
+
+
+def _without_all(caption: str, headings: tuple[str, ...], rows: tuple[tuple[str, ...], ...]) -> TextTable:
+    """Return a table without the columns of part and item that say `all` in every row."""
+    kept = [
+        at for at, name in enumerate(headings) if name not in ("part", "item") or {row[at] for row in rows} != {"all"}
+    ]
+    return TextTable(caption, tuple(headings[at] for at in kept), tuple(tuple(row[at] for at in kept) for row in rows))
 
 
 def _all_first(key: tuple[str, str, str]) -> tuple[str, bool, str, bool, list[tuple[int, str]]]:

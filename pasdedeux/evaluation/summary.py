@@ -46,7 +46,7 @@ class Made:
     @property
     def extent(self) -> str:
         """How long and how large it is."""
-        size = f"{self.num_bytes / 1e6:.1f} MB"
+        size = f"{self.num_bytes / 1e6:.1f} MB" if self.num_bytes >= 5e4 else f"{self.num_bytes / 1e3:.0f} kB"
         if math.isnan(self.seconds):
             return size
         minutes, seconds = divmod(round(self.seconds), 60)

@@ -29,7 +29,6 @@ __all__ = [
     "quality_scores",
     "variant_player",
     "verdict_scores",
-    "worst_variants",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -181,19 +180,6 @@ def verdict_scores(qualities: VariantQualities) -> list[Score]:
     """Count the variants that passed, warned and failed."""
     counts = {f"variants_{level}": list(qualities.verdicts).count(level) for level in ("pass", "warn", "fail")}
     return scores_of(counts, "interaction_mesh", item=qualities.take_id, count=len(qualities.verdicts))
-
-
-def worst_variants(qualities: VariantQualities) -> dict[int, list[str]]:
-    """Return the variants that are worst in some column, by index, with the columns they are worst in.
-
-    A column in which no variant differs from another, or none has a value, has no worst.
-    """
-    worst: dict[int, list[str]] = {}
-    for name, values in qualities.values.items():
-        finite = np.isfinite(values)
-        if finite.any() and np.ptp(values[finite]) > 0:
-            worst.setdefault(int(np.argmax(np.where(finite, values, -np.inf))), []).append(name)
-    return dict(sorted(worst.items()))
 
 
 def drift_figure(qualities: VariantQualities) -> bytes:

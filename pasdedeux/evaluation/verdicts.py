@@ -83,7 +83,7 @@ class Yardstick:
 
         The goal, told in the caption, is what has to be beaten: the best trivial way, or chance.  Where no trivial way
         was scored beside others, methods are drawn that were scored wherever most were.  Bounds, which know what nobody
-        knows, are left to the tables.  None where there is nothing to compare.
+        knows, are left to the tables.  None where there is nothing to compare, as only trivial ways.
         """
         found, unit, plain = self._found(scores)
         found = {name: own for name, own in found.items() if name in self.baselines or not is_bound(name)}
@@ -94,6 +94,8 @@ class Yardstick:
             if len(methods) >= (1 if math.isfinite(self.chance) else 2):
                 break
         else:
+            return None
+        if set(self.baselines).issuperset(methods) and not math.isfinite(self.chance):
             return None
         means = _means({name: {place: found[name][place] for place in places} for name in methods}, methods)
         sign = -1.0 if self.is_larger_better else 1.0
@@ -109,8 +111,8 @@ class Yardstick:
         )
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
         beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
-        what = f"{self.figure[:1].upper()}{self.figure[1:]}, mean over {len(places)} parts and items"
-        return drawn, f"{what}: {better}, hatched are trivial ways{beaten}."
+        mean = f", mean over {len(places)}" if len(places) > 1 else ""
+        return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, hatched are trivial ways{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
         """Return the figures by method and place, their unit, and which methods are baselines."""
@@ -181,7 +183,7 @@ def verdict_words(verdict: Verdict | None) -> str:
 
 
 def figure_words(verdict: Verdict) -> str:
-    """Return the figure that matters beside that of the trivial way; empty without one."""
+    """Return the figure that matters beside that of the trivial way, medians where it is of many; empty without one."""
     if not verdict.figure or not math.isfinite(verdict.value):
         return ""
     line = f"{verdict.figure} {format_value(verdict.value, verdict.unit)}"
@@ -189,7 +191,7 @@ def figure_words(verdict: Verdict) -> str:
         line += (
             f" against {format_value(verdict.baseline, verdict.unit)} ({in_words(verdict.baseline_name) or 'baseline'})"
         )
-    return line
+    return f"{line}, in the median" if verdict.count > 1 else line
 
 
 def _judged(verdict: Verdict) -> str:

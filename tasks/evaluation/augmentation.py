@@ -15,7 +15,6 @@ from pasdedeux.evaluation.variants import (
     quality_scores,
     variant_player,
     verdict_scores,
-    worst_variants,
 )
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.interaction.contacts import stated_contacts
@@ -54,10 +53,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         verdicts=[verdict for table in tables for verdict in table["verdict"]],
     )
     notes = [
-        f"{take_id}, {table['variant_id'][row]}: {table['verdict'][row]} - {table['reason'][row]}."
+        f"{table['variant_id'][row]}, {table['reason'][row]}"
         for table in tables
         for row in np.nonzero(table["verdict"] == "fail")[0]
     ]
+    if notes:
+        notes = [f"{take_id}: {len(notes)} of {len(names)} variants fail, such as {notes[0]}."]
     has_contacts = bool(np.isfinite(qualities.values["contact_drift_m"]).any())
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
@@ -85,10 +86,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     pictures = {f"variants-{take_id}.player.json": variant_player(source, read(drawn))}
     if has_contacts:
         pictures[f"drift-{take_id}.svg"] = drift_figure(qualities)
-    worst = "; ".join(f"{names[i]}: {', '.join(columns)}" for i, columns in worst_variants(qualities).items())
     captions = {
-        f"variants-{take_id}.player.json": f"{take_id}: source, the smallest and greatest scale, and the worst contact "
-        f"drift; contacts of the source are black. {f'The worst by each figure: {worst}.' if worst else ''}",
+        f"variants-{take_id}.player.json": f"{take_id}: the source, its variants of the smallest and greatest size, "
+        "and that whose contacts moved most; what touches in the source is black. Better: black lines stay short.",
         f"drift-{take_id}.svg": f"{take_id}: how far contacts moved apart or together against the source; nearer to 0 "
         "is better, plain forward kinematics is the trivial way.",
     }
@@ -139,7 +139,8 @@ def _read_variant(store: Store, ref: ArtifactRef, variant_id: str, num_people: i
 TOPIC = Topic(
     name="augmentation",
     heading="Augmentation",
-    introduction="Variants for other body sizes: contacts kept, bones exact; plain forward kinematics is the baseline.",
+    introduction="The same motion for bodies of other sizes, with contacts kept. The trivial way puts the source's "
+    "joint angles on the new bones, so that hands miss each other.",
     reads=("variants", "variant_quality", "poses"),
     plan=_plan,
     run=_run,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import scores_of, summarise
 from pasdedeux.sampling.density import PRIOR_ONLY
@@ -73,13 +75,14 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
     for density, parts_of in sorted(chains.items()):
         pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
         at = evenly_spread(len(pairs), _NUM_SHOWN)
-        panel = people_panel(density.replace("_", " "), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
+        panel = people_panel(in_words(density), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
         name = f"draws-{density}.player.json"
         labels = [f"draw {index + 1} of {len(pairs)}" for index in at]
         pictures[name] = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
         captions[name] = (
-            f"One chain of {density.replace('_', ' ')} from the first seed on, as in Yin et al. 2018, figs. 6 and 7. A "
-            "chain that mixes leaves its seed and comes back to poses alike; one that hardly moves does not."
+            f"Poses that one chain of {in_words(density)} went through, from its seed on (Yin et al. 2018, figs. 6, "
+            "7). Better: it soon leaves the seed and comes back to poses like earlier ones; a chain that does not mix "
+            "stays near its seed. Nothing ties bodies to the floor."
         )
         scores += summarise(
             log_prior,
@@ -94,7 +97,9 @@ def _shown(shard: Shard, store: Store) -> TopicResult:
 
 def _summarised(shard: Shard, store: Store) -> TopicResult:
     """Summarise the chains of each density and seed."""
-    scores, notes = [], []
+    scores = []
+    notable: dict[str, list[str]] = {}
+    totals: Counter[str] = Counter()
     for ref in shard.refs("chains"):
         table = store.read(ref, "chain_info")
         density, seed = table["density"][0], int(table["seed_index"][0])
@@ -104,21 +109,23 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
             figure = {f"{name.removesuffix('_m').removesuffix(f'_{kind}')}_{kind}": _REDUCE[kind](table[name])}
             more = {"is_baseline": density == PRIOR_ONLY, "item": f"seed {seed}", "count": table.num_rows}
             scores += scores_of(figure, density, unit, **more)
-        notable = np.flatnonzero(table["verdict"] != "pass")
-        if len(notable):
-            levels = ", ".join(sorted({str(table["verdict"][row]) for row in notable}))
-            notes.append(
-                f"Density {density}, seed {seed}: {len(notable)} of {table.num_rows} chains, {levels} - "
-                f"{table['reason'][notable[0]]}."
-            )
+        totals[density] += table.num_rows
+        for row in np.flatnonzero(table["verdict"] != "pass"):
+            said = f"{table['verdict'][row]}, seed {seed}: {table['reason'][row]}"
+            notable.setdefault(density, []).append(said)
+    notes = [
+        f"{len(found)} of {totals[density]} chains of {in_words(density)} did not pass, such as {found[0]}."
+        for density, found in notable.items()
+    ]
     return TopicResult(scores=scores, notes=notes)
 
 
 TOPIC = Topic(
     name="chains",
     heading="Chains",
-    introduction="How the Markov chains went: acceptance, effective sample size, R-hat per seed over chains that start "
-    "apart, and the bandwidth of the likelihood: unless it is given, what annotations left out in turn ask for.",
+    introduction="Each chain walks from a seed through poses that agree with the annotations. Where chains mix, their "
+    "draws count as independent: the effective sample size is near the number of draws, and chains that start apart "
+    "agree (R-hat near 1).",
     reads=("chain_info", "draws"),
     plan=_plan,
     run=_run,

@@ -56,7 +56,13 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     clip = players.pack_player(
         [shown], rate_hz=rate_of(times) / step, labels=[f"{time:.1f} s" for time in times[::step]]
     )
-    return TopicResult(pictures={name: clip}, captions={name: f"Sequence {sequence_id}: the 2D poses that were given."})
+    return TopicResult(
+        pictures={name: clip},
+        captions={
+            name: f"Sequence {sequence_id}: its first seconds of 2D poses as they came in. A limb that is "
+            "missing or jumps was not seen well."
+        },
+    )
 
 
 def _by_frame(data: TableData, is_here: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

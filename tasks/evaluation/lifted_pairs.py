@@ -117,9 +117,8 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
             name = f"lifted-{split}.player.json"
             pictures[name] = lifted_player(rows_shown)
             captions[name] = (
-                f"{split.replace('_', ' ').capitalize()} frames: the truth and what each method lifted its image to, "
-                "first from the camera, as in Yin et al. 2018, figs. 2 and 10. Turn them: from the side differences in "
-                "depth show."
+                f"{split.replace('_', ' ').capitalize()} frames: the truth, and what was made of its image, first seen "
+                "from the camera. Turn them: better is what has the truth's depth from the side too."
             )
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
 
@@ -170,9 +169,9 @@ def _split(facts: dict[str, object], is_held_out: bool) -> str:
 TOPIC = Topic(
     name="lifting",
     heading="Lifting",
-    introduction="Annotations lifted to 3D by the draws that look like them; joints hidden in real pairs and completed "
-    "from draws; frames filled in between. Pair errors keep distance and depth between the people, person errors are "
-    "about each root, both in camera axes.",
+    introduction="3D pairs made of images by the draws that look like them; joints of real pairs hidden and completed "
+    "from draws; frames filled in between. Errors of pairs count distance and depth between the people too, errors of "
+    "people are each about their own hips.",
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "cameras", "draws", "seeds"),
     plan=_plan,
     run=_run,

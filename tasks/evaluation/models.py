@@ -9,6 +9,7 @@ import numpy as np
 from pasdedeux.evaluation.model_meter import SOLVER, ModelMeter
 from pasdedeux.evaluation.model_tables import LARGEST_SCALE, best_model, case_player, extreme_cases, model_tables
 from pasdedeux.evaluation.models import GENERATED, UNITS, model_figure, model_scores, share_scores
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.learning import BASELINES, VariantKey, VariantModel
@@ -94,7 +95,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     }
     captions = {
         f"models-{facts['split']}.svg": f"Error of each model on the {len(tested)} test variants of split "
-        f"{facts['split']}.{shared}"
+        f"{facts['split']}: lower is better, dashed are the trivial ways.{shared}"
     }
     shown = best_model(scores, split=split, baselines=BASELINES)
     if shown is not None:
@@ -109,7 +110,9 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             f"{what}: {tested[row].take_id}, {tested[row].variant_id}, {errors[shown][row]['E_r']:.2f} cm"
             for what, row in cases.items()
         )
-        captions[name] = f"{shown} on split {facts['split']} with the solver behind it in grey. {listed}."
+        captions[name] = (
+            f"{in_words(shown)}, on split {facts['split']}; the true variant is grey. Better: no grey to see. {listed}."
+        )
     keys = [f"{take_id}: {names}" for take_id, meter in sorted(meters.items()) if (names := meter.key_names())]
     learned = len({key for manifest in manifests for key in manifest.facts["train"]})
     notes = [

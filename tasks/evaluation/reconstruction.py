@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.reconstruction import (
     Reconstructed,
     pair_scores,
@@ -60,8 +61,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     name = _picture_name(shard.name)
     pictures = {name: _shown(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))}
     captions = {
-        name: f"{shard.name}: the image, and what {list(people[0].found_m)[-1]} made of it, first as the camera sees "
-        "it, everybody in their place to each other. Turn it: what one camera does not see is depth."
+        name: f"{shard.name}: the image, and what was made of it ({in_words(list(people[0].found_m)[-1])}), first as "
+        "the camera sees it. Turn it: one camera does not see depth; better is what lies on the grey truth then too."
     }
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")
@@ -157,7 +158,10 @@ def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
     name = _picture_name(sequence_id)
     return TopicResult(
         pictures={name: reconstruction_player(found, rate_hz=rate_of(table["time_s"]))},
-        captions={name: f"{sequence_id}: reconstructed by {method}, a colour for each person."},
+        captions={
+            name: f"{sequence_id}: reconstructed ({in_words(method)}), a colour for each person. Turn it: limbs "
+            "that are too short or bent wrongly show from the side."
+        },
         notes=[note],
     )
 
@@ -165,14 +169,10 @@ def _show(store: Store, motions: ArtifactRef, note: str) -> TopicResult:
 TOPIC = Topic(
     name="reconstruction",
     heading="Reconstruction",
-    introduction="Motions reconstructed from 2D against the truth, by each frame's nearest projection (the baseline), "
-    "by the published window rule, by Viterbi over the candidates, and by Viterbi and a fit to the image; `_clean` is "
-    "the method with the clean-up after it. Errors are means over op14, centred on the mid-hip: as they are, with the "
-    "root's rotation taken away, and after one scale for the whole motion, for one camera does not see how large a "
-    "person is. `standing_still` answers with the mean true pose, which nobody knows: it says how much people move. "
-    "Jitter is the mean second difference from frame to frame. Of two people: how far their distance, the "
-    "depth between them and their place to each other are off. `nearest` leaves both where their own size puts them, "
-    "the others place them by pairs that look like both; `equal_depth` takes both to be equally far away.",
+    introduction="3D motion made of 2D poses, against the truth where it is known. The trivial way takes, frame by "
+    "frame, the pose of the database whose image is nearest. Errors are mean distances of 14 joints about the middle "
+    "of the hips; of two people also how far their distance, depth and place to each other are off. The table of names "
+    "says what each figure and method is.",
     reads=("motions", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,

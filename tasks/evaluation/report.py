@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
+from dataclasses import replace
 
 from pydantic import Field
 
 from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.names import meanings
-from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, render_report
+from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, fit_rows, folded, render_report
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.summary import Summary
@@ -23,8 +24,8 @@ from tasks.summary import judge, summary_of
 __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 
 PARTITION = "report"
-_PICTURES_SHARE = 0.7
-"""Part of the page that pictures may take; tables need the rest."""
+_MAX_NOTES = 60
+"""Sentences of a section, at most; tables have the rest."""
 READS = ("takes", "take_quality", "training_log")
 """Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
 
@@ -37,7 +38,10 @@ class PageSettings(Parameters):
         description="Title of the report and the card; that of the study by default",
     )
     max_page_mb: float = Field(
-        4.5, gt=0, le=50, description="Size of the report's page; pictures that do not fit lie beside it, in megabytes"
+        4.5,
+        ge=0.2,
+        le=50,
+        description="The report's page is never larger, in megabytes; pictures that do not fit lie beside it",
     )
     description: str = Field(
         "Made with pasdedeux from the takes and annotations named in the study.",
@@ -66,32 +70,19 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
     settings = shard.options(PageSettings)
-    skipped = sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)})
+    skipped = folded(sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)}))
     scores = {topic.name: _scores(store, found, topic) for topic in topics}
     judged, summary = judge([*inputs, *found]), summary_of([*inputs, *found])
     card = _card(settings, topics, inputs, skipped, summary)
     drawn = {topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name])) is not None}
     every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
-    room = int(settings.max_page_mb * 1e6 * _PICTURES_SHARE)
-    sections, num_out = fit_pictures([section for section in every if section is not None], room)
-    notes = list(skipped)  # what the page alone leaves out is not for the card
-    if num_out:
-        notes.append(
-            f"{num_out} pictures would make the page larger than {settings.max_page_mb:g} MB and lie beside it; "
-            "`evaluation.max_page_mb` says how large it may be."
-        )
-    notes += _unasked([topic for topic, section in zip(topics, every, strict=True) if section is None])
-    page = render_report(
-        Report(
-            title=settings.title,
-            description=settings.description,
-            summary=summary,
-            sections=[
-                *sections,
-                Section(heading="Left out, and why", paragraphs=tuple(notes) or ("Nothing was left out.",)),
-                Section(heading="Sources and licences", tables=card_tables(card)),
-            ],
-        )
+    silent = [topic for topic, section in zip(topics, every, strict=True) if section is None]
+    there = {table for manifest in inputs for table in manifest.tables}
+    page = _page(
+        Report(settings.title, settings.description, summary, [one for one in every if one is not None]),
+        [*skipped, *_unasked(silent, there)],
+        card_tables(card),
+        max_mb=settings.max_page_mb,
     )
     figures = {f"{name}-compared.svg": content for name, (content, _) in drawn.items()}
     return commit(
@@ -108,13 +99,46 @@ def _compared(topic: Topic, scores: Sequence[Score]) -> tuple[bytes, str] | None
     return next((drawn for one in topic.yardsticks if (drawn := one.picture(scores)) is not None), None)
 
 
-def _unasked(topics: Sequence[Topic]) -> list[str]:
-    """Say which topics have no section, and which keys ask for those that must be asked for."""
-    keys = {topic.heading: [f"`evaluation.{name}`" for name in topic.settings.model_fields] for topic in topics}
-    silent = [heading for heading, names in keys.items() if not names]
+def _page(report: Report, notes: Sequence[str], card: Sequence[TextTable], *, max_mb: float) -> str:
+    """Return the page, at most so large, which says what it leaves out.
+
+    Rows of long tables go where text alone would be more than half of it, then pictures.
+    """
+    limit, every = int(max_mb * 1e6), [*report.sections, Section("Sources and licences", tables=tuple(card))]
+
+    def rendered(max_rows: int, room: int) -> str:
+        cut, num_rows = fit_rows(every, max_rows)
+        (*sections, sources), num_pictures = fit_pictures(cut, room)
+        counts = {"pictures lie beside the page": num_pictures, "rows of its tables are in `scores` alone": num_rows}
+        said = [
+            f"{count:,} {what}; `evaluation.max_page_mb`, {max_mb:g} MB, says how large the page may be."
+            for what, count in counts.items()
+            if count
+        ]
+        left_out = Section(heading="Left out, and why", paragraphs=(*said, *notes) or ("Nothing was left out.",))
+        return render_report(replace(report, sections=[*sections, left_out, sources]))
+
+    max_rows = max((len(table.rows) for one in every for table in one.tables), default=0)
+    while len((page := rendered(max_rows, 0)).encode()) > limit // 2 and max_rows:
+        max_rows //= 2
+    room = limit - len(page.encode())
+    while (excess := len((page := rendered(max_rows, max(room, 0))).encode()) - limit) > 0 and room > 0:
+        room -= excess
+    return page
+
+
+def _unasked(silent: Sequence[Topic], there: Set[str]) -> list[str]:
+    """Say which topics have no section, and which keys ask for those that only have to be asked for."""
+    keys = {
+        topic.heading: [f"`evaluation.{name}`" for name, one in topic.settings.model_fields.items() if not one.default]
+        for topic in silent
+        if there >= set(topic.reads)
+    }
+    asked = [f"{heading} ({', '.join(names)})" for heading, names in keys.items() if names]
+    others = [topic.heading for topic in silent if not keys.get(topic.heading)]
     return [
-        *([f"Nothing to show: {', '.join(silent)}."] if silent else []),
-        *(f"{heading}: nothing to show; {', '.join(names)} ask for it." for heading, names in keys.items() if names),
+        *([f"Not asked for: {', '.join(asked)}."] if asked else []),
+        *([f"Nothing to show, as this run made nothing of the kind: {', '.join(others)}."] if others else []),
     ]
 
 
@@ -155,11 +179,16 @@ def _section(
         ]
     return Section(
         heading=topic.heading,
-        paragraphs=(topic.introduction, *dict.fromkeys(note for part in parts for note in part.facts["notes"])),
+        paragraphs=(topic.introduction, *_shortened(folded(note for part in parts for note in part.facts["notes"]))),
         tables=(*topic.tables(scores), *([] if means is None else [means]), *figures, *names),
         pictures=tuple(pictures),
         verdict=summary.verdicts.get(part_name(STAGE_NAME, topic.name)),
     )
+
+
+def _shortened(notes: Sequence[str]) -> list[str]:
+    rest = len(notes) - _MAX_NOTES
+    return [*notes[:_MAX_NOTES], *([f"And {rest} more."] if rest > 0 else [])]
 
 
 def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:

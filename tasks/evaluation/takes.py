@@ -39,14 +39,16 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores=take_scores(facts["take_id"], people, facts["rate_hz"]),
         pictures={name: pack_player([shown], rate_hz=rate_hz)},
         notes=notes,
-        captions={name: f"Take {facts['take_id']}{held_out}: {who}left limbs darker."},
+        captions={
+            name: f"Take {facts['take_id']}{held_out}: {who}left limbs darker. Better: feet on the floor, no jumps."
+        },
     )
 
 
 TOPIC = Topic(
     name="takes",
     heading="Takes",
-    introduction="The 3D motion that came in, at the study's rate, in body22; what the check of its capture says.",
+    introduction="The 3D motion that came in, at the frame rate of the study, and what the check of its capture found.",
     reads=("poses",),
     plan=_plan,
     run=_run,

@@ -69,8 +69,12 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(
         scores=scores,
         pictures={"views.svg": picture},
-        captions={"views.svg": "Views in the pair's local frame, as in Yin et al. 2018, fig. 4b."},
-        notes=skipped,
+        captions={
+            "views.svg": "From where images may have been seen: psi goes around the pair, phi from straight above (0) "
+            "by level with the pair (1.6) to straight below (3.1). Each dot is a guess, larger where it is likelier "
+            "(Yin et al. 2018, fig. 4b). Better: each camera a few tight clusters, not a haze."
+        },
+        notes=[*skipped, *([] if known else ["No true camera is known here, so views have no error."])],
     )
 
 
@@ -115,7 +119,8 @@ def _hypotheses(rows: Sequence[tuple[TableData, int, int, np.ndarray]]) -> tuple
 TOPIC = Topic(
     name="views",
     heading="Views",
-    introduction="Estimated views against the true cameras of virtual video; the mean view is the baseline.",
+    introduction="From which direction each image was taken, guessed from the people in it. Where the camera is known, "
+    "as of virtual video, guesses are compared with it; the trivial way says the same direction for every image.",
     reads=("views", "annotations", "cameras", "poses", "torso_basis"),
     plan=_plan,
     run=_run,

@@ -9,7 +9,6 @@ from pasdedeux.augmentation import AugmentationSettings, Source
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.evaluation.coverage import (
     as_good_as_real_frames,
-    coverage_note,
     coverage_scores,
     curve_points,
     real_frame_levels,
@@ -26,7 +25,6 @@ from pasdedeux.evaluation.variants import (
     gap_scores,
     quality_scores,
     verdict_scores,
-    worst_variants,
 )
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
@@ -85,14 +83,6 @@ def test_coverage_scores_hold_the_curve_and_its_end_for_every_method() -> None:
     assert {s.method for s in scores if s.is_baseline} == {"prior_only", "real_frames"}
     assert curve_points(1, 5) == [1]
     assert curve_points(1000, 4) == [1, 10, 100, 1000]
-
-
-def test_the_note_on_coverage_says_when_the_annotations_did_not_help() -> None:
-    good = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.1]), np.array([0.6]))
-    poor = CoverageCurve(np.array([1]), np.array([0.5]), np.array([0.2]), np.array([0.6]))
-    assert "ic is better (10.0 against 20.0 cm" in coverage_note({"ic": good, "prior_only": poor}, split="held_out")
-    assert "ic is not better (20.0 against 10.0 cm" in coverage_note({"ic": poor, "prior_only": good}, split="held_out")
-    assert coverage_note({"ic": good}, split="held_out") == ""
 
 
 def test_quality_scores_show_contact_drift_beside_plain_forward_kinematics() -> None:
@@ -238,15 +228,15 @@ def test_tables_put_methods_side_by_side_and_baselines_last() -> None:
         Score("E_r", "ridge", 0.5, "cm", at=3.0),
     ]
     table = score_table(scores, caption="c")
-    assert table.headings == ("figure", "part", "item", "ridge", "copy of the source (baseline)")
-    assert table.rows == (("joint error E_r", "all", "all", "1 cm", "2 cm"),)
+    assert table.headings == ("figure", "ridge", "copy of the source (baseline)")
+    assert table.rows == (("joint error E_r", "1 cm", "2 cm"),)
 
 
 def test_a_table_of_one_method_has_a_row_for_each_item() -> None:
     scores = [Score(m, "capture", v, "m", item=i) for i in ("hug", "waltz") for m, v in (("a", 0.1), ("b", 0.2))]
     table = score_table(scores, caption="c")
-    assert table.headings == ("part", "item", "a", "b")
-    assert table.rows == (("all", "hug", "10 cm", "20 cm"), ("all", "waltz", "10 cm", "20 cm"))
+    assert table.headings == ("item", "a", "b")
+    assert table.rows == (("hug", "10 cm", "20 cm"), ("waltz", "10 cm", "20 cm"))
 
 
 def test_items_come_in_natural_order_and_clean_before_other_conditions() -> None:
@@ -269,7 +259,7 @@ def test_means_count_every_item_once_and_leave_out_methods_that_not_all_have() -
     scores += [Score("e", "window", 0.1, "m", item="a, mean of views"), Score("x", "fit", 1.0, "m", at=2.0)]
     table = mean_table(scores, caption="c")
     assert table is not None
-    assert table.rows == (("all", "mean of 2", "30 cm"),)
+    assert table.rows == (("mean of 2", "30 cm"),)
     assert mean_table(scores[:1], caption="c") is None
 
 
@@ -305,20 +295,3 @@ def test_the_gap_of_the_bulk_solver_is_measured_beside_its_estimate() -> None:
     assert 0 <= end["sample_energy_excess_worst"] < 0.05
     for metric, value in early.items():
         assert value > 2.0 * end[metric]
-
-
-def test_the_worst_variant_of_every_column_is_found_once() -> None:
-    qualities = VariantQualities(
-        take_id="hug",
-        scale=np.array([0.8, 0.9, 1.2]),
-        values={
-            "jerk_ratio": np.array([1.0, 1.1, 1.3]),
-            "contact_drift_m": np.array([0.02, 0.01, 0.03]),
-            "penetration_m": np.array([0.01, np.nan, 0.0]),
-            "contact_drift_body_m": np.full(3, np.nan),
-            "bone_error_m": np.zeros(3),
-        },
-        drift_fk_m=np.zeros(3),
-        verdicts=["pass"] * 3,
-    )
-    assert worst_variants(qualities) == {0: ["penetration_m"], 2: ["jerk_ratio", "contact_drift_m"]}

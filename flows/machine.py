@@ -9,6 +9,7 @@ from typing import Any
 
 from pasdedeux.errors import InputError
 from tasks.shards import ClusterSettings, worker_environment
+from tasks.shards.cluster import pinned_instructions
 from tasks.shards.profiles import read_profile
 
 __all__ = [
@@ -25,13 +26,6 @@ __all__ = [
 ]
 
 GIB = 1024**3
-_INSTRUCTIONS = (
-    "NUMBA_CPU_NAME",
-    "NUMBA_CPU_FEATURES",
-    "OPENBLAS_CORETYPE",
-    "NPY_DISABLE_CPU_FEATURES",
-    "NPY_ENABLE_CPU_FEATURES",
-)
 WORKER_MEMORY_GB = 2.0
 """Of one local worker, where nothing else is said."""
 
@@ -95,7 +89,7 @@ def processor() -> dict[str, Any]:
 
 def thread_settings() -> dict[str, str]:
     """Return what the environment says that can change the last bits of a result: threads and instructions to use."""
-    settings = {name: os.environ[name] for name in _INSTRUCTIONS if name in os.environ} | worker_environment()
+    settings = pinned_instructions() | worker_environment()
     settings.pop("NUMBA_CACHE_DIR", None)
     return settings
 

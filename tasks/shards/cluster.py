@@ -31,6 +31,7 @@ __all__ = [
     "is_refused",
     "only_fit",
     "peak_memory_bytes",
+    "pinned_instructions",
     "refusals",
     "refuse_other",
     "worker_environment",
@@ -47,6 +48,13 @@ _ONE_THREAD = (
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
     "POLARS_MAX_THREADS",
+)
+_INSTRUCTIONS = (
+    "NUMBA_CPU_NAME",
+    "NUMBA_CPU_FEATURES",
+    "OPENBLAS_CORETYPE",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
 )
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 CONNECT_TIMEOUT_S = 30.0
@@ -252,8 +260,14 @@ def refusals(client: Client) -> list[str]:
 
 
 def installed() -> dict[str, str]:
-    """Return what decides results here: versions of the packages, and the digest of the program's sources."""
-    return {"pasdedeux": code_version(), **package_versions(), "sources of pasdedeux": source_digest()[:12]}
+    """Return what decides results here: versions of packages, digest of the program's sources, pinned instructions."""
+    sources = {"sources of pasdedeux": source_digest()[:12]}
+    return {"pasdedeux": code_version(), **package_versions(), **sources, **pinned_instructions()}
+
+
+def pinned_instructions() -> dict[str, str]:
+    """Return what the environment says of the instructions that compiled code may use."""
+    return {name: os.environ[name] for name in _INSTRUCTIONS if name in os.environ}
 
 
 def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -> None:
@@ -261,8 +275,8 @@ def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -
     for name in sorted({*mine, *theirs}):
         if mine.get(name) != theirs.get(name):
             raise ClusterError(
-                f"{who} has {name} {theirs.get(name, 'not installed')}, here it is {mine.get(name, 'not installed')}: "
-                "results would differ; install the same everywhere (deploy/constraints.txt)"
+                f"{who} has {name} {theirs.get(name, 'not set')}, here it is {mine.get(name, 'not set')}: results "
+                "would differ; install and set the same everywhere (deploy/constraints.txt, deploy/instructions.env)"
             )
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import platform
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -65,3 +67,35 @@ def test_two_caches_that_were_filled_in_different_orders_agree(tmp_path: Path) -
         assert list(cache.rglob("*.nbc"))
     assert found[0] == found[1] == found[2] == found[3]
     assert len([line for line in found[0] if line]) == len(names)
+
+
+PINNED = """
+import numpy as np
+from numba.core import config
+from numpy._core._multiarray_umath import __cpu_features__ as numpy_features
+from threadpoolctl import threadpool_info
+
+parts["product"] = lambda rng: np.exp(rng.normal(size=(70, 90)) @ rng.normal(size=(90, 50)))
+print(sorted({one["architecture"] for one in threadpool_info() if one["internal_api"] == "openblas"}))
+print(numpy_features["X86_V4"], config.CPU_NAME, "avx512" in config.CPU_FEATURES)
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the file pins instructions of x86-64")
+def test_processes_under_pinned_instructions_use_no_others_and_agree(tmp_path: Path) -> None:
+    lines = shlex.split((ROOT / "deploy" / "instructions.env").read_text(), comments=True)
+    pins = dict(line.split("=", 1) for line in lines)
+    script = SCRIPT.replace("for name in", f"{PINNED}\nfor name in")
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", script, "residuals", "product"],
+            env={**os.environ, **pins, "NUMBA_CACHE_DIR": str(tmp_path / cache), "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.splitlines()
+        for cache in ("one", "another")
+    ]
+    assert said[0][:2] == ["['Haswell']", "False haswell False"]
+    assert said[0] == said[1]
+    assert len(said[0]) == 4

@@ -336,6 +336,17 @@ def test_workers_with_another_version_of_a_package_are_refused(
         pass
 
 
+def test_workers_with_other_pinned_instructions_are_refused(
+    client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CPU_NAME", "haswell")
+    with (
+        pytest.raises(ClusterError, match=r"has NUMBA_CPU_NAME not set, here it is haswell: results would differ"),
+        connect(ClusterSettings(scheduler=client.scheduler_info()["address"]), store_root=str(tmp_path)),
+    ):
+        pass
+
+
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/somewhere")
     assert worker_environment()["NUMBA_CACHE_DIR"] == "/somewhere"

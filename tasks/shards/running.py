@@ -215,7 +215,8 @@ class ClusterPool(Pool):
         if workers:
             self._seen_at = self._counted_at
         elif self._counted_at - self._seen_at > _NO_WORKER_S:
-            refused = refusals(self.client)[self._num_refused_before :]
+            with _scheduler_is_there():
+                refused = refusals(self.client)[self._num_refused_before :]
             if refused:
                 raise ClusterError(f"{refused[-1]}; no other worker came for {_NO_WORKER_S:g} s")
 

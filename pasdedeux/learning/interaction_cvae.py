@@ -70,7 +70,8 @@ class InteractionCvae:
         size = s.latent_size
         shapes = shapes_of_mlp("mlp1", (len(_BONES), *_MLP1)) | shapes_of_dense("mlp1/z", _MLP1[-1], 2 * _MLP2[0])
         shapes |= shapes_of_mlp("mlp2", _MLP2)
-        for name, inputs in (("st_gcn1", 4), ("st_gcn2", 3), ("st_gcn3", 3)):
+        seen_by_a = () if s.architecture == "scales_for_a" else (("st_gcn3", 3),)
+        for name, inputs in (("st_gcn1", 4), ("st_gcn2", 3), *seen_by_a):
             shapes |= shapes_of_st_gcn(name, inputs, s.width, s.num_blocks, s.kernel)
         shapes |= shapes_of_dense("z_b", _JOINTS * s.width + _ENDS, 2 * size)
         shapes |= shapes_of_dense("z_a", 2 * _JOINTS * s.width + _ENDS, 2 * size)

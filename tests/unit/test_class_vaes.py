@@ -6,10 +6,11 @@ import torch
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import Training, TrainingItem, VariantRequest, load_model, model_arrays
+from pasdedeux.learning import Arrays, Training, TrainingItem, VariantRequest, load_model, model_arrays
 from pasdedeux.learning.class_networks import _divergence_between
 from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
 from pasdedeux.learning.interaction_cvae import InteractionCvae
+from pasdedeux.learning.paper_cvae import PaperCvaeModel
 from pasdedeux.learning.paper_settings import PaperCvaeSettings
 from pasdedeux.learning.torch_layers import divergence
 from pasdedeux.learning.window_vae import WindowVae
@@ -18,6 +19,7 @@ from tests.builders.moving_pairs import swaying_pair
 TAKE = Source(swaying_pair(48), 20.0, "sway")
 SIZES = {"actor_like": {"width": 8, "num_blocks": 1}, "action2motion_like": {"hidden": 6, "latent_size": 3}}
 KINDS = pytest.mark.parametrize("kind", [ActorLikeModel, Action2MotionLikeModel], ids=SIZES)
+ARCHITECTURES = ("st_gcn_decoders", "without_ends", "whole_motion", "scales_for_a")
 SMALL = PaperCvaeSettings(window_s=1.0, width=6, hidden=5, latent_size=3, num_blocks=2, kernel=3)
 
 
@@ -105,3 +107,17 @@ def test_other_architectures_do_without_what_they_are_named_for() -> None:
     np.testing.assert_allclose(said[0][:, 1], said[1][:, 1], atol=1e-6)
     # A network that is told the time can say something else in every frame.
     assert np.ptp(_displacement("st_gcn_decoders", template), axis=0).max() > 1e-3
+
+
+@pytest.mark.parametrize("architecture", ["published", *ARCHITECTURES])
+def test_every_architecture_is_trained_segment_by_segment(architecture: str) -> None:
+    settings = SMALL.model_copy(update={"architecture": architecture, "num_steps": 2, "segment_steps": 1})
+    request = VariantRequest("sway", TAKE, uniform_variations([0.8], ["B"])[0].bone_scale)
+    items = [TrainingItem("B", request, TAKE.positions_m + 0.1)]
+    state: Arrays = {}
+    for segment in range(2):
+        told = Training(lambda: iter(items), settings=settings, segment=segment, state=state)
+        trained = PaperCvaeModel.train(told)
+        state = trained.state
+    loaded = load_model("paper_cvae", model_arrays(trained.model))
+    np.testing.assert_array_equal(loaded.predict(request), trained.model.predict(request))

@@ -13,7 +13,7 @@ from tasks.stage import Parameters
 
 __all__ = ["VERSION", "LiftingParameters", "LiftingShard"]
 
-VERSION = 2
+VERSION = 3
 
 
 class LiftingShard(RetrievalOptions, FitOptions, Parameters):
@@ -22,7 +22,12 @@ class LiftingShard(RetrievalOptions, FitOptions, Parameters):
     max_frames: int = Field(40, ge=1, description="Annotated pairs lifted of each source of annotations, evenly spread")
     num_hypotheses: int = Field(8, ge=1, description="Likeliest view hypotheses of an annotation that draws compete in")
     num_completing: int = Field(100, ge=1, description="Draws nearest in D_I that joints not seen are taken from")
-    between_frames: int = Field(15, ge=0, description="Frames from one lifted pair of a video to the next; 0: none")
+    between_frames: int = Field(
+        15,
+        ge=0,
+        description="Frames from one lifted pair of a video to the next; where only key frames are annotated these, up "
+        "to twice as far apart; 0: none",
+    )
     num_spans: int = Field(2, ge=0, description="Places of each video where the pairs between are filled in")
     baselines: tuple[Literal["lifting", "lifting_ik", "naive_sampling"], ...] = Field(
         (), description="Direct lifting and what is built on it, to compare with (a second for each pair)"

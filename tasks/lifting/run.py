@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -57,8 +58,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     annotated = store.manifest(shard.ref("annotations"))
     draws, index = _indexed_draws(store, shard.refs("draws"))
     every, num_skipped = _read(shard, store, options.num_hypotheses)
-    is_video = annotated.facts.get("purpose") == "video" and options.between_frames > 0
-    spans = _spans(every, options.num_spans, options.between_frames) if is_video else []
+    is_video = annotated.facts.get("purpose") in ("video", "given") and options.between_frames > 0
+    stills = annotated.facts.get("why_no_video", {})
+    in_time = [place for place in every if is_video and place.sequence_id not in stills]
+    spans = _spans(in_time, options.num_spans, options.between_frames)
     places = list(every)
     chosen = [places[at] for at in evenly_spread(len(places), options.max_frames)]
     wanted = sorted({*chosen, *(end for span in spans for end in span)})
@@ -138,11 +141,16 @@ def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, 
     return found, len(people) - len(found)
 
 
-def _spans(every: dict[Place, _Annotated], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
-    """Return two places each of one pair that are `gap` frames apart, spread over all, not overlapping."""
-    starts = [place for place in every if place._replace(frame=place.frame + gap) in every]
-    chosen = [starts[at] for at in evenly_spread(len(starts), num_spans)]
-    return [(place, place._replace(frame=place.frame + gap)) for place in chosen]
+def _spans(places: Sequence[Place], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
+    """Return two places each of one pair, spread over all: `gap` frames apart, or key frames up to twice that."""
+    there = set(places)
+    spans = [(place, place._replace(frame=place.frame + gap)) for place in places]
+    spans = [span for span in spans if span[1] in there]
+    if not spans:
+        in_order = sorted(places, key=lambda place: (place._replace(frame=0), place.frame))
+        spans = [(one, two) for one, two in pairwise(in_order) if one._replace(frame=two.frame) == two]
+        spans = [(one, two) for one, two in spans if 1 < two.frame - one.frame <= 2 * gap]
+    return [spans[at] for at in evenly_spread(len(spans), num_spans)]
 
 
 def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:

@@ -78,29 +78,49 @@ def test_baselines_without_draws_stand_beside(grown: Any) -> None:
     assert {"lifting", "lifting_ik", "naive_sampling"} <= methods
 
 
-def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+def put_film(
+    store: Store, tables: dict[str, Any], facts: dict[str, Any], *, every: int = 1
+) -> tuple[Manifest, Manifest]:
+    """Commit annotations as if one camera had seen them all, one frame after the other, and their views."""
     annotations, views = tables["annotations"][0], tables["views"][0]
-    table = store.read(annotations.ref, "annotations")
-    # The same annotations as if one camera had seen them all, one frame after the other.
+    table, seen = store.read(annotations.ref, "annotations"), store.read(views.ref, "views")
     columns = {name: table[name] for name in table.column_names}
     columns["sequence_id"] = ["film"] * table.num_rows
     columns["frame"] = np.asarray(columns["take_frame"]).astype(int)
-    keep = np.flatnonzero(np.asarray(columns["is_key"]))
+    keep = np.flatnonzero(np.asarray(columns["is_key"]) & (columns["frame"] % every == 0))
     columns = {name: [values[row] for row in keep] for name, values in columns.items()}
-    film = put(store, "ingest", "film", {"annotations": columns}, {**annotations.facts, "purpose": "video"})
-    seen = store.read(views.ref, "views")
+    known = {**annotations.facts, **facts}
+    film = put(store, "ingest", f"film{len(facts)}{every}", {"annotations": columns}, known)
     view_columns = {name: list(seen[name]) for name in seen.column_names}
     view_columns["frame"] = [int(name[-5:]) for name in view_columns["sequence_id"]]
     view_columns["sequence_id"] = ["film"] * seen.num_rows
-    film_views = put(store, "views", "film", {"views": view_columns}, views.facts, (film,))
+    film_views = put(store, "views", f"film{len(facts)}{every}", {"views": view_columns}, views.facts, (film,))
+    return film, film_views
+
+
+def test_frames_of_a_video_are_filled_in_between(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    film, film_views = put_film(store, tables, {"purpose": "video", "rate_hz": 30.0})
     video = StageInputs({**given.manifests, "annotations": [film], "views": [film_views]}, seed=1)
-    made = lift(store, video, max_frames=2, between_frames=5, num_spans=1)["film"]
+    made = lift(store, video, max_frames=2, between_frames=5, num_spans=1)["film21"]
     between = store.read(made.ref, "in_betweens")
     assert list(between["method"]) == ["draws", "straight"] * 4
     first = np.asarray(between["first_frame"])
     np.testing.assert_array_equal(np.asarray(between["frame"]), np.repeat(first[0] + 1 + np.arange(4), 2))
+
+
+def test_key_frames_of_ones_own_video_are_filled_in_between_and_stills_are_not(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
+    film, views = put_film(store, tables, {"purpose": "given", "rate_hz": 30.0}, every=7)
+    video = StageInputs({**given.manifests, "annotations": [film], "views": [views]}, seed=1)
+    between = store.read(lift(store, video, max_frames=2, num_spans=1)["film27"].ref, "in_betweens")
+    assert np.asarray(between["last_frame"])[0] - np.asarray(between["first_frame"])[0] == 7
+    assert between.num_rows == 2 * 6
+    film, views = put_film(store, tables, {"purpose": "given", "rate_hz": 30.0, "why_no_video": {"film": "stills"}})
+    stills = StageInputs({**given.manifests, "annotations": [film], "views": [views]}, seed=1)
+    assert "in_betweens" not in lift(store, stills, max_frames=2)["film31"].tables
 
 
 def test_without_draws_nothing_is_planned(inputs: Any) -> None:

@@ -7,6 +7,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from http.client import HTTPException
 from pathlib import Path
@@ -164,7 +165,8 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
     finally:
-        coming.unlink(missing_ok=True)
+        with suppress(OSError):  # a folder that cannot be written to holds none
+            coming.unlink()
     return Fetched(path=path, num_bytes=len(data), was_there=False)
 
 

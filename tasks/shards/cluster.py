@@ -10,7 +10,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -100,15 +100,14 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
     }
     with dask.config.set(options):
         if settings.scheduler is not None:
-            with _client_of(settings.scheduler) as client:
-                _check_workers(client, settings.scheduler, store_root)
+            with _client_of(settings.scheduler) as client, _only_fit_workers(client, settings.scheduler, store_root):
                 yield client
             return
         if settings.profile is not None:
             with started(settings.profile) as cluster, _client_of(cluster) as client:
                 await_workers(client, settings.profile)
-                _check_workers(client, settings.profile.cluster, store_root)
-                yield client
+                with _only_fit_workers(client, settings.profile.cluster, store_root):
+                    yield client
             return
         with _no_ctrl_c_for_children():
             try:
@@ -229,10 +228,26 @@ def _kill_workers(cluster: Any) -> None:
             os.kill(process.pid, signal.SIGKILL)
 
 
+@contextmanager
+def _only_fit_workers(client: Client, address: str, store_root: str) -> Iterator[None]:
+    """Refuse workers that are not fit for the run, and as long as it lasts those that come later."""
+    _check_workers(client, address, store_root)
+    name = f"pasdedeux-only-fit-{client.id}"
+    client.register_plugin(only_fit(installed(), store_root), name=name)
+    try:
+        yield
+    finally:
+        # The run's store may be gone tomorrow, and workers of other runs need not have it.
+        if client.status == "running":
+            with suppress(OSError, ValueError):  # the scheduler went meanwhile, or is another one
+                client.unregister_worker_plugin(name)
+
+
 def _check_workers(client: Client, address: str, store_root: str) -> None:
     """Refuse a cluster without workers, without this code, or without access to the store."""
     if not client.scheduler_info(n_workers=-1)["workers"]:
-        raise ClusterError(f"the Dask scheduler at {address} has no workers")
+        said = "".join(f"; the last that left: {why}" for why in refusals(client)[-1:])
+        raise ClusterError(f"the Dask scheduler at {address} has no workers{said}")
     try:
         can_write: Mapping[str, bool] = client.run(_can_write, store_root)
     except (ImportError, AttributeError) as error:
@@ -251,7 +266,6 @@ def _check_workers(client: Client, address: str, store_root: str) -> None:
     mine = installed()
     for worker in sorted(found):
         refuse_other(mine, found[worker], f"worker {worker}")
-    client.register_plugin(only_fit(mine, store_root), name="pasdedeux-only-fit")
 
 
 def refusals(client: Client) -> list[str]:

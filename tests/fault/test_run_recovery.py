@@ -15,6 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from distributed import Client
 
 from flows.outcomes import Outcome
 from flows.records import describe_runs
@@ -204,6 +205,28 @@ def test_a_run_whose_last_worker_had_to_leave_says_why(
         ):
             run.result(timeout=60)
     finish_here(tmp_path, undisturbed)
+
+
+def test_workers_that_come_after_a_run_need_not_have_its_store(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    store.mkdir()
+    with Outside(tmp_path) as outside:
+        with connect(ClusterSettings(scheduler=outside.address), store_root=str(store)):
+            pass
+        store.rmdir()
+        outside.worker.kill()
+        outside.worker.wait()
+        late, another = outside.start("worker"), tmp_path / "another"
+        another.mkdir()
+        with Client(outside.address, set_as_default=False) as client:
+            wait_until(lambda: is_alone(client, late.pid), "the late worker")
+        with connect(ClusterSettings(scheduler=outside.address), store_root=str(another)) as client:
+            assert client.submit(os.getpid).result(timeout=30) == late.pid
+
+
+def is_alone(client: Client, pid: int) -> bool:
+    """Tell whether the only worker is this one."""
+    return list(client.run(os.getpid, on_error="ignore").values()) == [pid]
 
 
 def unfit(folder: Path) -> Path:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tasks.shards.cluster import pinned_instructions
 from tests.builders.toy_runs import ROOT
 
 pytestmark = pytest.mark.slow
@@ -70,6 +71,7 @@ def test_two_caches_that_were_filled_in_different_orders_agree(tmp_path: Path) -
 
 
 PINNED = """
+from importlib.util import find_spec
 import numpy as np
 from numba.core import config
 from numpy._core._multiarray_umath import __cpu_features__ as numpy_features
@@ -78,18 +80,26 @@ from threadpoolctl import threadpool_info
 parts["product"] = lambda rng: np.exp(rng.normal(size=(70, 90)) @ rng.normal(size=(90, 50)))
 print(sorted({one["architecture"] for one in threadpool_info() if one["internal_api"] == "openblas"}))
 print(numpy_features["X86_V4"], config.CPU_NAME, "avx512" in config.CPU_FEATURES)
+if find_spec("torch") is not None:
+    import torch
+    assert torch.backends.cpu.get_cpu_capability() == "AVX2"
 """
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the file pins instructions of x86-64")
-def test_processes_under_pinned_instructions_use_no_others_and_agree(tmp_path: Path) -> None:
+def test_processes_under_pinned_instructions_use_no_others_and_agree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lines = shlex.split((ROOT / "deploy" / "instructions.env").read_text(), comments=True)
     pins = dict(line.split("=", 1) for line in lines)
+    for name, value in pins.items():
+        monkeypatch.setenv(name, value)
+    assert pinned_instructions() == pins, "a worker that has one of them otherwise is sent away"
     script = SCRIPT.replace("for name in", f"{PINNED}\nfor name in")
     said = [
         subprocess.run(
             [sys.executable, "-c", script, "residuals", "product"],
-            env={**os.environ, **pins, "NUMBA_CACHE_DIR": str(tmp_path / cache), "PYTHONPATH": str(ROOT)},
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache), "PYTHONPATH": str(ROOT)},
             capture_output=True,
             text=True,
             check=True,

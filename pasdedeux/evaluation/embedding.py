@@ -99,15 +99,17 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
     columns = max(len(panels), 1)
     figure, ((*axes,),) = new_figure(2.9 * columns, 2.9, columns=columns, has_common_axes=True)
     for axis, (name, sets) in zip(axes, panels.items(), strict=False):
-        axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", label="real", **points)
+        axis.scatter(100 * real[:, 0], 100 * real[:, 1], s=5, color="#3a6fd8", label="real", zorder=3, **points)
         for number, (method, places) in enumerate(sets.items()):
             colour = colours.get(method, f"C{number + 4}")
             marker = _MARKERS[number % len(_MARKERS)]  # who does not see colours sees these
             axis.scatter(*(100 * places.T), s=7, color=colour, marker=marker, label=in_words(method), **points)
         if seed is not None:
-            axis.plot(100 * seed[0], 100 * seed[1], "kx", markersize=7)
+            axis.plot(100 * seed[0], 100 * seed[1], "kx", markersize=7, zorder=4)
         axis.set_title(name, fontsize=8)
         axis.tick_params(labelsize=6)
         axis.set_aspect("equal")
+    width, height = (float(np.ptp(limits)) for limits in (axes[0].get_xlim(), axes[0].get_ylim()))
+    figure.set_figheight(float(np.clip(0.9 + 2.4 * height / width, 1.8, 4.5)))  # equal axes leave the rest white
     axes[0].legend(fontsize=6)
     return figure_svg(figure, title=title)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.evaluation.models import GENERATED
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, people_panel, shown_frames
 from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import Score
@@ -74,7 +75,7 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         found = [known.get((split, item, method, metric)) for metric in metrics]
         return " / ".join("-" if one is None else f"{one.value:.2f}" for one in found) if any(found) else ""
 
-    whole = [(method, *(_with_interval(known, split, method) for split in used)) for method in methods]
+    whole = [(in_words(method), *(_with_interval(known, split, method) for split in used)) for method in methods]
     rows = [
         (motion, split.removesuffix(" test"), *(cell(split, motion, method, _PUBLISHED) for method in methods))
         for motion in motions
@@ -92,11 +93,11 @@ def model_tables(scores: Sequence[Score]) -> list[TextTable]:
         if any((split, f"{motion} at {LARGEST_SCALE}", m, "E_r") in known for m in methods)
     ]
     drawn = [
-        (method, *(cell(split, GENERATED, method, _PUBLISHED[1:]) for split in used))
+        (in_words(method), *(cell(split, GENERATED, method, _PUBLISHED[1:]) for split in used))
         for method in methods
         if any((split, GENERATED, method, "E_b") in known for split in used)
     ]
-    headings = ("motion", "split", *methods)
+    headings = ("motion", "split", *map(in_words, methods))
     tables = [
         TextTable(
             "E_r and proximity-weighted distance, cm, on every split, with 95 % intervals over test variants, or over "

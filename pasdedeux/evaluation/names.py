@@ -23,7 +23,7 @@ _METHODS = {
     "paper_cvae": ("the published network", "a conditional variational autoencoder as in Li et al. 2024"),
     "actor_like": ("ACTOR, adapted", "a transformer that knows scales as classes, as Li et al. 2024 adapted it"),
     "action2motion_like": ("Action2motion, adapted", "a recurrent network that knows scales as classes, likewise"),
-    "nearest": ("nearest pose", "each frame alone: the pose of the database, or the draw, whose image is nearest"),
+    "nearest": ("nearest pose", "each frame alone: the pose of the database whose image is nearest"),
     "viterbi": ("best path", "the candidates of all frames that follow each other best"),
     "window": ("window rule", "the published rule: the candidate that fits a window of frames"),
     "fit": ("fit to the image", "the best path, then bent until its image is the given one"),

@@ -46,8 +46,8 @@ class Yardstick:
     def verdict(self, scores: Iterable[Score]) -> Verdict | None:
         """Return the verdict on these scores: pass where clearly better, fail where clearly worse, warn in between.
 
-        Figures are means over the parts and items that both have.  None where the metric, a method or a baseline is
-        not among the scores.
+        Figures are means over the parts and items that both have; of a part with a figure over all its items, that one
+        alone.  None where the metric, a method or a baseline is not among the scores.
         """
         found, unit, plain = self._found(scores)
         named = [method for method in self.methods if method in found][:1]
@@ -89,7 +89,8 @@ class Yardstick:
         found = {name: own for name, own in found.items() if name in self.baselines or not is_bound(name)}
         own = max((set(found[name]) for name in found if name not in plain), key=len, default=set())
         tried = [own.intersection(found[name]) for name in self.baselines if name in found]
-        for places in (*tried, max(map(set, found.values()), key=len, default=set())):
+        for shared in (*tried, max(map(set, found.values()), key=len, default=set())):
+            places = _apart(shared)
             methods = [name for name in found if places and places.issubset(found[name])]
             if len(methods) >= (1 if math.isfinite(self.chance) else 2):
                 break
@@ -111,7 +112,7 @@ class Yardstick:
         )
         better = "longer bars are better" if self.is_larger_better else "shorter bars are better"
         beaten = f"; the dashed line, {name}, has to be beaten" if math.isfinite(goal) else ""
-        mean = f", mean over {len(places)}" if len(places) > 1 else ""
+        mean = f", mean over {len(places)} parts of the data" if len(places) > 1 else ""
         return drawn, f"{self.figure[:1].upper()}{self.figure[1:]}{mean}: {better}, hatched are trivial ways{beaten}."
 
     def _found(self, scores: Iterable[Score]) -> tuple[dict[str, dict[tuple[str, str], float]], str, set[str]]:
@@ -131,8 +132,13 @@ def _means(found: dict[str, dict[tuple[str, str], float]], methods: Sequence[str
     if not methods:
         return {}
     # Sorted: the mean of a set would depend on the order of its hashes.
-    places = sorted(set.intersection(*(set(found[name]) for name in methods)))
+    places = sorted(_apart(set.intersection(*(set(found[name]) for name in methods))))
     return {name: float(np.mean([found[name][place] for place in places])) for name in methods} if places else {}
+
+
+def _apart(places: set[tuple[str, str]]) -> set[tuple[str, str]]:
+    """Return places without the items of parts that have a figure over all of them, which would count twice."""
+    return {(split, item) for split, item in places if item == "all" or (split, "all") not in places}
 
 
 @dataclass(frozen=True)
@@ -191,7 +197,7 @@ def figure_words(verdict: Verdict) -> str:
         line += (
             f" against {format_value(verdict.baseline, verdict.unit)} ({in_words(verdict.baseline_name) or 'baseline'})"
         )
-    return f"{line}, in the median" if verdict.count > 1 else line
+    return f"{line}, in the median" if verdict.count > 1 and "median" not in verdict.figure else line
 
 
 def _judged(verdict: Verdict) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.score_tables import TextTable, format_value
 from pasdedeux.evaluation.scores import Score
 
@@ -15,7 +16,7 @@ _SPLITS = ("held_out", "unannotated", "annotated")
 _COVERAGE = {
     "num_draws": "draws",
     "coverage_D_C": "coverage D_C",
-    "as_good_as_real_frames_D_C": "as good as",
+    "as_good_as_real_frames_D_C": "as good as real",
     "draw_to_nearest_real_D_C_median": "draw to nearest real, median",
 }
 _CHAINS = {"acceptance_rate_mean": "accepted", "travelled_mean": "travelled", "ess_min": "smallest ESS"}
@@ -49,7 +50,7 @@ def exploration_table(coverage: Sequence[Score], chains: Sequence[Score]) -> lis
             found = went.get((method, metric), [])
             values = [score.value for score in found if np.isfinite(score.value)]
             cells.append(format_value(float(np.mean(values)), found[0].unit) if values else "")
-        rows.append((method, *cells))
+        rows.append((in_words(method), *cells))
     return [
         TextTable(
             caption=f"What each way of exploring brought: {split.replace('_', ' ')} frames",

@@ -111,10 +111,10 @@ def _summarised(shard: Shard, store: Store) -> TopicResult:
             scores += scores_of(figure, density, unit, **more)
         totals[density] += table.num_rows
         for row in np.flatnonzero(table["verdict"] != "pass"):
-            said = f"{table['verdict'][row]}, seed {seed}: {table['reason'][row]}"
+            said = f"({table['verdict'][row]}, seed {seed}): {table['reason'][row]}"
             notable.setdefault(density, []).append(said)
     notes = [
-        f"{len(found)} of {totals[density]} chains of {in_words(density)} did not pass, such as {found[0]}."
+        f"{in_words(density)}: {len(found)} of {totals[density]} chains did not pass; the first {found[0]}."
         for density, found in notable.items()
     ]
     return TopicResult(scores=scores, notes=notes)

@@ -30,7 +30,7 @@ __all__ = ["TOPIC"]
 
 _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
-_SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest", "fitted")
+_SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted")
 _NUM_EXAMPLES = 6
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
@@ -90,7 +90,8 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                 take_id, pair_m = found_pair
                 truth = pair_m @ cameras[place.sequence_id].camera_from_world_rotmat.T
                 split = _split(facts, take_id in held_out)
-                method, pair = str(table["method"][row]), np.asarray(table["pair17_m"][row], dtype=np.float64)
+                method = "nearest_draw" if table["method"][row] == "nearest" else str(table["method"][row])
+                pair = np.asarray(table["pair17_m"][row], dtype=np.float64)
                 sink.setdefault(split, {}).setdefault(method, []).append((pair, truth))
                 if table_name == "lifted_pairs":
                     examples.setdefault(split, {}).setdefault(place, {"truth": truth})[method] = pair

@@ -113,7 +113,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         captions[name] = (
             f"{in_words(shown)}, on split {facts['split']}; the true variant is grey. Better: no grey to see. {listed}."
         )
-    keys = [f"{take_id}: {names}" for take_id, meter in sorted(meters.items()) if (names := meter.key_names())]
+    keys = [f"{name}: JPD looks at {pairs}." for name, one in sorted(meters.items()) if (pairs := one.key_names())]
     learned = len({key for manifest in manifests for key in manifest.facts["train"]})
     notes = [
         *missing,
@@ -124,7 +124,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             if facts["shares_takes"]
             else f"Intervals are over takes, as variants of one are much alike, where there are {FEWEST_UNITS}."
         ),
-        *(f"Key pairs of JPD, {one}." for one in keys),
+        *keys,
     ]
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=notes)
 

@@ -62,7 +62,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     pictures = {name: _shown(people, keypoints, camera_m=camera_m, rate_hz=rate_of(table["time_s"]))}
     captions = {
         name: f"{shard.name}: the image, and what was made of it ({in_words(list(people[0].found_m)[-1])}), first as "
-        "the camera sees it. Turn it: one camera does not see depth; better is what lies on the grey truth then too."
+        "the camera sees it. Turn it: one camera does not see depth; better is what lies on the grey truth then too. "
+        "Beside the time: the mean error of that frame."
     }
     for one, other in combinations(people, 2):
         scores += pair_scores(one, other, split=split, item=f"{one.item} with {other.item.split()[-1]}")

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 34
+VERSION = 35
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -72,7 +72,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         captions={
             "views.svg": "From where images may have been seen: psi goes around the pair, phi from straight above (0) "
             "by level with the pair (1.6) to straight below (3.1). Each dot is a guess, larger where it is likelier "
-            "(Yin et al. 2018, fig. 4b). Better: each camera a few tight clusters, not a haze."
+            "(Yin et al. 2018, fig. 4b). Better: a few tight clusters for each camera, not a haze."
         },
         notes=[*skipped, *([] if known else ["No true camera is known here, so views have no error."])],
     )

@@ -89,5 +89,5 @@ def test_views_are_worse_with_noise() -> None:
 
 def test_lifted_pairs_are_shown_beside_their_truth_one_example_after_another() -> None:
     shown = json.loads(lifted_player([{"truth": PAIRS[0], "fitted": PAIRS[1]}, {"truth": PAIRS[2]}]))
-    assert [panel["title"] for panel in shown["panels"]] == ["truth", "fitted"]
+    assert [panel["title"] for panel in shown["panels"]] == ["the truth", "fitted draws"]
     assert shown["labels"] == ["example 1 of 2", "example 2 of 2"]

@@ -26,6 +26,7 @@ from pasdedeux.evaluation.variants import (
     quality_scores,
     verdict_scores,
 )
+from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.evaluation.views import view_scores
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.sampling.coverage import CoverageCurve
@@ -120,6 +121,23 @@ def test_a_reconstruction_has_to_beat_retrieval_and_not_the_mean_pose_that_nobod
     assert (verdict.level, verdict.value, verdict.baseline, verdict.baseline_name) == ("pass", 0.1, 0.2, "nearest pose")
 
 
+def test_items_of_a_part_that_has_a_figure_over_all_of_them_do_not_count_twice() -> None:
+    """Or a verdict would say 2.5 where the table says 1: `hug at 1.25` is in `hug`, and both are in `all`."""
+    values = {"all": 1.0, "hug": 3.0, "hug at 1.25": 3.5}
+    scores = [
+        Score("E_r", method, factor * value, "m", method == "copy", split="random", item=item)
+        for method, factor in (("ridge", 1.0), ("copy", 10.0))
+        for item, value in values.items()
+    ]
+    scores += [Score("E_r", method, 2.0, "m", method == "copy", split="b", item="x") for method in ("ridge", "copy")]
+    yardstick = Yardstick("E_r", "error", ("copy",))
+    verdict, drawn = yardstick.verdict(scores), yardstick.picture(scores)
+    assert verdict is not None
+    assert drawn is not None
+    assert (verdict.value, verdict.baseline) == (1.5, 6.0)
+    assert "mean over 2 parts of the data" in drawn[1]
+
+
 def test_pair_scores_know_the_depth_between_two_people_and_only_the_frames_that_have_both() -> None:
     truth = np.random.default_rng(4).normal(size=(10, 14, 3))
     other = truth + np.array([3.0, 0.0, 4.0])
@@ -209,7 +227,7 @@ def test_every_model_and_the_solver_stand_in_the_tables_of_models_and_cases_are_
     whole, motions, largest = model_tables(scores)
     assert whole.headings == ("model", "random", "cross_scale")
     assert [row[:2] for row in whole.rows] == [
-        ("copy", "4 (4 to 4) / 1 (1 to 1)"),
+        ("copy of the source", "4 (4 to 4) / 1 (1 to 1)"),
         ("ridge", "0.5 (0.5 to 0.5) / 0.1 (0.1 to 0.1)"),
     ]
     assert motions.rows == tuple(

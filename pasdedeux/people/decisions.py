@@ -107,8 +107,12 @@ def write_decisions(decisions: Iterable[Decision]) -> str:
     return out.getvalue()
 
 
-def decide(sequence_id: str, frame: Integers, person_id: Integers, decisions: Sequence[Decision]) -> Integers:
+def decide(
+    sequence_id: str, frame: Integers, person_id: Integers, decisions: Sequence[Decision], *, is_start: bool = False
+) -> Integers:
     """Return who each row (row,) of a sequence is, -1 for nobody.
+
+    Of the start of a sequence, decisions about people and frames that it does not have are passed over.
 
     Raises:
         InputError: A person or frames that the sequence does not have, or two who would be one in the same frame.
@@ -116,16 +120,15 @@ def decide(sequence_id: str, frame: Integers, person_id: Integers, decisions: Se
     decided = person_id.copy()
     people = [int(one) for one in np.unique(person_id)]
     for one in decisions:
+        is_meant = (frame >= one.first_frame) & (frame <= one.last_frame) & (person_id == one.person)
+        decided[is_meant] = one.is_person
+        if is_start or is_meant.any():
+            continue
         where = f"people of '{sequence_id}', row '{one.in_words()}'"
         if one.person not in people:
             raise InputError(f"{where}: there is no person {one.person}; persons: {', '.join(map(str, people))}")
-        is_meant = (frame >= one.first_frame) & (frame <= one.last_frame) & (person_id == one.person)
-        if not is_meant.any():
-            own = frame[person_id == one.person]
-            raise InputError(
-                f"{where}: person {one.person} is in none of these frames, but in {own.min()} to {own.max()}"
-            )
-        decided[is_meant] = one.is_person
+        own = frame[person_id == one.person]
+        raise InputError(f"{where}: person {one.person} is in none of these frames, but in {own.min()} to {own.max()}")
     order = np.lexsort([decided, frame])
     order = order[decided[order] >= 0]
     for before, after in pairwise(order):

@@ -147,7 +147,11 @@ class SettledSequence:
 
 
 def settle_people(
-    frames: AnnotatedFrames, settings: PeopleSettings | None = None, decisions: Sequence[Decision] = ()
+    frames: AnnotatedFrames,
+    settings: PeopleSettings | None = None,
+    decisions: Sequence[Decision] = (),
+    *,
+    is_start: bool = False,
 ) -> SettledPeople:
     """Decide who is who in every sequence, repair the detector's faults, and find the pairs.
 
@@ -155,6 +159,8 @@ def settle_people(
         frames: The rows as a source gives them, with their rate.
         settings: How.
         decisions: What somebody else decided, which is right; those of other sequences are passed over.
+        is_start: The rows are the start of longer sequences: decisions about people or frames not there are passed
+            over.
 
     Raises:
         InputError: The rate is not known, nobody is left, or a decision is about what the sequences do not have.
@@ -176,6 +182,7 @@ def settle_people(
                 has_identities=frames.has_identities,
                 settings=settings,
                 decisions=[one for one in decisions if one.sequence_id == name],
+                is_start=is_start,
             )
         )
     if not sum(len(one.rows.frame) for one in found):
@@ -212,6 +219,7 @@ def settle_sequence(
     has_identities: bool,
     settings: PeopleSettings | None = None,
     decisions: Sequence[Decision] = (),
+    is_start: bool = False,
 ) -> SettledSequence:
     """Do for one sequence what `settle_people` does for all of a source.
 
@@ -223,6 +231,7 @@ def settle_sequence(
         has_identities: Whether a person has the same number in every frame.
         settings: How.
         decisions: What somebody else decided of this sequence.
+        is_start: The rows are the start of a longer sequence.
 
     Raises:
         InputError: A decision is about what the sequence does not have, or makes one of two in the same frame.
@@ -241,7 +250,7 @@ def settle_sequence(
         renamed = int(np.count_nonzero(person_id != rows.person_id))
         rows = replace(rows, person_id=person_id)
     has_numbers = has_identities or not reason
-    decided = decide(sequence_id, rows.frame, rows.person_id, decisions)
+    decided = decide(sequence_id, rows.frame, rows.person_id, decisions, is_start=is_start)
     spans = spans_of(sequence_id, rows.frame, rows.person_id, decided) if has_numbers else []
     rows = replace(rows, person_id=decided).chosen(decided >= 0)
     rows = rows.chosen(np.lexsort([rows.person_id, rows.frame]))

@@ -68,11 +68,8 @@ class FoundAnnotations:
         """
         try:
             decisions = [Decision.from_words(row) for row in self.parameters.people]
-            frames = self.read()
-            if self.parameters.take_seconds is not None:  # who is who is told of the whole sequence
-                last = dict(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
-                decisions = [one for one in decisions if one.first_frame <= last.get(one.sequence_id, -1)]
-            return settle_people(frames, self.parameters.part(PeopleSettings), decisions)
+            is_start = self.parameters.take_seconds is not None  # who is who is told of the whole sequence
+            return settle_people(self.read(), self.parameters.part(PeopleSettings), decisions, is_start=is_start)
         except InputError as error:
             raise type(error)(f"annotations {self.parameters.id}: {error}") from None
 

@@ -53,8 +53,11 @@ def test_2d_poses_of_every_format_become_annotations(tmp_path: Path) -> None:
 
 def test_a_preview_takes_the_first_frames_of_each_sequence_and_of_the_table_of_who_is_who(tmp_path: Path) -> None:
     write_openpose(tmp_path / "walk")
+    last = tmp_path / "walk" / "w_000000000005_keypoints.json"
+    last.write_text(openpose_text("coco18", people=3, seed=5))
     (tmp_path / "people.csv").write_text(
-        "sequence,first_frame,last_frame,person,is\nwalk,0,3,0,1\nwalk,0,3,1,0\nwalk,4,5,0,0\nwalk,4,5,1,1\n"
+        "sequence,first_frame,last_frame,person,is\n"
+        "walk,0,3,0,1\nwalk,0,3,1,0\nwalk,4,5,0,0\nwalk,4,5,1,1\nwalk,0,5,2,nobody\n"
     )
     source = {"id": "walk", "path": tmp_path / "walk", "rate_hz": 25.0, "people_file": tmp_path / "people.csv"}
     store = Store(tmp_path / "store")

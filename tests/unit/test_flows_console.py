@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import re
+import shlex
 import shutil
 import tomllib
 from pathlib import Path

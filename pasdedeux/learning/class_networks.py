@@ -80,7 +80,7 @@ class ActorNetworks:
     def _encode(self, weights: Tensors, batch: Tensors) -> torch.Tensor:
         asked = [batch["condition"] @ weights[f"class/{what}/matrix"] for what in ("mean", "variance")]
         tokens = torch.cat([torch.stack(asked, 1), dense(weights, "pose", _change(batch))], 1)
-        tokens = tokens + sines(tokens.shape[1], self.settings.width)
+        tokens = tokens + sines(tokens.shape[1], self.settings.width).to(tokens.device)
         for block in range(self.settings.num_blocks):
             tokens = look_at(weights, f"encoder/{block}", tokens, tokens)
         return tokens[:, :2].flatten(1)
@@ -88,7 +88,8 @@ class ActorNetworks:
     def _decode(self, weights: Tensors, batch: Tensors, z: torch.Tensor) -> torch.Tensor:
         own = z + batch["condition"] @ weights["class/bias/matrix"]
         seen = torch.stack([own, dense(weights, "ends", _ends(batch))], 1)
-        tokens = sines(batch["template_m"].shape[1], self.settings.width).expand(len(z), -1, -1)
+        times = sines(batch["template_m"].shape[1], self.settings.width).to(z.device)
+        tokens = times.expand(len(z), -1, -1)
         for block in range(self.settings.num_blocks):
             tokens = look_at(weights, f"decoder/{block}", tokens, tokens)
             tokens = look_at(weights, f"memory/{block}", tokens, seen)

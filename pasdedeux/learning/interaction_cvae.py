@@ -157,7 +157,7 @@ class InteractionCvae:
         num_frames = template.shape[1]
         known = torch.cat([z[:, None].expand(-1, _JOINTS, -1), self._ends(template)[:, person], seen], -1)
         if s.architecture == "st_gcn_decoders":
-            times = sines(num_frames)[:, None].expand(len(known), -1, _JOINTS, -1)
+            times = sines(num_frames).to(known.device)[:, None].expand(len(known), -1, _JOINTS, -1)
             every = torch.cat([known[:, None].expand(-1, num_frames, -1, -1), times], -1)
             found = mlp(
                 weights, f"{name}/out", st_gcn(weights, name, every, s.num_blocks, s.kernel, is_pooled=False), 2

@@ -50,21 +50,21 @@ def first_weights(size: int, generator: np.random.Generator) -> dict[str, Narrow
 
 def _forward(weights: Tensors, known: torch.Tensor) -> torch.Tensor:
     """Return the last 5 known frames and the 10 that follow (n, 15, size) of known ones (n, 20, size)."""
-    last = known[:, -1:]
+    last, to_frequencies = known[:, -1:], _DCT.to(known.device)
     past = known - last
     starts = range(HISTORY - _LENGTH + 1)
     keys = torch.stack([past[:, at : at + _COMPARED].flatten(1) for at in starts], 1)
-    values = torch.stack([_DCT @ past[:, at : at + _LENGTH] for at in starts], 1)
+    values = torch.stack([to_frequencies @ past[:, at : at + _LENGTH] for at in starts], 1)
     query = torch.relu(past[:, -_COMPARED:].flatten(1) @ weights["query"])
     likeness = torch.einsum("nk,nsk->ns", query, torch.relu(keys @ weights["key"])) + 1e-6
     seen = torch.einsum("ns,nsfc->ncf", likeness / likeness.sum(1, keepdim=True), values)
-    still = _DCT @ torch.cat([past[:, -_COMPARED:], past[:, -1:].expand(-1, HORIZON, -1)], 1)
+    still = to_frequencies @ torch.cat([past[:, -_COMPARED:], past[:, -1:].expand(-1, HORIZON, -1)], 1)
     found = torch.cat([still.transpose(1, 2), seen], 2)
     for number in range(len(_CHANNELS) - 1):
         found = weights[f"link{number}"] @ found @ weights[f"mix{number}"]
         if number < len(_CHANNELS) - 2:
             found = torch.tanh(found)
-    return _DCT.T @ (still + found.transpose(1, 2)) + last
+    return to_frequencies.T @ (still + found.transpose(1, 2)) + last
 
 
 def loss(weights: Tensors, batch: Tensors) -> torch.Tensor:

@@ -174,7 +174,7 @@ def st_gcn(
     for block in range(num_blocks):
         at = f"{name}/{block}"
         step = 2 if block and is_pooled else 1
-        near = (_GRAPH * weights[f"{at}/edges"]) @ x
+        near = (_GRAPH.to(x.device) * weights[f"{at}/edges"]) @ x
         here = torch.relu(dense(weights, f"{at}/space", near))
         padded = pad(here, (0, 0, 0, 0, kernel // 2, kernel // 2))
         # Slices beside each other and not `unfold`, whose backward pass is a quarter of a training step.
@@ -206,7 +206,7 @@ def graph_gru(weights: Tensors, name: str, known: torch.Tensor, num_frames: int)
         known: What it is given, the same in every frame (W, 22, inputs).
         num_frames: T.
     """
-    graph = _GRAPH * weights[f"{name}/edges"]
+    graph = _GRAPH.to(known.device) * weights[f"{name}/edges"]
     state = torch.tanh(dense(weights, f"{name}/begin", known))
     given, into = dense(weights, f"{name}/in", known), weights[f"{name}/last/matrix"]
     last = known.new_zeros(*known.shape[:-1], into.shape[0])

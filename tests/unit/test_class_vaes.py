@@ -6,7 +6,15 @@ import torch
 
 from pasdedeux.augmentation import Source, uniform_variations
 from pasdedeux.errors import InputError
-from pasdedeux.learning import Arrays, Training, TrainingItem, VariantRequest, load_model, model_arrays
+from pasdedeux.learning import (
+    Arrays,
+    Training,
+    TrainingItem,
+    VariantRequest,
+    load_model,
+    model_arrays,
+    predictor_network,
+)
 from pasdedeux.learning.class_networks import _divergence_between
 from pasdedeux.learning.class_vaes import Action2MotionLikeModel, ActorLikeModel
 from pasdedeux.learning.interaction_cvae import InteractionCvae
@@ -121,3 +129,23 @@ def test_every_architecture_is_trained_segment_by_segment(architecture: str) -> 
         state = trained.state
     loaded = load_model("paper_cvae", model_arrays(trained.model))
     np.testing.assert_array_equal(loaded.predict(request), trained.model.predict(request))
+
+
+def test_networks_keep_no_part_of_them_on_another_device_than_their_weights() -> None:
+    def elsewhere(shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+        return {name: torch.empty(shape, device="meta") for name, shape in shapes.items()}
+
+    frames = 11
+    networks = [_model(ActorLikeModel).networks(), _model(Action2MotionLikeModel).networks()]
+    told = [3, 3]
+    for architecture in ("published", "st_gcn_decoders"):
+        networks.append(InteractionCvae(SMALL.model_copy(update={"architecture": architecture})))
+        told.append(22)
+    for one, size in zip(networks, told, strict=True):
+        motions = dict.fromkeys(("template_m", "motion_m"), (2, frames, 2, 22, 3))
+        noise = {f"noise_{name}": (2, *shape) for name, shape in one.noise_shapes(frames).items()}
+        loss = one.loss(elsewhere(one.shapes()), elsewhere({**motions, "condition": (2, size), **noise}))
+        assert loss.device.type == "meta"
+    first = predictor_network.first_weights(132, np.random.default_rng(0))
+    weights = elsewhere({name: values.shape for name, values in first.items()})
+    assert predictor_network.loss(weights, elsewhere({"clips": (2, 30, 132)})).device.type == "meta"

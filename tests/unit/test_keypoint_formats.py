@@ -294,6 +294,13 @@ def test_unknown_numbers_of_keypoints_are_named_with_the_layouts_there_are() -> 
         read_coco(json.dumps([{"image_id": 0, "keypoints": [1.0] * 63}]), sequence_id="r")
 
 
+def test_a_coco_file_of_two_layouts_is_refused() -> None:
+    content = json.loads(coco_text())
+    del content["annotations"][4]["keypoints"][-3:]
+    with pytest.raises(FormatError, match="annotation 4 has 16 keypoints and annotation 0 has 17: a source has one la"):
+        read_coco(json.dumps(content), sequence_id="r")
+
+
 def test_results_without_anybody_are_refused() -> None:
     for text in ("[]", '[{"frame_id": 0, "instances": []}]', '{"images": [], "annotations": []}'):
         with pytest.raises(InputError, match="nobody"):

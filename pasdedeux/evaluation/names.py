@@ -12,7 +12,7 @@ _METHODS = {
     "naive_fk": ("plain forward kinematics", "the source's joint angles on the new bones: the trivial way"),
     "copy": ("copy of the source", "answers with the source, as if nobody had another size"),
     "ridge_scale": ("ridge regression on scales", "linear in the bone scales, fitted for each take"),
-    "ridge_adapted": ("adapted ridge regression", "the same, adapted to the nearest interactions it knows"),
+    "ridge_adapted": ("adapted ridge regression", "the same, fitted to a few near sizes of the very take asked for"),
     "start_net": ("starting network", "a small network that answers at once, from which a fit can go on"),
     "solver": ("the solver", "the converged variant itself, which models are asked for: a bound"),
     "with_augmentation": ("with augmentation", "learned from takes and their variants"),
@@ -147,8 +147,12 @@ _METRICS = {
     "AME": ("AME", "error of predicted poses laid onto the true ones", "smaller"),
     "E_r": ("joint error E_r", "mean joint distance from the true variant", "smaller"),
     "E_b": ("bone error E_b", "how far predicted bones are from their length", "smaller"),
-    "JPD": ("JPD", "difference of joint distances between the people", "smaller"),
-    "PWD": ("PWD", "the same, near joints weighing more", "smaller"),
+    "JPD": (
+        "JPD",
+        "difference of the distances of key pairs; the solver pins those, so what is like it is favoured",
+        "smaller",
+    ),
+    "PWD": ("PWD", "the same of all joints of one to all of the other, near ones weighing more (1 / d^2)", "smaller"),
     "identity_switches_per_minute": (
         "identity switches a minute",
         "how often somebody becomes somebody else",

@@ -113,7 +113,11 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         captions[name] = (
             f"{in_words(shown)}, on split {facts['split']}; the true variant is grey. Better: no grey to see. {listed}."
         )
-    keys = [f"{name}: JPD looks at {pairs}." for name, one in sorted(meters.items()) if (pairs := one.key_names())]
+    keys = [
+        f"{name}: the distance of key pairs (JPD) is between {pairs}."
+        for name, one in sorted(meters.items())
+        if (pairs := one.key_names())
+    ]
     learned = len({key for manifest in manifests for key in manifest.facts["train"]})
     notes = [
         *missing,
@@ -149,13 +153,9 @@ def _named(by_take: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
 TOPIC = Topic(
     name="models",
     heading="Models",
-    introduction="Models that predict a variant from the source and its bone scales; copy and naive forward kinematics "
-    "are the baselines, `solver` the converged variant itself. E_r, E_b and JPD are those of Li et al. (2024): places "
-    "of joints, lengths of bones and distances of key pairs beside the solver's; JPD is leaked by construction, as the "
-    "solver pins those pairs. PWD weighs the distances between both by 1 / d^2. The contact error looks at the source "
-    "alone: how far points in contact (those known, where a take has such) come from the distance they had. Energy gap "
-    "is the mesh's energy over the converged one's. `ridge_adapted` is fitted to variants of the take that "
-    "is asked for, solved at 0.85 and 1.15 if not told otherwise: there it is judged by what it was fitted to.",
+    introduction="Models that say from a take and the sizes of two bodies how they would move, and how far that is "
+    "from what the solver says. The trivial ways give the take back, or put its joint angles on the new bones. The "
+    "table of names says what each figure and model is.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,

@@ -159,7 +159,7 @@ class _Times:
         if self._frames_behind:
             said.append(
                 f"a pose left {np.median(self._frames_behind):.0f} frames after its image "
-                f"({max(self._frames_behind)} at most)"
+                f"({max(self._frames_behind)} at most, before a person's bones were known)"
             )
         if self._answer_s:
             said.append(
@@ -191,8 +191,7 @@ class _Lines:
                 "joint_names": [HUMANOID_NAMES[joint].mixamo for joint in BODY22.joint_names],
                 "parents": list(BODY22.parents),
                 "local_unitquat": "x, y, z, w against the parent, from the standing T-pose; root: Hips at hips_m",
-                "rest_offset_m": "from the parent in the T-pose; in a person's first line and again once, when the "
-                "person's own bones are known",
+                "rest_offset_m": "from the parent in the T-pose; in a person's first line",
                 "floor_m": "y of the floor; null where it is not kept",
                 "op14_names": list(OP14.joint_names),
             }

@@ -21,8 +21,9 @@ several cameras is as many sequences.  With --follow: a folder of OpenPose files
   pasdedeux reconstruct walk/ --database projections:duets --follow
                                        a JSON line per person and frame while the files are being written
 
-With --follow, a pose leaves --lag frames after its image.  It ends with Ctrl-C, when a file STOP appears in the
-folder, or when nothing new came for --idle seconds: poses that wait are then written, and how long all took is told.
+With --follow, a pose leaves --lag frames after its image, those of a person's first two seconds when these are over.
+It ends with Ctrl-C, when a file STOP appears in the folder, or when nothing new came for --idle seconds: poses that
+wait are then written, and how long all took is told.
 """
 
 

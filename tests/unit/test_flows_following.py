@@ -23,7 +23,10 @@ from pasdedeux.skeletons import Skeleton
 from pasdedeux.skeletons.humanoid import HUMANOID_NAMES
 from storage_schema import Store
 from tasks.reconstruction import read_database
-from tests.builders.walkers_on_video import FRAMES, build_store, reference, write_walkers
+from tests.builders.walkers_on_video import build_store, reference, write_walkers
+
+FRAMES = 75
+"""Longer than the time in which bones are learned."""
 
 WRITER = """
 import pathlib, sys
@@ -40,7 +43,7 @@ for path in sorted(source.iterdir()):
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_walkers(tmp_path_factory.mktemp("video"))
+    return write_walkers(tmp_path_factory.mktemp("video"), FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +67,7 @@ def test_files_being_written_by_another_process_become_lines_in_order(
         steps = np.linalg.norm(np.diff([line["root_m"] for line in own], axis=0), axis=-1)
         assert steps.max() < 0.25
     said = capsys.readouterr().err
-    assert "a pose left 3 frames after its image (3 at most)" in said
+    assert "frames after its image (59 at most, before a person's bones were known)" in said
     assert f"{FRAMES} frames, {2 * FRAMES} poses; work per frame" in said
 
 
@@ -90,7 +93,7 @@ def test_lines_say_what_they_hold_and_their_rotations_give_the_joints(
         np.testing.assert_allclose(own, op14, atol=2e-6)
         floors.append(op14[[SHARED.index("left_ankle"), SHARED.index("right_ankle")], 1].min() - line["floor_m"])
     assert sum("rest_offset_m" in line for line in lines) == 2
-    assert 0.05 < np.median(floors) < 0.09
+    assert 0.05 < np.quantile(floors, 0.1) < 0.09
 
 
 def read_while(folder: Path, steps: list[Callable[[], object]], idle_s: float = 100.0) -> list[FollowedFile]:
@@ -160,7 +163,7 @@ def test_times_are_told_of_files_that_came_while_following(
     assert "came while following" not in said.err
     people = LivePeople(Searcher.of(database), rate_hz=30.0, options=LiveOptions(lag=2))
     follow_lines(people, iter(files), None, rate_hz=30.0, began=0.0)
-    assert f"({FRAMES - 2} files that came while following)" in capsys.readouterr().err
+    assert f"({FRAMES - 59} files that came while following)" in capsys.readouterr().err
 
 
 def test_nothing_new_for_the_idle_time_ends_it(tmp_path: Path) -> None:

@@ -115,30 +115,50 @@ def test_clean_up_can_be_switched_off_and_keeps_bones_and_rotations_together(sea
 
 
 @pytest.mark.parametrize("has_clean_up", [True, False])
-def test_bones_change_once_when_they_have_settled_and_never_again(searcher: Searcher, has_clean_up: bool) -> None:
+def test_no_bone_ever_changes_and_the_first_poses_wait_for_the_persons_own(
+    searcher: Searcher, has_clean_up: bool
+) -> None:
     px, _ = video(60)
     px[40:] = px[39:40] + 1.3 * (px[40:] - px[39:40])  # later frames that say otherwise of the person
     options = LiveOptions(lag=4, settling_s=1.0, has_clean_up=has_clean_up)
     people = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
-    poses = [pose for pose in run(people, px[:, :1]) if pose.person_id == 0]
-    before, after = poses[: 29 - 4], poses[29 - 4 :]
-    for part in (before, after):
-        op14 = np.stack([pose.positions_m for pose in part])
-        body22 = np.stack(
-            [forward_kinematics(BODY22, pose.body.offsets_m, pose.pelvis_m, pose.body22_unitquat)[0] for pose in part]
-        )
-        for skeleton, joints in ((OP14, op14), (BODY22, body22)):
-            assert np.ptp(bone_lengths(skeleton, joints), axis=0).max() < 1e-9
-        np.testing.assert_allclose(body22[:, BODY22.indices(SHARED)], op14[:, OP14.indices(SHARED)], atol=1e-8)
-    np.testing.assert_allclose(bone_lengths(OP14, before[0].positions_m[None])[0], REFERENCE_LENGTHS_M, atol=1e-9)
-    assert np.abs(before[0].body.rest_m - after[0].body.rest_m).max() > 1e-3
+    poses: list[LivePose] = []
+    for frame in range(60):
+        new = people.push(frame, px[frame, :1], np.ones((1, 14)))
+        due = [] if frame < 29 else list(range(26)) if frame == 29 else [frame - 4]
+        assert [pose.frame for pose in new] == due
+        poses += new
+    poses += people.finish()
+    assert [pose.frame for pose in poses] == list(range(60))
+    op14 = np.stack([pose.positions_m for pose in poses])
+    body22 = np.stack(
+        [forward_kinematics(BODY22, pose.body.offsets_m, pose.pelvis_m, pose.body22_unitquat)[0] for pose in poses]
+    )
+    for skeleton, joints in ((OP14, op14), (BODY22, body22)):
+        assert np.ptp(bone_lengths(skeleton, joints), axis=0).max() < 1e-9
+    np.testing.assert_allclose(body22[:, BODY22.indices(SHARED)], op14[:, OP14.indices(SHARED)], atol=1e-8)
+    assert np.abs(bone_lengths(OP14, op14[:1])[0] - REFERENCE_LENGTHS_M).max() > 1e-3
+
+
+def test_who_leaves_before_the_bones_are_known_is_given_out_all_the_same(searcher: Searcher) -> None:
+    px, _ = video(90)
+    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4))
+    due: list[tuple[int, int]] = []
+    for frame in range(90):
+        seen = px[frame, : 1 if frame > 20 else 2]
+        new = people.push(frame, seen, np.ones(seen.shape[:-1]))
+        due += [(frame, pose.frame) for pose in new if pose.person_id == 1]
+    assert [frame for _, frame in due] == list(range(21))
+    assert {at for at, _ in due} == {59}
+    short = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4))
+    assert [pose.frame for pose in run(short, px[:10, :1])] == list(range(10))
 
 
 def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_what_comes_later(
     searcher: Searcher,
 ) -> None:
     px, _ = video(30)
-    options = LiveOptions(lag=4)
+    options = LiveOptions(lag=4, has_own_proportions=False)
     first = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
     second = LivePeople(searcher, rate_hz=RATE_HZ, image_size_px=(1920, 1080), options=options)
     early = []
@@ -156,7 +176,7 @@ def test_a_pose_leaves_exactly_the_lag_after_its_image_and_does_not_depend_on_wh
 
 def test_people_who_leave_are_given_out_within_the_lag_and_gaps_are_bridged_over(searcher: Searcher) -> None:
     px, _ = video(50)
-    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4))
+    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=4, has_own_proportions=False))
     due = []
     for frame in range(50):
         if 20 < frame < 26:
@@ -173,7 +193,7 @@ def test_people_who_leave_are_given_out_within_the_lag_and_gaps_are_bridged_over
 
 def test_frames_with_little_or_nothing_seen_give_no_pose(searcher: Searcher) -> None:
     px, _ = video(12)
-    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=0))
+    people = LivePeople(searcher, rate_hz=RATE_HZ, options=LiveOptions(lag=0, has_own_proportions=False))
     assert people.push(0, np.zeros((0, 14, 2)), np.zeros((0, 14))) == []
     assert people.push(1, np.full((1, 14, 2), np.nan), np.zeros((1, 14))) == []
     scraps = np.zeros((2, 14))

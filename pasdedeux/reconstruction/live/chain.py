@@ -1,4 +1,7 @@
-"""Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed."""
+"""Reconstruction as frames arrive: each pose leaves a fixed number of frames after its image, and is never changed.
+
+The poses of a person's first two seconds leave together, as soon as the bones are known (`LiveOptions.settling_s`).
+"""
 
 from __future__ import annotations
 
@@ -86,7 +89,8 @@ class LivePeople:
                 poses += self._people[person].advance(frame)
         forgotten = frame - self._options.identities.max_absent_s * self._rate_hz - self._options.lag
         for person in [one for one, last in self._last_seen.items() if last < forgotten]:
-            del self._people[person], self._last_seen[person]
+            poses += self._people.pop(person).finish()
+            del self._last_seen[person]
             self._floor.forget(person)
         return poses
 

@@ -2,13 +2,16 @@
 
 Scale and place come from the frames of the last moments; every frame is searched once, its yaws are refined between the
 steps, Viterbi chooses among the candidates, the pose is fitted to a few frames of the image, a 1-euro filter goes over
-rotations and root, and planted feet are stilled.
+rotations and root, and planted feet are stilled. Bones are learned from a person's first moments, whose poses are held
+back and made again with them: no bone ever changes.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain, starmap
 from statistics import median
 
 import numpy as np
@@ -80,7 +83,7 @@ class LiveOptions(Settings):
     settling_s: float = Field(
         2.0,
         gt=0,
-        description="A person's bones are estimated for this time and kept; poses until then have the reference's",
+        description="A person's bones are estimated for this time and kept; poses until then are held back so long",
     )
     is_fitted: bool = Field(True, description="Poses are fitted to the images of their window")
     fit: WindowFitOptions = Field(WindowFitOptions(), description="What the fit believes")
@@ -102,7 +105,7 @@ class LivePose:
         score_m: Mean distance per seen joint to it.
         row: Database row matched.
         num_joints_seen: Joints seen in the image.
-        body: The person's bones: the reference body's until they have settled, then the person's own for good.
+        body: The person's bones, the same in every frame.
         pelvis_m: Pelvis (3,), upright axes (y up), camera at the origin.
         body22_unitquat: Local rotations (22, 4) of the whole body from the standing T-pose, upright axes.
         floor_m: Height of the floor there; NaN where it is not kept.
@@ -146,11 +149,24 @@ class _ProportionFrame:
     matched_m: Array
 
 
+@dataclass(frozen=True)
+class _Bones:
+    """A person's bones: shares of the reference's (14,), and the width of the hips, metres."""
+
+    proportions: Array
+    hip_width_m: float
+
+    @property
+    def lengths_m(self) -> Array:
+        """Lengths (14,) of the bones that end in the joints of op14."""
+        return REFERENCE_LENGTHS_M * self.proportions
+
+
+_REFERENCE = _Bones(np.ones(OP14.num_joints), REFERENCE_HIP_WIDTH_M)
+
+
 class LivePerson:
     """One person's reconstruction as frames arrive.
-
-    A frame is placed by the scale so far, searched once, placed anew by its best match, and its candidates are turned
-    to their best yaws at that place.
 
     Args:
         person_id: Who.
@@ -172,36 +188,83 @@ class LivePerson:
         floor: LiveFloor | None = None,
     ) -> None:
         self.person_id = person_id
-        self._options = options or LiveOptions()
+        options = options or LiveOptions()
+        self._start = partial(_Chain, person_id, searcher, rate_hz, lens, options)
+        clean_up = LiveCleanUp(rate_hz, options.clean_up, floor=floor, person=person_id)
+        self._clean_up = clean_up if options.has_clean_up else None
+        self._settling = max(1, round(options.settling_s * rate_hz))
+        self._held: list[tuple[int, Array, Array]] = []
+        self._is_settled = not options.has_own_proportions
+        self._chain = self._start(_REFERENCE, self._clean_up if self._is_settled else None)
+
+    def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
+        """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
+        poses = self._chain.push(frame, keypoints_px, confidence)
+        if self._is_settled:
+            return poses
+        if self._chain.has_learned:
+            self._held.append((frame, keypoints_px, confidence))
+        return self._settle(frame)
+
+    def advance(self, frame: int) -> list[LivePose]:
+        """Return the poses that are due when the sequence is at `frame` and the person is not seen."""
+        poses = self._chain.advance(frame)
+        return poses if self._is_settled else self._settle(frame)
+
+    def finish(self) -> list[LivePose]:
+        """Return all poses that still wait."""
+        poses = [] if self._is_settled or not self._held else self._settle(self._held[0][0] + self._settling)
+        return [*poses, *self._chain.finish()] if self._is_settled else []
+
+    def _settle(self, frame: int) -> list[LivePose]:
+        """Return the poses held back, made with the person's own bones, as soon as these are known."""
+        if not self._held or frame - self._held[0][0] < self._settling - 1:
+            return []
+        self._chain.finish()
+        self._chain = self._start(self._chain.learned(), self._clean_up)
+        held, self._held, self._is_settled = self._held, [], True
+        return [*chain.from_iterable(starmap(self._chain.push, held)), *self._chain.advance(frame)]
+
+
+class _Chain:
+    """The steps from images to poses with given bones; what the images say of the bones is learned beside them.
+
+    A frame is placed by the scale so far, searched once, placed anew by its best match, and its candidates are turned
+    to their best yaws at that place.
+    """
+
+    def __init__(
+        self,
+        person_id: int,
+        searcher: Searcher,
+        rate_hz: float,
+        lens: Lens,
+        options: LiveOptions,
+        bones: _Bones,
+        clean_up: LiveCleanUp | None,
+    ) -> None:
+        self._person_id = person_id
+        self._options = options
         self._searcher = searcher
-        self._rate_hz = rate_hz
         self._lens = lens
-        self._viterbi = FixedLagViterbi(
-            searcher.database, rate_hz=rate_hz, lag=self._options.lag, weights=self._options.temporal
-        )
-        window = max(3, round(self._options.window_s * rate_hz))
+        self._viterbi = FixedLagViterbi(searcher.database, rate_hz=rate_hz, lag=options.lag, weights=options.temporal)
+        self._scales: deque[float] = deque(maxlen=max(3, round(options.window_s * rate_hz)))
+        self._waiting: deque[_Waiting] = deque()
+        self._index = searcher.index.with_slack(max(searcher.index.slack, options.search_slack))
+        self._fit = WindowFit(rate_hz, options.fit)
+        self._lengths_m, self._hip_width_m = bones.lengths_m, bones.hip_width_m
+        self._body = body_of(self._lengths_m, self._hip_width_m)
+        self._proportions = bones.proportions
+        self._is_learning = options.has_own_proportions and bones is _REFERENCE
         self._spread: list[_ProportionFrame] = []
         self._stride = 1
-        self._scales: deque[float] = deque(maxlen=window)
-        self._waiting: deque[_Waiting] = deque()
-        self._index = searcher.index.with_slack(max(searcher.index.slack, self._options.search_slack))
-        self._fit = WindowFit(rate_hz, self._options.fit)
-        self._proportions = np.ones(OP14.num_joints)
         self._num_seen = 0
-        self._settling = max(1, round(self._options.settling_s * rate_hz))
         self._hip_widths: list[float] = []
-        self._lengths_m = REFERENCE_LENGTHS_M.copy()
-        self._hip_width_m = REFERENCE_HIP_WIDTH_M
-        self._body = body_of(self._lengths_m, self._hip_width_m)
-        self._bends = OneEuroFilter(self._options.bend_smoothing, rate_hz)
+        self._bends = OneEuroFilter(options.bend_smoothing, rate_hz)
         self._camera_rotmat: Array = np.asarray(searcher.database.camera.camera_from_upright_rotmat)
-        self._rotations = OneEuroFilter(self._options.smoothing, rate_hz)
-        self._clean_up = (
-            LiveCleanUp(rate_hz, self._options.clean_up, floor=floor, person=person_id)
-            if self._options.has_clean_up
-            else None
-        )
-        self._root = OneEuroFilter(self._options.root_smoothing, rate_hz)
+        self._rotations = OneEuroFilter(options.smoothing, rate_hz)
+        self._clean_up = clean_up
+        self._root = OneEuroFilter(options.root_smoothing, rate_hz)
 
     def push(self, frame: int, keypoints_px: Array, confidence: Array) -> list[LivePose]:
         """Take this person's op14 keypoints (14, 2) of a frame; give the poses that are due."""
@@ -272,7 +335,7 @@ class LivePerson:
         if np.isfinite(ratio):
             self._scales.append(ratio)
         own = (straight - centre) * scale
-        if self._options.has_own_proportions:
+        if self._is_learning:
             self._learn_proportions(_ProportionFrame(weights, own, matched))
         refined = refine_yaws(database, found, retarget_image(own, self._proportions), weights)
         order = np.argsort(refined.distance_m, kind="stable")[: np.count_nonzero(found.projection >= 0)]
@@ -299,27 +362,36 @@ class LivePerson:
         off_mean = np.nan_to_num(points) - reference.mean_m / scale
         return np.asarray(share @ off_mean / share.sum())
 
+    @property
+    def has_learned(self) -> bool:
+        """Whether a frame said something of the bones."""
+        return self._num_seen > 0
+
+    def learned(self) -> _Bones:
+        """Return the person's own bones as the frames so far say, once all their poses were given."""
+        proportions = self._estimate_proportions()
+        width = REFERENCE_HIP_WIDTH_M
+        if self._hip_widths:
+            bones_m = REFERENCE_LENGTHS_M * proportions
+            width = median(self._hip_widths) * float(bones_m[[_LEFT_HIP, _RIGHT_HIP]].mean())
+        return _Bones(proportions, width)
+
     def _learn_proportions(self, seen: _ProportionFrame) -> None:
-        """Estimate the proportions now and then, from frames spread over those seen, until they have settled."""
-        if self._num_seen == self._settling:
-            return
+        """Keep a frame of those spread over all that were seen, and estimate the proportions now and then."""
         if self._num_seen % self._stride == 0:
             self._spread.append(seen)
             if len(self._spread) == 2 * _SPREAD_FRAMES:
                 self._spread, self._stride = self._spread[::2], 2 * self._stride
         self._num_seen += 1
-        if self._num_seen % self._options.proportions_every == 0 or self._num_seen == self._settling:
-            self._proportions = estimate_proportions(
-                np.stack([one.own_m for one in self._spread]),
-                np.stack([one.weights for one in self._spread]),
-                np.stack([one.matched_m for one in self._spread]),
-            )
-        if self._num_seen == self._settling:
-            self._spread = []
-            self._lengths_m = REFERENCE_LENGTHS_M * self._proportions
-            if self._hip_widths:
-                self._hip_width_m = median(self._hip_widths) * float(self._lengths_m[[_LEFT_HIP, _RIGHT_HIP]].mean())
-            self._body = body_of(self._lengths_m, self._hip_width_m)
+        if self._num_seen % self._options.proportions_every == 0:
+            self._proportions = self._estimate_proportions()
+
+    def _estimate_proportions(self) -> Array:
+        return estimate_proportions(
+            np.stack([one.own_m for one in self._spread]),
+            np.stack([one.weights for one in self._spread]),
+            np.stack([one.matched_m for one in self._spread]),
+        )
 
     def _poses(self, decided: list[Decision]) -> list[LivePose]:
         """Return the poses of frames that were just decided on."""
@@ -338,7 +410,7 @@ class LivePerson:
         turned = np.array(unitquat)
         turned[OP14.root] = multiply(camera_turns(-root[None])[0], unitquat[OP14.root])
         positions = place_bone_rotations(turned, self._lengths_m, root)
-        if self._options.has_own_proportions and self._num_seen < self._settling:
+        if self._is_learning:
             hips = positions[[_LEFT_HIP, _RIGHT_HIP]]
             bones = np.linalg.norm(hips - positions[OP14.root], axis=-1)
             self._hip_widths.append(float(np.linalg.norm(hips[0] - hips[1]) / bones.mean()))
@@ -351,7 +423,7 @@ class LivePerson:
         positions = upright @ self._camera_rotmat.T
         turned, root = bone_rotations(positions), mid_hip(positions)
         return LivePose(
-            person_id=self.person_id,
+            person_id=self._person_id,
             frame=waiting.frame,
             positions_m=positions,
             bone_unitquat=turned,

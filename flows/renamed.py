@@ -51,6 +51,8 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.sigma_p_m": "one value serves every stage now: it is called physical_prior.sigma_p_m",
     "chains.max_invalid_angles": "one value serves every stage now: it is called physical_prior.max_invalid_angles",
     "chains.length_tolerance": "one value serves every stage now: it is called physical_prior.length_tolerance",
+    "evaluation.has_unseen_view_sweeps": "noise and missing joints are scored at one level each: leave it out",
+    "evaluation.has_left_out_clips": "the held-out takes say what it said: leave it out",
     "seeds.is_refined": "growth is no longer refined (it brought 5.25 to 5.10 cm for twice the time): leave it out",
 }
 """Old study key, or key=value, to one sentence with the new name or what became of it.

@@ -1,24 +1,19 @@
 """A motion the database does not hold, seen from several directions and reconstructed by every method.
 
 Yiannakides et al. (2019, section 6) compare a reconstruction with the held-out motion it was projected from, and two
-reconstructions of one motion from views 75 and 135 degrees apart.  Two settings say two things: on the database's own
-body by parallel rays (`parallel_views`), as it seems the paper did, search, choice over time and fit are measured by
-themselves; by a pinhole on the person's own body (`pinhole_views`), with proportions, scale and lens unknown, it is
-what users have.
+reconstructions of one motion from views 75 and 135 degrees apart: on the database's own body by parallel rays, as it
+seems the paper did, so that search, choice over time and fit are measured by themselves.  What users have, with
+proportions, scale and lens unknown, is measured on virtual videos that stage `reconstruction` sees.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, PERSON_HEIGHT_PX, look_at_camera
-from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import (
     foot_slide_m,
     jitter_m,
@@ -35,7 +30,7 @@ from pasdedeux.projections.search import recall
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
 from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
-from pasdedeux.reconstruction.pitch import floor_offset, sized_by_height
+from pasdedeux.reconstruction.pitch import floor_offset
 from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
@@ -56,12 +51,10 @@ __all__ = [
     "CONDITIONS",
     "LIVE",
     "Condition",
-    "Setting",
     "Tried",
     "UnseenMotion",
     "ViewedMotion",
     "best_candidates",
-    "level_scores",
     "reconstruct_seen",
     "see",
     "unseen_view_scores",
@@ -82,17 +75,6 @@ _PIXELS_PER_METRE = 1000.0
 _FAR_PX = 1e9
 """Focal length of a lens whose rays are parallel to one part in a million."""
 
-_DISTANCE_M = 4.0
-_IMAGE_PX = (1920, 1080)
-
-
-class Setting(StrEnum):
-    """How a motion is seen, named as the topic that scores it."""
-
-    PARALLEL = "parallel_views"
-    PINHOLE = "pinhole_views"
-
-
 _KNOWN_BODY = ReconstructionOptions(
     has_own_proportions=False,
     metres_per_pixel=1.0 / _PIXELS_PER_METRE,
@@ -105,9 +87,6 @@ Chosen on clips of a database left out in turn; where scale or proportions are e
 fit worse.
 """
 
-_KNOWN_PROPORTIONS = ReconstructionOptions(has_own_proportions=False, fit=ObservedFitSettings(min_noise_m=0.002))
-"""The scale is not known."""
-
 
 @dataclass(frozen=True)
 class Condition:
@@ -117,26 +96,18 @@ class Condition:
         name: For the tables.
         noise: Standard deviation of each coordinate's noise, as a part of the length of the torso.
         missing: Share of the joints hidden, each on its own.
-        has_scale: Metres per pixel are known, of parallel rays; estimated from the track otherwise.
-        has_height: The height of the pinhole over the floor is known, which gives the person's size.
     """
 
     name: str
     noise: float = 0.0
     missing: float = 0.0
-    has_scale: bool = True
-    has_height: bool = False
 
 
-_COMMON = (
+CONDITIONS = (
     Condition("clean"),
     Condition("noise 3 % of the torso", noise=0.03),
     Condition("30 % of the joints missing", missing=0.3),
 )
-CONDITIONS: Mapping[Setting, tuple[Condition, ...]] = {
-    Setting.PARALLEL: (*_COMMON, Condition("clean, scale estimated", has_scale=False)),
-    Setting.PINHOLE: (*_COMMON, Condition("clean, height of the camera known", has_height=True)),
-}
 
 
 @dataclass(frozen=True)
@@ -164,7 +135,7 @@ class Tried:
         methods: Which methods.
         codebook: Clusters of the database: the published search and the window rule make `as_published` then.
         has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
-        has_live: The live chain gives its motion too, unless the camera's height is known, which it has no use for.
+        has_live: The live chain gives its motion too.
     """
 
     methods: Sequence[Method] = tuple(Method)
@@ -180,55 +151,26 @@ class ViewedMotion:
     Args:
         track: The keypoints.
         truth_m: The motion (frame, 14, 3), camera axes, metres.
-        options: How it is reconstructed.
-        camera_height_m: Height of the camera over the floor where it is known.
     """
 
     track: Track
     truth_m: Array
-    options: ReconstructionOptions
-    camera_height_m: float | None = None
 
 
-def see(
-    motion: UnseenMotion, setting: Setting, condition: Condition, yaw_deg: float, rng: np.random.Generator
-) -> ViewedMotion:
-    """Return what a camera `yaw_deg` about +Y sees of a motion; the generator draws noise and hidden joints.
+def see(motion: UnseenMotion, condition: Condition, yaw_deg: float, rng: np.random.Generator) -> ViewedMotion:
+    """Return what parallel rays `yaw_deg` about +Y see of a motion; the generator draws noise and hidden joints.
 
-    By parallel rays the motion is put on the database's body first, its root path kept.  The pinhole stands level with
-    the middle of the hips, 4 m from it; a lens of the same picture angle as most is assumed of it.
+    The motion is put on the database's body first, its root path kept.
     """
-    world_m = motion.world_m
-    shape = world_m.shape[:2]
-    height = None
+    shape = motion.world_m.shape[:2]
     noise = rng.normal(0.0, 1.0, (*shape, 2)) * condition.noise
     hidden = rng.uniform(size=shape) < condition.missing
-    body = retarget_proportions(world_m) if setting is Setting.PARALLEL else world_m
-    middle = mid_hip(body).mean(axis=0)
+    body = retarget_proportions(motion.world_m)
     torso = float(np.median(np.linalg.norm(body[:, OP14.root] - mid_hip(body), axis=-1)))
-    if setting is Setting.PARALLEL:
-        truth = np.asarray((body - middle) @ yaw_rotmat(np.deg2rad(yaw_deg)).T)
-        clear = truth[..., :2] * np.array([_PIXELS_PER_METRE, -_PIXELS_PER_METRE])
-        noise_px, lens = noise * torso * _PIXELS_PER_METRE, Lens(_FAR_PX, (0.0, 0.0))
-        options = _KNOWN_BODY if condition.has_scale else _KNOWN_PROPORTIONS
-    else:
-        focal = PERSON_HEIGHT_PX * _DISTANCE_M / PERSON_HEIGHT_M
-        camera = look_at_camera(
-            middle,
-            distance_m=_DISTANCE_M,
-            # A camera that goes round to the right sees what a body that turns to the left shows.
-            yaw_rad=-np.deg2rad(yaw_deg),
-            pitch_rad=0.0,
-            focal_px=focal,
-            image_size_px=_IMAGE_PX,
-        )
-        truth = (body - camera.position_m) @ camera.camera_from_world_rotmat.T
-        clear = camera.project(body).px
-        noise_px, lens = noise * torso * focal / _DISTANCE_M, Lens.assumed(*_IMAGE_PX, clear)
-        options = ReconstructionOptions()
-        height = float(camera.position_m[1]) if condition.has_height else None
-    px = np.where(hidden[..., None], np.nan, clear + noise_px)
-    return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), motion.rate_hz, lens), truth, options, height)
+    truth = np.asarray((body - mid_hip(body).mean(axis=0)) @ yaw_rotmat(np.deg2rad(yaw_deg)).T)
+    px = _PIXELS_PER_METRE * (truth[..., :2] * np.array([1.0, -1.0]) + noise * torso)
+    px[hidden] = np.nan
+    return ViewedMotion(Track(px, np.where(hidden, 0.0, 1.0), motion.rate_hz, Lens(_FAR_PX, (0.0, 0.0))), truth)
 
 
 def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array:
@@ -253,50 +195,42 @@ def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, tried: Tried) -> tu
     The database of the searcher has not seen the motion.
     """
     camera = searcher.database.camera
-    track, options = seen.track, seen.options
-    found = match_track(searcher, track, options)
+    track = seen.track
+    found = match_track(searcher, track, _KNOWN_BODY)
     made: dict[str, Reconstruction] = {
-        method.value: reconstruct_track(searcher, track, method, options, matches=found) for method in tried.methods
+        method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in tried.methods
     }
     recalls: dict[str, float] = {}
     if tried.codebook is not None:
         published = search_published(searcher.database, tried.codebook, found.query_m, found.weights)
         made[AS_PUBLISHED] = reconstruct_track(
-            searcher, track, Method.WINDOW, options, matches=replace(found, neighbours=published, yaw_steps=None)
+            searcher, track, Method.WINDOW, _KNOWN_BODY, matches=replace(found, neighbours=published, yaw_steps=None)
         )
         exact = searcher.index.search(
-            retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=options.num_candidates
+            retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=_KNOWN_BODY.num_candidates
         )
         recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
-    if seen.camera_height_m is not None:
-        made = {name: sized_by_height(one, camera, seen.camera_height_m) for name, one in made.items()}
     motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
     for name, one in made.items():
         motions[name] = one.positions_m
         if tried.has_clean_up:
             (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
             motions[name + CLEAN] = cleaned.positions_m
-    if tried.has_live and seen.camera_height_m is None:
-        motions[LIVE] = _live_motion(searcher, seen, has_clean_up=False)
+    if tried.has_live:
+        motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
         if tried.has_clean_up:
-            motions[LIVE + CLEAN] = _live_motion(searcher, seen, has_clean_up=True)
+            motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)
     return motions, recalls
 
 
-def _live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> Array:
+def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Array:
     """Return a motion (frame, 14, 3) in camera axes as it leaves the live chain; NaN in frames without a pose."""
-    options = seen.options
-    fit = WindowFitOptions()
-    if options.metres_per_pixel is not None:
-        fit = fit.model_copy(update={"min_noise_m": options.fit.min_noise_m})
     live = LiveOptions(
-        min_joints=options.min_joints,
-        metres_per_pixel=options.metres_per_pixel,
-        has_own_proportions=options.has_own_proportions,
+        metres_per_pixel=_KNOWN_BODY.metres_per_pixel,
+        has_own_proportions=False,
         has_clean_up=has_clean_up,
-        fit=fit,
+        fit=WindowFitOptions(min_noise_m=_KNOWN_BODY.fit.min_noise_m),
     )
-    track = seen.track
     person = LivePerson(0, searcher, rate_hz=track.rate_hz, lens=track.lens, options=live)
     poses = []
     for frame, (points, confidence) in enumerate(zip(track.keypoints_px, track.confidence, strict=True)):
@@ -308,13 +242,13 @@ def _live_motion(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) 
 
 
 def unseen_view_scores(
-    searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, tried: Tried, stream: Stream
+    searcher: Searcher, motion: UnseenMotion, condition: Condition, tried: Tried, stream: Stream
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
     The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
     """
-    figures, motions = _measure(searcher, motion, setting, condition, tried, stream)
+    figures, motions = _measure(searcher, motion, condition, tried, stream)
     item, count = motion.item, len(motion.world_m)
     scores = []
     for (metric, method), values in figures.items():
@@ -334,58 +268,22 @@ def unseen_view_scores(
     return scores
 
 
-def level_scores(
-    searcher: Searcher,
-    motion: UnseenMotion,
-    setting: Setting,
-    *,
-    kind: str,
-    levels: Sequence[float],
-    methods: Sequence[Method],
-    stream: Callable[[int, int], np.random.Generator],
-) -> list[Score]:
-    """Score methods at growing levels of `noise` or `missing` joints, means over the views: points of curves.
-
-    The metric is `error_root_kept_by_<kind>`; its level stands in `at`, a part of the torso or of the joints.
-
-    Raises:
-        InputError: Another kind.
-    """
-    if kind not in ("noise", "missing"):
-        raise InputError(f"sweep over '{kind}' is not known; known: noise, missing")
-    scores = []
-    for number, level in enumerate(levels):
-        name = f"{kind} {level:g}"
-        condition = Condition(name, noise=level) if kind == "noise" else Condition(name, missing=level)
-        figures, _ = _measure(searcher, motion, setting, condition, Tried(methods), partial(stream, number))
-        for (metric, method), values in figures.items():
-            if metric == "error_root_kept":
-                mean = {f"{metric}_by_{kind}": float(np.mean(values))}
-                more = {"split": "sweep", "item": motion.item, "at": level, "count": len(motion.world_m) * len(values)}
-                scores += scores_of(mean, method, "m", is_baseline=_is_baseline(method), **more)
-    return scores
-
-
 def _measure(
-    searcher: Searcher, motion: UnseenMotion, setting: Setting, condition: Condition, tried: Tried, stream: Stream
+    searcher: Searcher, motion: UnseenMotion, condition: Condition, tried: Tried, stream: Stream
 ) -> tuple[dict[tuple[str, str], list[float]], dict[str, list[Array]]]:
     """Return the figures of each view by metric and method, and the motions of each view by method."""
-    # Parallel rays of unknown scale leave the depth of the trajectory open: a thousandth of scale is a thousandth of
-    # infinity.
-    has_trajectory = setting is Setting.PINHOLE or condition.has_scale
-    rate_hz = motion.rate_hz
     figures: dict[tuple[str, str], list[float]] = {}
     motions: dict[str, list[Array]] = {}
     for view, yaw in enumerate(motion.yaws_deg):
-        seen = see(motion, setting, condition, yaw, stream(view))
+        seen = see(motion, condition, yaw, stream(view))
         made, recalls = reconstruct_seen(searcher, seen, tried)
         for method, positions in made.items():
             motions.setdefault(method, []).append(positions)
-            slide_hz = rate_hz if has_trajectory and method != BEST_MARK else None
+            slide_hz = motion.rate_hz if method != BEST_MARK else None
             for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
                 figures.setdefault((metric, method), []).append(value)
         for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, rate_hz=rate_hz)[metric]
+            value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
             figures.setdefault((metric, "truth"), []).append(value)
         for metric, value in recalls.items():
             figures.setdefault((metric, AS_PUBLISHED), []).append(value)

@@ -40,8 +40,6 @@ TOPICS: tuple[Topic, ...] = (
     reconstruction.TOPIC,
     detector.TOPIC,
     unseen_views.PARALLEL_VIEWS,
-    unseen_views.PINHOLE_VIEWS,
-    unseen_views.LEFT_OUT_CLIPS,
     people.TOPIC,
     augmentation.TOPIC,
     models.TOPIC,

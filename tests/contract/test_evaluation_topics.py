@@ -37,7 +37,6 @@ EVERYTHING = {
     "clip_seconds": 0.3,
     "num_judged_pairs": 3,
     "unseen_views_deg": (0.0,),
-    "has_left_out_clips": True,
     "num_crowd_views": 1,
     "num_realism_variants": 2,
     "num_downstream_seeds": 1,

@@ -1,4 +1,4 @@
-"""Benchmarks of the projection database: build, exact query, live chain, published search, and databases of any size.
+"""Benchmarks of the projection database: exact query, live chain, and databases of any size.
 
 Times of single pieces of work are processor time of this process, which other programs on the machine do not change
 much; rates beside each other were measured in the same run.
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from pasdedeux.benchmarks.benchmark import BenchmarkResult, measure_rate
-from pasdedeux.experiments.published_search import build_codebook, search_published
 from pasdedeux.kinematics.rotations import unitquat_from_rotvec
 from pasdedeux.people.identity import Follower
 from pasdedeux.projections.camera import PinholeCamera, pitch_of_height
@@ -117,31 +116,6 @@ def _queries(*, own_rad: float = 0.0) -> npt.NDArray[np.float64]:
     return np.asarray(poses[..., :2] + rng.normal(0.0, 0.01, (_NUM_QUERIES, OP14.num_joints, 2)))
 
 
-def _build() -> BenchmarkResult:
-    database = made_up_database()
-    fast = measure_rate(lambda: build_index(database), count=database.num_projections, repeats=2)
-    plain = measure_rate(lambda: _project_one_by_one(database, 200), count=200 * database.num_yaws, repeats=1)
-    started = time.process_time()
-    build_index(database)
-    return BenchmarkResult(
-        name="projection database build",
-        unit="projections",
-        fast_name="vectorised projection and search tree",
-        fast_per_s=fast,
-        plain_name="projection one by one, no index",
-        plain_per_s=plain,
-        note=f"{database.num_projections:,} projections in {time.process_time() - started:.2f} s of processor time",
-    )
-
-
-def _project_one_by_one(database: Database, num_rows: int) -> list[npt.NDArray[np.float64]]:
-    return [
-        np.asarray(database.camera.project(database.turned(np.array(row), np.array(yaw))))
-        for row in range(num_rows)
-        for yaw in range(database.num_yaws)
-    ]
-
-
 def _waits_ms(search: Callable[[npt.NDArray[Any]], object], queries: npt.NDArray[Any]) -> Waits:
     """Return the processor time of each query, one a call, the best of some tries, in milliseconds."""
     search(queries[0])
@@ -177,30 +151,6 @@ def _query() -> BenchmarkResult:
         note=(
             f"{database.num_projections:,} projections, one query a call: {_in_words(waits)} of processor time, "
             f"recall@50 {recall(found, expected, num_best=50):.3f}"
-        ),
-    )
-
-
-def _published() -> BenchmarkResult:
-    database = made_up_database()
-    index = build_index(database)
-    queries = _queries()[:100]
-    started = time.process_time()
-    codebook = build_codebook(database, np.random.default_rng(0))
-    build_s = time.process_time() - started
-    waits = _waits_ms(index.search, queries)
-    published = _waits_ms(lambda query: search_published(database, codebook, query[None]), queries)
-    found, exact = search_published(database, codebook, queries), index.search(queries)
-    return BenchmarkResult(
-        name="projection query as published",
-        unit="queries",
-        fast_name="box tree, exact",
-        fast_per_s=1e3 / float(np.mean(waits)),
-        plain_name="best 10 of 5 clusters of 500",
-        plain_per_s=1e3 / float(np.mean(published)),
-        note=(
-            f"clusters built in {build_s:.0f} s of processor time; published query {_in_words(published)}; "
-            f"best found by {100 * recall(found, exact):.0f} %, recall@50 {recall(found, exact, num_best=50):.2f}"
         ),
     )
 
@@ -285,12 +235,7 @@ def _large(num_projections: int) -> BenchmarkResult:
     )
 
 
-BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
-    "build": _build,
-    "query": _query,
-    "published": _published,
-    "live": _live,
-}
+BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {"query": _query, "live": _live}
 
 LARGE_BENCHMARKS: dict[str, Callable[[int], BenchmarkResult]] = {"large": _large}
 """Those that take the number of projections."""

@@ -23,6 +23,8 @@ VERSION = 3
 
 MIN_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
+_FRAMES_PER_TAKE = 2000
+"""Frames of each take that are learned from, evenly spread: neighbours in time say the same."""
 
 
 class PriorsParameters(Parameters):
@@ -31,9 +33,6 @@ class PriorsParameters(Parameters):
     num_components: int = Field(4, ge=0, le=12, description="Components of the torso basis beside its mean")
     percentile: float = Field(
         0.5, ge=0, le=10, description="Share of the observed angles beyond which ranges are not widened, percent"
-    )
-    max_frames_per_take: int = Field(
-        2000, ge=10, description="Frames of each take that are learned from, evenly spread"
     )
 
 
@@ -67,7 +66,7 @@ def _is_prior(manifest: Manifest) -> bool:
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Learn torso basis and pose prior, widen the published joint limits; without prior takes all are the defaults."""
     options = shard.options(PriorsShard)
-    parts = [_read_poses(store, ref, options.max_frames_per_take) for ref in shard.refs("poses")]
+    parts = [_read_poses(store, ref) for ref in shard.refs("poses")]
     poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
     is_learned = len(poses) >= MIN_POSES
     origin = options.default_basis
@@ -139,11 +138,11 @@ def read_limits(store: Store, refs: Iterable[ArtifactRef]) -> JointLimits:
     return JointLimits.published()
 
 
-def _read_poses(store: Store, ref: ArtifactRef, most: int) -> np.ndarray:
+def _read_poses(store: Store, ref: ArtifactRef) -> np.ndarray:
     """Return poses (row, 17, 3) of every person of a take, evenly spread over its frames."""
     poses = store.read(ref, "poses", columns=["person", "frame", "pair17_m"])
     frames = np.unique(np.asarray(poses["frame"]))
-    chosen = frames[evenly_spread(len(frames), most)]
+    chosen = frames[evenly_spread(len(frames), _FRAMES_PER_TAKE)]
     rows = np.flatnonzero(np.isin(np.asarray(poses["frame"]), chosen))
     return np.asarray(poses["pair17_m"], dtype=np.float64)[rows]
 

@@ -95,14 +95,6 @@ class ProjectionsParameters(Parameters):
         description="Clusters of the published search (level orthographic camera, takes only), for comparison with the "
         "exact one; 0 for none, the paper has 500",
     )
-    min_cluster_change: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="Clusters are added until the mean distance to their centroid changes by no more than this part, "
-        "num_clusters at most; 0.01 in the paper, 0 for num_clusters as they are",
-    )
-    num_cluster_dimensions: int = Field(5, ge=1, le=100, description="Dimensions of the embedding that is clustered")
 
     @model_validator(mode="after")
     def _check_views(self) -> Self:
@@ -141,8 +133,6 @@ class CodebookShard(Parameters):
     rate_hz: float
     num_yaws: int
     num_clusters: int
-    num_cluster_dimensions: int
-    min_cluster_change: float
 
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
@@ -268,11 +258,7 @@ def _run_codebook(shard: Shard, options: CodebookShard, store: Store) -> Artifac
         num_yaws=options.num_yaws,
         rate_hz=options.rate_hz,
     )
-    settings = PublishedSettings(
-        num_clusters=options.num_clusters,
-        num_dimensions=options.num_cluster_dimensions,
-        min_change=options.min_cluster_change,
-    )
+    settings = PublishedSettings(num_clusters=options.num_clusters)
     book = build_codebook(database, stream(shard.seed, "projections", "codebook"), settings)
     columns = {
         "cluster": np.arange(len(book.members)),

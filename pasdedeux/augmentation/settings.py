@@ -47,7 +47,6 @@ class AugmentationSettings(Settings):
     touch_m: Annotated[tuple[float, float], AfterValidator(_check_fade)] = Field(
         TOUCH_M, description="Distance of surfaces in contact: full weight up to, none from; metres"
     )
-    mesh_smoothing_s: float = Field(0.25, ge=0, description="Averaging of the mesh over time, seconds; 0 as published")
     solver: Literal["bulk", "polished"] = Field(
         "bulk", description="bulk, or polished (every variant ends with guaranteed descent)"
     )

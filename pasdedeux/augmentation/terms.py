@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from pasdedeux.augmentation.bulk_kernels import add_stencils
 from pasdedeux.augmentation.clearance import clearance_limits, find_clearance
-from pasdedeux.augmentation.mesh import InteractionMesh, build_mesh
+from pasdedeux.augmentation.mesh import build_mesh
 from pasdedeux.augmentation.problem import Problem, Targets, girdle_pairs
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import (
@@ -48,6 +48,8 @@ __all__ = ["bending_rows", "build_problem", "build_targets", "right_hand_side", 
 
 Array = npt.NDArray[np.float64]
 
+_MESH_SMOOTHING_S = 0.25
+"""Averaging of the mesh over time; the published method takes each frame alone, and motion jumps where edges appear."""
 _WEIGHTS_RATE_HZ = 30.0
 
 _STANCE_S = (1.0, 5.0)
@@ -61,7 +63,6 @@ def build_problem(
     source: Source,
     settings: AugmentationSettings | None = None,
     *,
-    mesh: InteractionMesh | None = None,
     user_contacts: Sequence[UserContact] = (),
 ) -> Problem:
     """Find the terms of a take and add them up to its quadratic form.
@@ -69,12 +70,11 @@ def build_problem(
     Args:
         source: The template.
         settings: Weights, girths, contacts and who is held fixed.
-        mesh: Interaction mesh, built here where not given.
         user_contacts: Contacts that replace what is found.
     """
     settings = settings or AugmentationSettings()
     weights = settings.weights
-    mesh = mesh or build_mesh(source, smoothing_s=settings.mesh_smoothing_s)
+    mesh = build_mesh(source, smoothing_s=_MESH_SMOOTHING_S)
     frames = source.num_frames
     rate = source.rate_hz / _WEIGHTS_RATE_HZ
 

@@ -52,6 +52,14 @@ BODY_DEVIATION = 0.06
 
 MIN_CALIBRATION_DEVIATION = 0.02
 """Error of a size ratio that stays however often two people pass round each other."""
+_SIZE_DEVIATION = 0.035
+"""Relative error of the ratio of apparent sizes, beyond the fit's and the bodies'."""
+_CONTACT_DISTANCE_M = 0.35
+"""Distance of the roots of two people in close contact."""
+_MIN_ROOT_DISTANCE_M = 0.2
+"""Roots closer than this share one place."""
+_MIN_WEIGHT = 1e-3
+"""Hypotheses of less weight are dropped."""
 USUAL_DISTANCE_M = 4.0
 """Distance of a camera of which nothing is known, metres."""
 
@@ -69,16 +77,10 @@ class ViewOptions(Settings):
         gt=0,
         description="Distance of the cameras, known or assumed; none: apparent size says nothing of depth",
     )
-    size_deviation: float = Field(
-        0.035, gt=0, le=1, description="Relative error of the ratio of apparent sizes, beyond the fit's and the bodies'"
-    )
     depth_deviation_m: float = Field(0.6, gt=0, description="Standard deviation of the relative depth of two roots")
-    contact_distance_m: float = Field(0.35, gt=0, description="Distance of the roots of two people in close contact")
-    min_root_distance_m: float = Field(0.2, gt=0, description="Roots closer than this share one place")
     camera_pitch_deg: float = Field(10.0, ge=-89, le=89, description="Mean elevation of the cameras")
     camera_pitch_deviation_deg: float = Field(12.0, gt=0, description="Standard deviation of the elevation")
     lean_deviation_deg: float = Field(20.0, gt=0, description="Standard deviation of a backbone from the vertical")
-    min_weight: float = Field(1e-3, ge=0, lt=0.05, description="Hypotheses of less weight are dropped")
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def estimate_views(
     scale = np.concatenate([np.repeat(block.metres_per_pixel[:, None], num_rules, axis=1) for block in blocks], axis=1)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
-    weight = np.where(weight < options.min_weight, 0.0, weight)
+    weight = np.where(weight < _MIN_WEIGHT, 0.0, weight)
     weight /= weight.sum(axis=1, keepdims=True)
     trust = np.zeros(count)
     trust[rows] = np.linalg.norm((weight[..., None] * direction).sum(axis=1), axis=-1)
@@ -320,14 +322,14 @@ def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) 
 
     depth = np.zeros((len(scale), len(DEPTH_RULES)))
     log_weight = np.zeros_like(depth)
-    reach = np.sqrt(np.maximum(options.contact_distance_m**2 - gap**2, 0.0))
+    reach = np.sqrt(np.maximum(_CONTACT_DISTANCE_M**2 - gap**2, 0.0))
     depth[:, _CONTACT_NEAR], depth[:, _CONTACT_FAR] = reach, -reach
     # What is known of the relative depth: normal, mean and variance.
     mean, variance = np.zeros(len(scale)), np.full(len(scale), options.depth_deviation_m**2)
     if options.distance_m is not None:
         # Depth is proportional to metres per pixel; the two depths have the camera's distance as their mean.
         apparent = 2.0 * options.distance_m * (scale[:, 0] - scale[:, 1]) / scale.sum(axis=1)
-        noise = options.distance_m**2 * (options.size_deviation**2 + sizes.variance + (deviation**2).sum(axis=1))
+        noise = options.distance_m**2 * (_SIZE_DEVIATION**2 + sizes.variance + (deviation**2).sum(axis=1))
         # The mean stays the apparent depth: drawing it towards 0, as a normal prior would, turns every view the same
         # way and cost 3 degrees in the median on captured dancers.
         mean, variance = apparent, variance * noise / (variance + noise)
@@ -342,7 +344,7 @@ def _hypotheses(pairs: _Lifted, flip: int, sizes: _Sizes, options: ViewOptions) 
     if options.distance_m is None:
         log_weight[:, _SIZE] = -np.inf
     distance = np.sqrt(gap[:, None] ** 2 + depth**2)
-    shortfall = np.maximum(options.min_root_distance_m - distance, 0.0) / (0.5 * options.min_root_distance_m)
+    shortfall = np.maximum(_MIN_ROOT_DISTANCE_M - distance, 0.0) / (0.5 * _MIN_ROOT_DISTANCE_M)
     log_weight -= 0.5 * shortfall**2
     log_weight += _log_lean(backbones, options)[:, None]
 

@@ -47,14 +47,12 @@ _MAX_TURN_RAD, _MAX_AWAY_M = np.pi / 6.0, 0.6
 
 @dataclass(frozen=True)
 class ViewDistribution:
-    """Where virtual cameras stand: yaw uniform in an interval, pitch normal and kept inside an interval, radians.
+    """Where virtual cameras stand: any yaw, pitch normal and kept inside an interval, radians.
 
-    The default is any yaw and about eye level or slightly above, as people film people.  `pitch_deviation_rad` of
+    The default is about eye level or slightly above, as people film people.  `pitch_deviation_rad` of
     infinity draws directions uniform on the band of the sphere between the two pitches.
     """
 
-    yaw_min_rad: float = -np.pi
-    yaw_max_rad: float = np.pi
     pitch_mean_rad: float = float(np.deg2rad(10.0))
     pitch_deviation_rad: float = float(np.deg2rad(10.0))
     pitch_min_rad: float = float(np.deg2rad(-15.0))
@@ -62,7 +60,7 @@ class ViewDistribution:
 
     def __post_init__(self) -> None:
         """Check that the intervals are in order."""
-        if not (self.yaw_min_rad <= self.yaw_max_rad and -np.pi / 2 <= self.pitch_min_rad <= self.pitch_max_rad):
+        if not -np.pi / 2 <= self.pitch_min_rad <= self.pitch_max_rad:
             raise InputError(f"view distribution: an interval is empty or below -90 degrees: {self}")
         if self.pitch_max_rad > np.pi / 2 or self.pitch_deviation_rad < 0:
             raise InputError(f"view distribution: pitch beyond 90 degrees or a negative deviation: {self}")
@@ -102,7 +100,7 @@ class Annotated:
 def sample_views(rng: np.random.Generator, count: int, distribution: ViewDistribution | None = None) -> ViewAngles:
     """Draw the angles of `count` views; a pitch outside its interval is drawn again by folding it back at the ends."""
     d = distribution or ViewDistribution()
-    yaw = rng.uniform(d.yaw_min_rad, d.yaw_max_rad, size=count)
+    yaw = rng.uniform(-np.pi, np.pi, size=count)
     if np.isinf(d.pitch_deviation_rad):
         pitch = np.arcsin(rng.uniform(np.sin(d.pitch_min_rad), np.sin(d.pitch_max_rad), size=count))
         return ViewAngles(yaw_rad=yaw, pitch_rad=pitch)

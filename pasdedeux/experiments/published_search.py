@@ -40,8 +40,6 @@ __all__ = [
 BOX_HEIGHT_M = REFERENCE_STATURE_M
 """Height of every image's bounding box; the paper does not say which."""
 _MIN_BOX_M = 0.1
-_COUNTED = 20_000
-"""Projections that the number of clusters is found on."""
 
 Array = npt.NDArray[np.float64]
 Floats32 = npt.NDArray[np.float32]
@@ -51,18 +49,10 @@ Integers = npt.NDArray[np.int64]
 class PublishedSettings(Settings):
     """How the clusters are made."""
 
-    num_clusters: int = Field(500, ge=1, description="Clusters; with `min_change` the most that are tried")
+    num_clusters: int = Field(500, ge=1, description="Clusters; the paper came to 500 (section 6.1)")
     num_dimensions: int = Field(5, ge=1, description="Dimensions of the embedding; the paper found 2 to 5 equally good")
     num_landmarks: int = Field(300, ge=1, description="Projections that all others are placed by")
     num_rounds: int = Field(20, ge=1, description="Rounds of k-means at most")
-    min_change: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="Where not 0, clusters are added by `cluster_step` until the mean distance to the centroid changes "
-        "by no more than this part: 0.01 in the paper, which came to 500 (section 6.1; how is not said)",
-    )
-    cluster_step: int = Field(50, ge=1, description="See there")
 
 
 @dataclass(frozen=True)
@@ -91,8 +81,6 @@ def build_codebook(database: Database, rng: np.random.Generator, settings: Publi
     count = database.num_projections
     points = _embed(database, rng, settings)
     num_clusters = min(settings.num_clusters, count)
-    if settings.min_change > 0:
-        num_clusters = _count_clusters(points, rng, settings)
     label, distance = _cluster(points, rng, num_clusters, settings.num_rounds)
     order = np.lexsort((np.arange(count), label))
     members = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
@@ -116,20 +104,6 @@ def scale_to_box(projections: Floats32) -> Floats32:
     """
     height = np.maximum(bounding_box_height(projections.astype(np.float64)), _MIN_BOX_M)
     return np.asarray(projections * (BOX_HEIGHT_M / height)[..., None, None], dtype=np.float32)
-
-
-def _count_clusters(points: Floats32, rng: np.random.Generator, settings: PublishedSettings) -> int:
-    """Return the number of clusters beyond which the mean distance to the centroid changes too little, on a sample."""
-    sample = points[np.sort(rng.choice(len(points), min(_COUNTED, len(points)), replace=False))]
-    before = np.inf
-    most = min(settings.num_clusters, len(sample))
-    for num_clusters in range(min(settings.cluster_step, most), most + 1, settings.cluster_step):
-        _, distance = _cluster(sample, rng, num_clusters, settings.num_rounds)
-        mean = float(distance.mean())
-        if np.isfinite(before) and before - mean <= settings.min_change * before:
-            return num_clusters
-        before = mean
-    return most
 
 
 def _cluster(points: Floats32, rng: np.random.Generator, num_clusters: int, num_rounds: int) -> tuple[Integers, Array]:

@@ -60,6 +60,8 @@ def _usual_lengths() -> Array:
 
 
 _DEPTHS_M = np.linspace(-0.9, 0.9, 19)
+_NUM_GROUPED = 500
+"""Annotations that are grouped to choose those to lift; d_I between all of them grows with the square."""
 _NUM_WEIGHED = 12
 _NUM_TRIES = 8
 _ORDER, _PARENTS = np.array(PAIR17.order), np.array(PAIR17.parents)
@@ -162,7 +164,6 @@ def lift_seeds(
     basis: TorsoBasis,
     *,
     num_seeds: int,
-    max_annotations: int = 500,
     prior: PriorSettings | None = None,
 ) -> LiftedSeeds:
     """Lift annotations that cover all of them: the medoids of `num_seeds` groups under d_I.
@@ -173,7 +174,6 @@ def lift_seeds(
         basis: Torso basis, of other takes.
         num_seeds: Seeds asked for; where a medoid gives no possible pair the annotation nearest to it is taken.  There
             are fewer where no such pair is possible, or where there are not so many annotations.
-        max_annotations: Annotations that are grouped, evenly spread over all.
         prior: Weights of eq. 2; the defaults when not given.
 
     Raises:
@@ -181,7 +181,7 @@ def lift_seeds(
     """
     count = len(annotated.points_m)
     lengths = apparent_bone_lengths(annotated.points_m)
-    shown = evenly_spread(count, max(max_annotations, num_seeds))
+    shown = evenly_spread(count, max(_NUM_GROUPED, num_seeds))
     matrix = dissimilarity_matrix(annotated.points_m[shown].reshape(len(shown), -1, 2))
     found: list[Array] = []
     used: list[int] = []

@@ -15,13 +15,14 @@ from tasks.stage import Parameters, Shard, StageInputs
 __all__ = ["TOPIC"]
 
 _UNKNOWN_IMAGE_MARGIN_PX = 20
+_RATE_HZ = 12.5
+"""Frames per second of a clip at most: more are not seen and make the page larger."""
 
 
 class ClipSettings(Parameters):
     """How clips are cut."""
 
     clip_seconds: float = Field(4.0, gt=0, le=60, description="Length of the overlay clips in seconds")
-    clip_rate_hz: float = Field(12.5, gt=0, description="Frames per second of the overlay clips")
 
 
 class ClipParameters(ClipSettings):
@@ -49,7 +50,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     is_here = data["sequence_id"] == sequence_id
     is_here &= data["time_s"] < options.clip_seconds + data["time_s"][is_here].min()
     keypoints, times = _by_frame(data, is_here)
-    step = max(1, round(rate_of(times) / options.clip_rate_hz))
+    step = max(1, round(rate_of(times) / _RATE_HZ))
     keypoints, size = _image(keypoints[::step], data["image_width_px"][is_here][0], data["image_height_px"][is_here][0])
     name = f"clip-{sequence_id.replace('/', '-')}.player.json"
     shown = players.image_panel(sequence_id, OP14, keypoints, size)

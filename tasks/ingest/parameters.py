@@ -273,12 +273,12 @@ class VirtualCameras(Parameters):
         le=100,
         description="Distance from the camera to the middle of the pair; tell views.distance_m when it is changed",
     )
-    yaw_range_deg: tuple[float, float] = Field(default=(-180.0, 180.0), description="Azimuth of the cameras, uniform")
-    pitch_mean_deg: float = Field(default=10.0, ge=-89, le=89, description="Mean elevation of the cameras")
+    pitch_mean_deg: float = Field(
+        default=10.0, ge=-89, le=89, description="Mean elevation of the cameras, which stays in [-15, 60]"
+    )
     pitch_deviation_deg: float = Field(
         default=10.0, ge=0, description="Standard deviation of the elevation; inf for uniform"
     )
-    pitch_range_deg: tuple[float, float] = Field(default=(-15.0, 60.0), description="Elevations are kept inside")
     noise_px: float = Field(default=1.0, ge=0, le=200, description="Noise of each coordinate for a person 600 px tall")
     occlusion: float = Field(default=0.0, ge=0, lt=1, description="Share of the joints hidden, each on its own")
     image_size_px: tuple[int, int] | None = Field(

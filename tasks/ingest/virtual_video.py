@@ -137,15 +137,10 @@ def _add(columns: Columns, **added: Any) -> None:
 
 
 def _distribution(parameters: VideoParameters) -> ViewDistribution:
-    yaw, pitch = np.deg2rad(parameters.yaw_range_deg), np.deg2rad(parameters.pitch_range_deg)
     deviation = parameters.pitch_deviation_deg
     return ViewDistribution(
-        yaw_min_rad=float(yaw[0]),
-        yaw_max_rad=float(yaw[1]),
         pitch_mean_rad=float(np.deg2rad(parameters.pitch_mean_deg)),
         pitch_deviation_rad=float("inf") if deviation >= UNIFORM_PITCH_DEG else float(np.deg2rad(deviation)),
-        pitch_min_rad=float(pitch[0]),
-        pitch_max_rad=float(pitch[1]),
     )
 
 

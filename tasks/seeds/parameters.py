@@ -36,7 +36,6 @@ class SeedsParameters(PriorSettings, GrowthOptions, Parameters):
     )
     frames: tuple[SeedFrame, ...] = Field((), description="Frames that become seeds, in this order")
     files: tuple[SeedFile, ...] = Field((), description="Files that become seeds too: pairs edited or restarted from")
-    max_frames_per_take: int = Field(300, ge=1, description="Frames of each take that are looked at, evenly spread")
     num_lifted: int | None = Field(
         None,
         ge=0,
@@ -44,7 +43,6 @@ class SeedsParameters(PriorSettings, GrowthOptions, Parameters):
         description="Seeds lifted from 2D alone: annotations that stand for all (k-medoids under d_I); when not given "
         f"{LIFTED_OF_2D_ALONE} where no other seed is known, else none",
     )
-    max_annotations: int = Field(500, ge=1, description="Annotations that are grouped to choose those to lift")
     num_grown: int | None = Field(
         None,
         ge=0,
@@ -77,7 +75,6 @@ class ChosenSeed(PriorSettings, Parameters):
     """A seed that is the best frame after those that the seeds before it chose."""
 
     seed_index: int
-    max_frames_per_take: int
 
 
 class LiftedSeeds(PriorSettings, Parameters):
@@ -85,7 +82,6 @@ class LiftedSeeds(PriorSettings, Parameters):
 
     first_index: int
     num_lifted: int
-    max_annotations: int
 
 
 class GrownSeeds(PriorSettings, GrowthOptions, Parameters):

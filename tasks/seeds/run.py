@@ -27,6 +27,8 @@ __all__ = ["run_shard"]
 
 MIN_GROWN_SHARE = 0.5
 """Share of the annotations asked for that must have grown to be no warning."""
+_NUM_LOOKED_AT = 300
+"""Frames of each take among which seeds are chosen: the choice compares every frame with every chosen one."""
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -140,7 +142,6 @@ def _lift(shard: Shard, store: Store, options: LiftedSeeds) -> ArtifactRef:
         read_limits(store, shard.refs("joint_limits")),
         read_torso_basis(store, (*shard.refs("torso_basis"), *shard.refs("annotations"))),
         num_seeds=options.num_lifted,
-        max_annotations=options.max_annotations,
         prior=options.part(PriorSettings),
     )
     indices = options.first_index + np.arange(len(seeds.pairs_m))
@@ -228,7 +229,7 @@ def _choose(shard: Shard, store: Store, options: ChosenSeed) -> tuple[np.ndarray
     pairs, take_of, frame_of, take_ids = [], [], [], []
     for take, ref in enumerate(shard.refs("poses")):
         facts = store.manifest(ref).facts
-        frames = evenly_spread(int(facts["num_frames"]), options.max_frames_per_take)
+        frames = evenly_spread(int(facts["num_frames"]), _NUM_LOOKED_AT)
         pairs.append(_read_pairs(store, ref, frames))
         take_of.append(np.full(len(frames), take))
         frame_of.append(frames)

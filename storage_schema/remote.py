@@ -193,7 +193,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
     def manifest_of(ref: ArtifactRef) -> Manifest:
         where = f"{remote.url}/{_place(ref)}"
-        manifest = Manifest.from_json(remote.read(_place(ref)).decode(), where=where)
+        manifest = Manifest.from_json(remote.read(_place(ref)), where=where)
         digests = {name: entry.sha256 for name, entry in manifest.data_files.items()}
         names = {ref.stage, *digests}
         if manifest.ref != ref or content_digest(digests) != ref.content_digest or any(map(_is_elsewhere, names)):

@@ -21,6 +21,7 @@ __all__ = ["RESERVED_NAMES", "STORE_FILE", "StoreReader"]
 STORE_FILE = "store.json"
 RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 """Folders of a store that are not stages."""
+_BLOCK_BYTES = 1 << 14
 
 
 class StoreReader:
@@ -147,11 +148,10 @@ class StoreReader:
         """
         path = f"{self._prefix}{stage}/{key[:2]}/{key}/{MANIFEST_NAME}"
         try:
-            with open(path, "rb") as file:  # noqa: PTH123
-                text = file.read().decode()
+            text = _bytes_of(path)
         except (FileNotFoundError, NotADirectoryError):
             raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self.root}") from None
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
             raise CorruptArtifact(f"{path} cannot be read: {error}") from error
         manifest = Manifest.from_json(text, where=path)
         if (manifest.ref.stage, manifest.ref.key) != (stage, key):
@@ -166,12 +166,15 @@ class StoreReader:
             return False
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
         try:
-            return all(
-                os.path.getsize(f"{folder}/{name}") == entry.bytes  # noqa: PTH202
-                for name, entry in manifest.data_files.items()
-            )
+            for name, part in manifest.tables.items():
+                if os.stat(f"{folder}/{name}.parquet").st_size != part.bytes:  # noqa: PTH116
+                    return False
+            for name, entry in manifest.attachments.items():
+                if os.stat(f"{folder}/{name}").st_size != entry.bytes:  # noqa: PTH116
+                    return False
         except OSError:
             return False
+        return True
 
     def outdated_tables(self, manifest: Manifest) -> list[str]:
         """Return the tables of an artifact that were written with other columns than this program declares."""
@@ -207,6 +210,18 @@ class StoreReader:
             raise NotAStore(f"{self.root} is not a store: {STORE_FILE} cannot be read ({error})") from error
         refuse_newer(found, f"the store {self.root}")
         self._is_checked = True
+
+
+def _bytes_of(path: str) -> bytes:
+    """Return the bytes of a file, which is a small one: `open` takes twice as long."""
+    file = os.open(path, os.O_RDONLY)
+    try:
+        blocks = []
+        while block := os.read(file, _BLOCK_BYTES):
+            blocks.append(block)
+    finally:
+        os.close(file)
+    return b"".join(blocks)
 
 
 @cache

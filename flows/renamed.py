@@ -32,6 +32,7 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
+    "chains.densities=agreement": "it is a term that the study `density` judges, chains do not sample it: leave it out",
     "chains.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
     "chains.variants.*.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
     "chains.variants.*.kernel": "it is now called proposal",

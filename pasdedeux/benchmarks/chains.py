@@ -22,7 +22,6 @@ from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
-from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage
@@ -35,7 +34,7 @@ from pasdedeux.sampling.proposals import GaussianBlocks
 __all__ = ["BENCHMARKS"]
 
 NUM_ANNOTATIONS, NUM_VIEWS, NUM_CANDIDATES = 8000, 20, 500
-NUM_SAMPLES, NUM_GROWN = 200, 300
+NUM_SAMPLES = 200
 _SIZE = f"34 joints, {NUM_ANNOTATIONS} annotations, {NUM_VIEWS} views, {NUM_CANDIDATES} candidates a view"
 
 
@@ -120,13 +119,6 @@ def _measured(measure: ImageMeasure) -> BenchmarkResult:
     return _against_plain(name, fast, "views that matter", _share_of_best(fast, exact))
 
 
-def _agreement() -> BenchmarkResult:
-    """The likelihood of the density of agreement with grown pairs."""
-    grown = random_pairs(np.random.default_rng(3), NUM_GROWN, spread_rad=0.2)
-    note = f"{NUM_GROWN} grown pairs"
-    return _against_plain("likelihood, agreement", Agreement(grown), "compiled", note, "numpy, penetration compiled")
-
-
 def _chain() -> BenchmarkResult:
     """Steps of a chain of the full density; the plain form has no early end and no compiled likelihood."""
     pairs, annotations, bank = _problem()
@@ -205,7 +197,6 @@ BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "density": _density,
     "cartesian": partial(_measured, ImageMeasure.CARTESIAN),
     "shape_context": partial(_measured, ImageMeasure.SHAPE_CONTEXT),
-    "agreement": _agreement,
     "chain": _chain,
     "triangulation": _triangulation,
     "coverage": _coverage,

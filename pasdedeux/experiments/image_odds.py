@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.experiments.agreement import Agreement
 from pasdedeux.plausibility import JointLimits, Occupancy
-from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.skeletons import PAIR17
 

@@ -21,12 +21,12 @@ from scipy.special import logsumexp
 
 from pasdedeux.cameras import pair_frame, view_rotmat
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.agreement import Agreement
 from pasdedeux.experiments.image_odds import LiftDensity
 from pasdedeux.interaction import closest_joint_distance
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.plausibility import JointLimits, Occupancy, capsule_model
-from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
 from pasdedeux.sampling.coverage import Coverage
 from pasdedeux.sampling.growth_kernels import place_bones

@@ -231,7 +231,6 @@ class Reads(StrEnum):
 
     NOTHING = "nothing"
     ANNOTATIONS = "annotations and their views"
-    GROWN_SEEDS = "grown seeds"
 
 
 @dataclass(frozen=True)
@@ -242,13 +241,11 @@ class DensityInputs:
         seed_m: The seed (person=2, joint=17, 3), metres.
         rng: Draws what the density fixes once for its seed.
         annotated: Annotated pairs with their views; None for a density that does not read them.
-        grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; None for a density that does not read them.
     """
 
     seed_m: Array
     rng: np.random.Generator
     annotated: GatheredPairs | None = None
-    grown_m: Array | None = None
 
 
 S = TypeVar("S", bound=Settings)

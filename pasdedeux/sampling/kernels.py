@@ -187,7 +187,7 @@ def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: 
         least[view], first[view] = own[at], at
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@numba.njit(cache=True, nogil=True, fastmath={"contract"})
 def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-untyped-def]
     """Take the springs of joints that a candidate does not show out of its estimate; float32.
 
@@ -203,6 +203,8 @@ def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-
     num_points = x.shape[0]
     dx, dy = np.empty(num_points, dtype=np.float32), np.empty(num_points, dtype=np.float32)
     is_left = np.empty(num_points, dtype=np.float32)
+    # What leaves each form, by the joint at the other end: a lane each, so sums stay in written order.
+    gone = np.empty((3, num_points), dtype=np.float32)
     springs, factors, slots = bank.springs[view], bank.factors[view], bank.slots[view]
     zero = np.float32(0.0)
     for c in range(bank.counts[view]):
@@ -215,25 +217,25 @@ def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-
             dx[k] = cosine * px - sine * py - bank.rough_points[slot, 0, k]
             dy[k] = sine * px + cosine * py - bank.rough_points[slot, 1, k]
             is_left[k] = np.float32(1.0)
+            gone[0, k] = gone[1, k] = gone[2, k] = zero
         a, b, ab = values[0, c], values[1, c], values[2, c]
         for j in range(num_points):
             if bank.is_seen[slot, j]:
                 continue
             is_left[j] = zero
-            is_second = j >= _NUM_JOINTS
-            own, between = springs[1 if is_second else 0, j], springs[2, j]
-            within, across = zero, zero
+            kind = 1 if j >= _NUM_JOINTS else 0
+            own, between, within, across = springs[kind, j], springs[2, j], gone[kind], gone[2]
             # Off the diagonal a form has minus the spring; a spring that an earlier joint took is not taken again.
             for k in range(num_points):
                 u, v = dx[k] - dx[j], dy[k] - dy[j]
                 squared = is_left[k] * (u * u + v * v)
-                within += own[k] * squared
-                across += between[k] * squared
-            ab += across
-            if is_second:
-                b += within
-            else:
-                a += within
+                within[k] += own[k] * squared
+                across[k] += between[k] * squared
+        # Within a person only that person's joints are tied.
+        for k in range(_NUM_JOINTS):
+            a += gone[0, k]
+            b += gone[1, k + _NUM_JOINTS]
+            ab += gone[2, k] + gone[2, k + _NUM_JOINTS]
         estimate[c] = (
             factors[0, c] * np.sqrt(max(a, zero))
             + factors[1, c] * np.sqrt(max(b, zero))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from pasdedeux.experiments.measured_likelihood import CartesianKind, ShapeContextKind
-from pasdedeux.sampling.agreement import AgreementKind
 from pasdedeux.sampling.density import DensityKind, PriorOnlyKind
 from pasdedeux.sampling.likelihood import InteractionKind
 
@@ -17,7 +16,6 @@ DENSITIES: dict[str, DensityKind[Any]] = {
         InteractionKind(),
         CartesianKind(),
         ShapeContextKind(),
-        AgreementKind(),
         PriorOnlyKind(),
     )
 }

@@ -34,11 +34,9 @@ def plan(inputs: StageInputs, parameters: ChainsParameters) -> list[Shard]:
     read = {name: _read_by(own.densities[0], inputs) for name, own in wanted.items()}
     if inputs.of("seeds") and all(needed is None for needed in read.values()):
         densities = list(dict.fromkeys(own.densities[0] for own in wanted.values()))
-        has_grown = any(DENSITIES[name].reads is Reads.GROWN_SEEDS for name in densities)
         raise InputError(
-            f"chains.densities asks for {', '.join(densities)} alone, but there are no "
-            + ("grown seeds (seeds.num_grown)" if has_grown else "annotated pairs with views")
-            + " to sample from"
+            f"chains.densities asks for {', '.join(densities)} alone, but there are no annotated pairs with views to "
+            "sample from"
         )
     shards: list[Shard] = []
     for name, own in wanted.items():
@@ -58,9 +56,6 @@ def _read_by(density: str, inputs: StageInputs) -> Inputs | None:
             annotations = annotated_pairs(inputs)
             views = views_of(annotations, inputs)
             return {"annotations": annotations, "views": views} if annotations and views else None
-        case Reads.GROWN_SEEDS:
-            grown = [manifest for manifest in inputs.of("seeds") if manifest.facts["kind"] == GROWN]
-            return {"grown": grown} if grown else None
         case Reads.NOTHING:
             return {}
 

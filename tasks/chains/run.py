@@ -31,7 +31,6 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.annotated_pairs import Place, PlacedPairs, gather, gather_tracks
 from tasks.chains.densities import DENSITIES
 from tasks.chains.parameters import SegmentParameters, SummaryParameters
-from tasks.draw_sets import read_grown
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
 
@@ -193,8 +192,7 @@ def chain_problem(shard: Shard, options: SegmentParameters, store: Store) -> Cha
         likelihood = evidence.likelihood
         if density.reads is not Reads.ANNOTATIONS:
             rng = stream(shard.seed, "chains", "density", options.seed_index)
-            known = DensityInputs(seed.pair_m, rng, grown_m=read_grown(store, shard.refs("grown")))
-            likelihood = density.likelihood(options.density_settings, known)
+            likelihood = density.likelihood(options.density_settings, DensityInputs(seed.pair_m, rng))
         target = density.target(chart, read_limits(store, shard.refs("joint_limits")), likelihood, options.target)
     except InputError as error:
         raise InputError(f"seed {options.seed_index} ({seed.origin}): {error}") from None

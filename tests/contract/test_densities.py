@@ -23,7 +23,7 @@ def inputs() -> DensityInputs:
     rng = np.random.default_rng(1)
     annotated = random_annotations(rng, KNOWN, 150)
     gathered = GatheredPairs(annotated, np.ones(150), 0, np.full((150, 2), 0.01))
-    return DensityInputs(KNOWN[0], np.random.default_rng(3), annotated=gathered, grown_m=KNOWN)
+    return DensityInputs(KNOWN[0], np.random.default_rng(3), annotated=gathered)
 
 
 def likelihood_of(name: str) -> Likelihood | None:

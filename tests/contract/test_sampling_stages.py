@@ -58,7 +58,7 @@ def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
     assert draws["take_id"][0] is None
 
 
-@pytest.mark.parametrize("density", ["cartesian", "shape_context", "agreement"])
+@pytest.mark.parametrize("density", ["cartesian", "shape_context"])
 def test_every_density_is_sampled_from_what_it_needs(inputs: Any, density: str) -> None:
     store, tables = inputs
     given = with_seeds(store, tables, num_seeds=1, num_grown=20)
@@ -70,16 +70,7 @@ def test_every_density_is_sampled_from_what_it_needs(inputs: Any, density: str) 
     assert (logs <= 1e-9).all()
     assert set(draws["density"]) == {density}
     read = {table for ref in made[0].inputs for table in store.manifest(ref).tables}
-    assert ("annotations" in read) == (density != "agreement")
-
-
-def test_agreement_without_grown_seeds_is_refused_alone_and_left_out_beside_others(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1)
-    with pytest.raises(InputError, match="grown seeds"):
-        chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("agreement",)}))
-    planned = chains.plan(given, ChainsParameters(**{**QUICK, "densities": ("prior_only", "agreement")}))
-    assert {shard.parameters.name for shard in planned} == {"prior_only"}
+    assert "annotations" in read
 
 
 def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any) -> None:

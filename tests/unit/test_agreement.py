@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
+from pasdedeux.experiments.agreement import Agreement, plain_agreement
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
-from pasdedeux.sampling.agreement import SHARPNESS, Agreement, plain_agreement
 from tests.builders.poses import dancers
 
 _RNG = np.random.default_rng(0)
@@ -50,20 +50,6 @@ def test_a_person_out_of_place_or_a_limb_astray_lowers_its_own_term() -> None:
         together = pair.copy()
         together[1] += pair[0].mean(axis=0) - pair[1].mean(axis=0)
         assert agreement.terms(together).contact < -5.0
-
-
-def test_a_bank_keeps_what_is_posed_alike() -> None:
-    whole, bank = Agreement(GROWN), Agreement(GROWN, near_m=NEAR[0], most=50)
-    # The far ones weigh nothing where the bank was made; they only count in the mean.
-    few, every = bank.terms(NEAR[0]), whole.terms(NEAR[0])
-    assert few.pose == pytest.approx(every.pose + np.log(200 / 50), abs=0.02)
-    assert (few.placement, few.limbs) == pytest.approx((every.placement, every.limbs), abs=0.02)
-    # A pair of the bank does not vouch for itself.
-    others = Agreement(np.delete(GROWN, 7, axis=0)).terms(GROWN[7])
-    assert Agreement(GROWN, near_m=GROWN[7]).terms(GROWN[7]) == others
-    log = whole.log_likelihood(NEAR[0])
-    assert log == pytest.approx(SHARPNESS * every.total)
-    assert whole.log_likelihood(NEAR[0], at_least=log + 1.0) == -np.inf
 
 
 def test_fewer_grown_pairs_say_the_same_of_what_is_near_them() -> None:

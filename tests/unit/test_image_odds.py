@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.experiments.agreement import Agreement
 from pasdedeux.experiments.image_odds import LiftDensity, other_lifts
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.plausibility import JointLimits, Occupancy
-from pasdedeux.sampling.agreement import Agreement
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import dancers
 

@@ -3,9 +3,8 @@
 Grown pairs come from annotations under many views, so what one image hides another shows.  Given how the two bodies of
 a pair are posed, each centred on its own, a kernel density over the grown pairs posed alike says where person B is
 against person A (`placement`), and where the two bones of each limb point (`limbs`, the least likely of eight).  Being
-conditional, they do not mistake a rare pair for a wrong one; but alone they let a chain walk to poses that nothing
-grown is like, so the density of the grown pairs' poses themselves (`pose`) holds it.  With the depth to which the *two*
-bodies penetrate each other they make the likelihood of the density `agreement`, whose prior is the joint limits alone.
+conditional, they do not mistake a rare pair for a wrong one; the density of the grown pairs' poses themselves (`pose`)
+says how rare it is.  With the depth to which the *two* bodies penetrate each other they make the term `agreement`.
 Penetration within a body is left out: captured and lifted people have so much of it that it hides all else.  Our own;
 weights and floors were chosen by the study `density`.
 """
@@ -23,28 +22,20 @@ from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.plausibility import capsule_model
-from pasdedeux.sampling.density import DensityInputs, DensityKind, Reads, TargetSettings
-from pasdedeux.sampling.prior import PriorSettings
-from pasdedeux.settings import Settings
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["SHARPNESS", "Agreement", "AgreementKind", "AgreementTerms", "plain_agreement"]
+__all__ = ["Agreement", "AgreementTerms", "plain_agreement"]
 
 Array = npt.NDArray[np.float64]
 
 POSE_WIDTH_M = 0.03
 """How alike pairs are posed to be compared: width of the root mean square joint distance, metres."""
 PLACEMENT_WIDTH_M, LIMB_WIDTH_M = 0.06, 0.08
-SHARPNESS = 10.0
-"""Chains sample this power of the density, and of the joint limits.  In 108 dimensions there is so much more room a
-little away from its top that at the power 1 they drift there: on salsa from 6.5 to 13.5 cm from the nearest real pair
-in 3,000 steps, at the power 10 to 8.5."""
 POSE_WEIGHT = 0.5
-"""More would tell lifted pairs from corrupted ones worse; without it chains walk away."""
+"""More would tell lifted pairs from corrupted ones worse."""
 PLACEMENT_WEIGHT, PLACEMENT_FLOOR, LIMB_FLOOR = 2.0, -6.0, -15.0
 """Logs do not fall below the floors: a real pair that nothing grown is like has an end."""
 PENETRATION_WIDTH_M = 0.01
-_SAME_M = 1e-6
 
 _LIMBS = np.array(PAIR17.limbs, dtype=np.int64)
 _NUM_LIMBS = 2 * len(_LIMBS)
@@ -83,28 +74,17 @@ class Agreement:
 
     Args:
         grown_m: Grown pairs (grown, person=2, joint=17, 3), metres; at least one.
-        near_m: Only the `most` grown pairs posed most like this one (2, 17, 3) count, itself left out: the bank of a
-            chain's seed.
-        most: How many.
 
     Raises:
         InputError: There is no grown pair, or one that is not finite.
     """
 
-    def __init__(self, grown_m: Array, *, near_m: Array | None = None, most: int = 300) -> None:
+    def __init__(self, grown_m: Array) -> None:
         grown = np.ascontiguousarray(grown_m, dtype=np.float64)
         if not len(grown) or not np.isfinite(grown).all():
             raise InputError("agreement needs at least one grown pair, all of its positions finite")
         self._model = capsule_model(PAIR17)
-        if near_m is not None and len(grown) > 1:
-            distance = _distances(near_m, grown)
-            order = np.argsort(distance, kind="stable")
-            # A seed that grew would agree with itself and hold its chain fast.
-            grown = grown[np.sort(order[distance[order] > _SAME_M][:most])]
-            if not len(grown):
-                raise InputError("agreement needs a grown pair that is not the seed itself")
         self._log_count = float(np.log(len(grown)))
-        self._grown = grown
         self._hold(*_apart(grown), _limbs_of(grown))
 
     def _hold(self, centred: Array, offset: Array, limbs: Array) -> None:
@@ -122,7 +102,6 @@ class Agreement:
             kept[np.argsort(-self._work[0], kind="stable")[:most]] = True
         fewer = copy(self)
         fewer._hold(*(np.ascontiguousarray(part[kept]) for part in (self._centred, self._offset, self._limbs)))
-        fewer._grown = self._grown[kept]
         return fewer
 
     def terms(self, pair_m: Array) -> AgreementTerms:
@@ -140,10 +119,12 @@ class Agreement:
             np.array([POSE_WIDTH_M, PLACEMENT_WIDTH_M, LIMB_WIDTH_M]),
             self._log_count,
         )
-        return AgreementTerms(pose=pose, placement=placement, limbs=limbs, contact=self._contact(pair))
-
-    def _contact(self, pair: Array) -> float:
-        return -float(self._model.penetration(pair)[2]) / PENETRATION_WIDTH_M
+        return AgreementTerms(
+            pose=pose,
+            placement=placement,
+            limbs=limbs,
+            contact=-float(self._model.penetration(pair)[2]) / PENETRATION_WIDTH_M,
+        )
 
     def nearest_m(self, pair_m: Array, *, count: int = 10) -> float:
         """Return the mean distance of a pair (2, 17, 3) from the `count` nearest grown ones, metres.
@@ -155,20 +136,6 @@ class Agreement:
         place = -2.0 * PLACEMENT_WIDTH_M**2 * (self._work[1] - self._work[0])
         # Half of the joints are off by half of the offset to one side, half to the other.
         return float(np.sqrt(np.sort(pose + 0.25 * place)[:count]).mean())
-
-    def log_likelihood(self, pair_m: Array, *, at_least: float = -np.inf) -> float:
-        """Return the log of the likelihood of a pair (2, 17, 3), at most 0: the sharpened sum of the terms.
-
-        -inf when it lies below `at_least`.
-        """
-        total = SHARPNESS * self.terms(pair_m).total
-        return total if total >= at_least else -np.inf
-
-    def plain(self, pair_m: Array) -> float:
-        """Return the log likelihood by its definition, over all grown pairs."""
-        pair = np.ascontiguousarray(pair_m, dtype=np.float64)
-        terms = AgreementTerms(*plain_agreement(pair, self._grown), contact=self._contact(pair))
-        return SHARPNESS * terms.total
 
 
 def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]:
@@ -191,29 +158,6 @@ def plain_agreement(pair_m: Array, grown_m: Array) -> tuple[float, float, float]
     )
 
 
-class AgreementKind(DensityKind[Settings]):
-    """Agreement with the grown seeds that are posed most like the seed; its prior is the joint limits alone."""
-
-    name = "agreement"
-    meaning = "agreement with grown seeds"
-    reads = Reads.GROWN_SEEDS
-    settings = Settings
-
-    def likelihood(self, settings: Settings, inputs: DensityInputs) -> Agreement:
-        """Return agreement with grown pairs near a seed.
-
-        Raises:
-            InputError: Nothing has grown.
-        """
-        if inputs.grown_m is None or not len(inputs.grown_m):
-            raise InputError("the density 'agreement' needs grown seeds, and none has grown (seeds.num_grown)")
-        return Agreement(inputs.grown_m, near_m=inputs.seed_m)
-
-    def prior(self, settings: TargetSettings) -> PriorSettings:
-        """Sharpen the prior as the likelihood is, which has the bodies' mutual penetration in it already."""
-        return settings.model_copy(update={"sigma_p_m": settings.sigma_p_m / SHARPNESS**0.5, "alpha": 0.0})
-
-
 def _apart(pairs_m: Array) -> tuple[Array, Array]:
     """Return pairs with each person centred on its own (n, 34, 3), and where person B's centre is from A's (n, 3)."""
     centre = pairs_m.mean(axis=2, keepdims=True)
@@ -225,14 +169,6 @@ def _limbs_of(pairs_m: Array) -> Array:
     """Return where the middle and the end of each limb are from its root, (n, limb=8, 2, 3)."""
     vectors = pairs_m[:, :, _LIMBS[:, 1:]] - pairs_m[:, :, _LIMBS[:, :1]]
     return np.ascontiguousarray(vectors.reshape(len(pairs_m), _NUM_LIMBS, 2, 3))
-
-
-def _distances(pair_m: Array, grown_m: Array) -> Array:
-    """Return how far grown pairs (n, 2, 17, 3) are posed from one (2, 17, 3), each person centred, (n,), metres."""
-    moving, fixed = _apart(np.asarray(pair_m, dtype=np.float64)[None])[0], _apart(grown_m)[0]
-    moving = np.broadcast_to(moving, fixed.shape)
-    moved = align_rigid(moving, fixed).apply(moving)
-    return np.sqrt(((moved - fixed) ** 2).sum(axis=-1).mean(axis=-1))
 
 
 @numba.njit(cache=True, nogil=True)

@@ -41,16 +41,16 @@ def kernel_distance(one: Array, other: Array) -> float:
 
     Its mean over draws from the same distribution is 0, so it may be negative.  Each set needs two members.
     """
-
-    def kernel(left: Array, right: Array) -> Array:
-        return np.asarray((left @ right.T / left.shape[1] + 1.0) ** 3)
-
     within = [
         (matrix.sum() - np.trace(matrix)) / (len(found) * (len(found) - 1))
         for found in (one, other)
-        for matrix in (kernel(found, found),)
+        for matrix in (_kernel(found, found),)
     ]
-    return float(sum(within) - 2.0 * kernel(one, other).mean())
+    return float(sum(within) - 2.0 * _kernel(one, other).mean())
+
+
+def _kernel(left: Array, right: Array) -> Array:
+    return np.asarray((left @ right.T / left.shape[1] + 1.0) ** 3)
 
 
 def kernel_interval(
@@ -61,16 +61,26 @@ def kernel_interval(
     Features of one unit, such as a variant, are left out together (Quenouille 1956, Arvesen 1969 for two samples);
     draws with repetition would have pairs of a clip with itself, which the distance leaves out.
     """
-    middle, variance = kernel_distance(one, other), 0.0
-    for found, units, is_first in ((one, one_units, True), (other, other_units, False)):
-        names, labels = sorted(set(units)), np.array(units)
-        if len(names) < FEWEST_UNITS:
-            return float("nan"), float("nan")
-        rests = [found[labels != name] for name in names]
-        values = np.array([kernel_distance(rest, other) if is_first else kernel_distance(one, rest) for rest in rests])
-        variance += (len(names) - 1) * float(values.var())
-    reach = _NORMAL_95 * float(np.sqrt(variance))
+    if min(len(set(one_units)), len(set(other_units))) < FEWEST_UNITS:
+        return float("nan"), float("nan")
+    # What the other set has within itself is the same whatever is left out, and no part of the variance.
+    variance = _variance_left_out(one, other, one_units) + _variance_left_out(other, one, other_units)
+    middle, reach = kernel_distance(one, other), _NORMAL_95 * float(np.sqrt(variance))
     return middle - reach, middle + reach
+
+
+def _variance_left_out(found: Array, other: Array, units: Sequence[str]) -> float:
+    """Return the jackknife variance of the kernel distance over units of `found`, from sums over pairs made once."""
+    unit = np.unique(np.asarray(units), return_inverse=True)[1]
+    is_of = np.eye(unit.max() + 1)[unit]
+    pairs = _kernel(found, found)
+    np.fill_diagonal(pairs, 0.0)
+    of_unit = pairs @ is_of
+    left = len(found) - is_of.sum(axis=0)
+    within = pairs.sum() - 2.0 * of_unit.sum(axis=0) + (is_of * of_unit).sum(axis=0)
+    across = _kernel(found, other).mean(axis=1)
+    values = within / (left * (left - 1)) - 2.0 * (across.sum() - across @ is_of) / left
+    return float((len(left) - 1) * values.var())
 
 
 def density_coverage(real: Array, made: Array) -> tuple[float, float]:

@@ -7,7 +7,7 @@ which therefore has figures of its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -21,11 +21,11 @@ from pasdedeux.augmentation.source import complete_scales, points_of, reference_
 from pasdedeux.augmentation.terms import build_targets
 from pasdedeux.evaluation.models import generated_errors, key_contacts, model_errors
 from pasdedeux.interaction.contacts import Contacts, stated_contacts
-from pasdedeux.learning import BASELINES, VariantModel, VariantRequest
+from pasdedeux.learning import DEFAULT_MODELS, VariantModel, VariantRequest
 from pasdedeux.learning.mesh_refine import window_problems
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["SOLVER", "ModelMeter"]
+__all__ = ["SOLVER", "ModelMeter", "generated"]
 
 Array = npt.NDArray[np.float64]
 
@@ -33,6 +33,23 @@ SOLVER = "solver"
 """Name under which the converged variant has its own figures."""
 
 _MM = 1000.0
+
+
+def generated(
+    models: Mapping[str, VariantModel], request: VariantRequest, streams: Callable[[str], np.random.Generator]
+) -> dict[str, list[tuple[Array, Array]]]:
+    """Return scales (2, 22) and a motion (T, 2, 22, 3), metres, that each model draws for a take.
+
+    Each draws from a stream of its own, by its name, so that none changes with which others there are.  What is trivial
+    or closed has a motion at the scales of each of them; models that draw nothing are left out, all where none draws.
+    """
+    drawn = {name: model.generate(request.source, streams(name)) for name, model in models.items()}
+    made = {name: [found] for name, found in drawn.items() if found is not None}
+    scales = [scale for found in made.values() for scale, _ in found]
+    beside = [name for name in DEFAULT_MODELS if scales and name in models]
+    return made | {
+        name: [(scale, models[name].predict(replace(request, bone_scale=scale))) for scale in scales] for name in beside
+    }
 
 
 class ModelMeter:
@@ -125,23 +142,12 @@ class ModelMeter:
         return found
 
     def measure_generated(
-        self, models: Mapping[str, VariantModel], generator: np.random.Generator
+        self, models: Mapping[str, VariantModel], streams: Callable[[str], np.random.Generator]
     ) -> dict[str, dict[str, float]]:
-        """Return E_b and JPD of a motion that each model draws with its scales, and of baselines at these; see there.
-
-        Models that draw nothing are left out; nothing is returned where none draws.
-        """
-        asked = self._request
-        drawn = {name: model.generate(asked.source, generator) for name, model in models.items()}
-        made = {name: found for name, found in drawn.items() if found is not None}
-
-        def errors(motion_m: Array, bone_scale: Array) -> dict[str, float]:
-            return generated_errors(motion_m, asked.source.positions_m, bone_scale, self.keys)
-
-        found = {name: errors(motion, scale) for name, (scale, motion) in made.items()}
-        for name in [name for name in BASELINES if made and name in models]:
-            requests = [replace(asked, bone_scale=scale) for scale, _ in made.values()]
-            rows = [errors(models[name].predict(request), request.bone_scale) for request in requests]
+        """Return E_b and JPD of `generated`, means where there are several; see `generated_errors`."""
+        source_m, found = self._request.source.positions_m, {}
+        for name, made in generated(models, self._request, streams).items():
+            rows = [generated_errors(motion, source_m, scale, self.keys) for scale, motion in made]
             found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         return found
 

@@ -34,6 +34,10 @@ class _ClassVae(WindowVae):
         apart = np.linalg.norm(bone_scale[:, None] - self.known_scales, axis=-1)
         return np.eye(len(self.known_scales), dtype=np.float32)[apart.argmin(axis=1)]
 
+    def draw_scale(self, generator: np.random.Generator) -> npt.NDArray[np.float64]:
+        """Return the scales of a class, each as likely as any other."""
+        return self.known_scales[generator.integers(len(self.known_scales))].astype(np.float64)
+
 
 @dataclass
 class ActorLikeModel(_ClassVae):

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation import Source
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.paper_settings import PaperCvaeSettings
 from pasdedeux.learning.window_vae import WindowVae
@@ -58,14 +57,12 @@ class PaperCvaeModel(WindowVae):
         """Return standardised scales."""
         return ((bone_scale - self.known_scales[0]) / self.known_scales[1]).astype(np.float32)
 
-    def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Return scales (2, 22), those of B drawn from p(B_s), and a motion (T, 2, 22, 3), metres, drawn for them."""
+    def draw_scale(self, generator: np.random.Generator) -> Array:
+        """Return scales drawn from p(B_s)."""
         networks = self.networks()
         drawn = networks.scales(self.weights, generator.standard_normal((1, networks.latent_of_scales), np.float32))
         mean, deviation = self.known_scales.astype(np.float64)
-        scale = mean + deviation * drawn[0]
-        motion = source.positions_m + self.moved(source, 1, scale, generator)
-        return np.stack([np.ones_like(scale), scale]), motion
+        return np.asarray(mean + deviation * drawn[0])
 
     def figures(self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow]) -> dict[str, float]:
         """Return figures of generation, scales from p(B_s) and z from the prior: its bones beside those asked for.

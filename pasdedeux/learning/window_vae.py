@@ -208,6 +208,15 @@ class WindowVae(VariantModel):
             moved += self.moved(request.source, person, request.bone_scale[person], None)
         return request.source.positions_m + moved
 
+    @abstractmethod
+    def draw_scale(self, generator: np.random.Generator) -> Array:
+        """Return scales of a body (22,), drawn from what the model knows of them."""
+
+    def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array]:
+        """Return scales (2, 22), those of B drawn, and a motion (T, 2, 22, 3), metres, drawn for them."""
+        scale = self.draw_scale(generator)
+        return np.stack([np.ones_like(scale), scale]), source.positions_m + self.moved(source, 1, scale, generator)
+
     def batch(self, windows: list[Window], variants: list[int]) -> dict[str, Narrow]:
         """Return windows of one length with one of their variants each, as the networks see them."""
         pairs = list(zip(windows, variants, strict=True))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores += scores_where(motion, own)
         largest = [row for row in own if np.isclose(tested[row].furthest_scale, LARGEST_SCALE)]
         scores += scores_where(f"{motion} at {LARGEST_SCALE}", largest)
-    scores += _generated(models, meters, split, stream(shard.seed, "evaluation", "generated", facts["split"]))
+    scores += _generated(models, meters, split, partial(stream, shard.seed, "evaluation", "generated", split))
     shared = " The takes are those of the training set, at other scales." if facts["shares_takes"] else ""
     pictures = {
         f"models-{facts['split']}.svg": model_figure(
@@ -134,13 +135,16 @@ def _run(shard: Shard, store: Store) -> TopicResult:
 
 
 def _generated(
-    models: Mapping[str, VariantModel], meters: Mapping[str, ModelMeter], split: str, generator: np.random.Generator
+    models: Mapping[str, VariantModel],
+    meters: Mapping[str, ModelMeter],
+    split: str,
+    streams: Callable[..., np.random.Generator],
 ) -> list[Score]:
     """Score motions that models draw with their scales for every take, beside baselines at these scales."""
     errors: dict[str, list[dict[str, float]]] = {}
-    for meter in meters.values():
-        for _ in range(_DRAWS):
-            for name, found in meter.measure_generated(models, generator).items():
+    for take_id, meter in meters.items():
+        for draw in range(_DRAWS):
+            for name, found in meter.measure_generated(models, partial(streams, take_id, draw)).items():
                 errors.setdefault(name, []).append(found)
     takes = [take_id for take_id in meters for _ in range(_DRAWS)]
     return model_scores(errors, baselines=BASELINES, split=split, item=GENERATED, takes=takes)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
+from pasdedeux.evaluation.model_meter import SOLVER, generated
+from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.learning import BASELINES, has_torch
 from pasdedeux.learning.clip_classifier import ClassifierSettings, ClipClassifier, clips_of
@@ -22,10 +25,6 @@ from tasks.training.items import StoredVariants, interaction_of
 from tasks.training.run import load_stored
 
 __all__ = ["LEFT_OUT", "TOPIC", "WITHOUT_TORCH", "LearnedSettings"]
-
-SOLVER = "solver"
-"""The converged variants themselves: what chance gives between two halves of them."""
-
 
 WITHOUT_TORCH = "without_torch"
 """Name of the shard of a topic that is asked for and cannot be answered."""
@@ -75,23 +74,30 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         manifest = store.manifest(ref)
         splits.setdefault(manifest.facts["split"], []).append(manifest)
     scores, notes = [], []
-    halves = stream(shard.seed, "evaluation", "halves")
     for split, manifests in splits.items():
         test = [(take_id, name) for take_id, names in manifests[0].facts["test"].items() for name in names]
         step = max(len(test) / settings.num_realism_variants, 1.0)
         chosen = [test[int(at)] for at in np.arange(0.0, len(test), step)]
-        order = halves.permutation(len(chosen))
+        order = stream(shard.seed, "evaluation", "halves", split).permutation(len(chosen))
         models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
         is_of_takes = not manifests[0].facts["shares_takes"]
-        clips: dict[str, list[_Clips]] = {name: [] for name in (*models, SOLVER)}
+        predicted: dict[str, list[_Clips]] = {}
+        drawn: dict[str, list[_Clips]] = {}
         for item in variants.items(chosen):
             take_id, rate_hz = item.request.take_id, item.request.source.rate_hz
             unit = take_id if is_of_takes else f"{take_id} {item.variant_id}"
-            clips[SOLVER].append(_Clips(kinds[take_id], unit, clips_of(item.motion_m, rate_hz)))
-            for name, model in models.items():
-                clips[name].append(_Clips(kinds[take_id], unit, clips_of(model.predict(item.request), rate_hz)))
-        mixed = {name: [found[at] for at in order] for name, found in clips.items()}
-        scores += _compare(classifier, mixed, f"{split} test")
+            made = {name: model.predict(item.request) for name, model in models.items()}
+            streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
+            several = generated(models, item.request, streams)
+            # What stands beside models that draw has the scales of each in turn, and so no more clips than they have.
+            own = {name: found[len(predicted.get(SOLVER, ())) % len(found)][1] for name, found in several.items()}
+            for clips, motions in ((predicted, made), (drawn, own)):
+                for name, motion in {**motions, SOLVER: item.motion_m}.items():
+                    clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, clips_of(motion, rate_hz)))
+        for of, clips in (("all", predicted), (GENERATED, drawn)):
+            if len(clips) > 1:
+                mixed = {name: [found[at] for at in order] for name, found in clips.items()}
+                scores += _compare(classifier, mixed, split=f"{split} test", item=of)
         tested = {take_id for take_id, _ in chosen}
         seen = sorted(tested.intersection(take.facts["take_id"] for take in learned))
         notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
@@ -125,13 +131,13 @@ class _Clips:
     clips: np.ndarray
 
 
-def _compare(classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], split: str) -> list[Score]:
-    """Score what models predict of one half of the variants beside what the solver made of the other."""
+def _compare(classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], **of: str) -> list[Score]:
+    """Score what models make of one half of the variants beside what the solver made of the other."""
     scores: list[Score] = []
     half = len(clips[SOLVER]) // 2
     real, real_units = _features(classifier, clips[SOLVER][half:])
     for name, found in clips.items():
-        more: dict[str, Any] = {"is_baseline": name in BASELINES, "split": split}
+        more: dict[str, Any] = {"is_baseline": name in BASELINES, **of}
         made, units = _features(classifier, found[: max(half, 1)])
         if half and min(len(real), len(made)) > 1:
             figures = distances(real, made)
@@ -166,6 +172,8 @@ TOPIC = Topic(
     "many of a split's test takes are among them). The method `solver` is chance: what the solver made of the same "
     "variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias and means something only "
     "beside that of the solver. Intervals of KID leave out variants, or takes where these are not learned from. "
+    "`generated` is of motions whose scales the models drew "
+    "themselves, one for each variant, beside trivial ways and the closed form at these scales and, as above, chance. "
     "Density and coverage are about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the "
     "share of predicted clips whose interaction is found.",
     reads=("models", "poses", "variants", "variant_quality"),

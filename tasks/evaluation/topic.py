@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 35
+VERSION = 36
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

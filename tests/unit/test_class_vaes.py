@@ -57,6 +57,9 @@ def test_a_scale_is_a_class_and_one_that_was_not_trained_on_is_the_nearest(kind:
     np.testing.assert_array_equal(_ask(model, 0.75), _ask(model, 0.8))
     np.testing.assert_array_equal(_ask(model, 1.5), _ask(model, 1.1))
     assert np.abs(_ask(model, 0.8) - _ask(model, 0.9)).max() > 1e-3
+    drawn = [model.generate(TAKE, np.random.default_rng(seed)) for seed in range(20)]
+    assert {float(scale[1, 3].round(3)) for scale, _ in drawn} == {0.8, 0.9, 1.1}
+    assert len({float(motion.sum()) for _, motion in drawn}) == 20
 
 
 @KINDS

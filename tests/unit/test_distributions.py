@@ -54,6 +54,19 @@ def test_the_interval_of_the_kernel_distance_holds_what_it_should_and_knows_that
     assert np.isnan(kernel_interval(one[0], other[0], ["take"] * 48, other[1])).all()
 
 
+def test_the_interval_is_that_of_leaving_out_one_unit_after_the_other() -> None:
+    one, other = _clips_of_units(1, 1.0), _clips_of_units(3)
+    variance = 0.0
+    for kept, units, is_first in ((one[0], np.array(one[1]), True), (other[0], np.array(other[1]), False)):
+        rests = [kept[units != name] for name in sorted(set(units))]
+        values = [kernel_distance(rest, other[0]) if is_first else kernel_distance(one[0], rest) for rest in rests]
+        variance += (len(values) - 1) * np.var(values)
+    reach = 1.96 * np.sqrt(variance)
+    middle = kernel_distance(one[0], other[0])
+    found = kernel_interval(one[0], other[0], one[1], other[1])
+    np.testing.assert_allclose(found, (middle - reach, middle + reach), rtol=1e-9)
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), turn=st.floats(-3.0, 3.0))
 def test_no_distance_knows_how_features_are_turned_or_ordered(seed: int, turn: float) -> None:

@@ -12,6 +12,7 @@ from pasdedeux.evaluation.model_meter import ModelMeter
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning import (
     MODELS,
+    MeshRefineModel,
     RidgeScaleModel,
     Training,
     TrainingItem,
@@ -106,15 +107,19 @@ def test_a_generated_pair_has_scales_of_its_own_and_the_same_seed_gives_the_same
 
 def test_motions_that_are_drawn_are_judged_by_the_bones_drawn_beside_baselines_at_the_same_scales() -> None:
     meter = ModelMeter(VariantRequest("sway", TAKE, SCALED_B))
-    models = {"cvae": _model(), "copy": MODELS["copy"](), "naive_fk": MODELS["naive_fk"](), "ridge": RidgeScaleModel()}
-    found = meter.measure_generated(models, np.random.default_rng(0))
-    assert set(found) == {"cvae", "copy", "naive_fk"}
+    trivial = {"copy": MODELS["copy"](), "naive_fk": MODELS["naive_fk"](), "ridge_scale": RidgeScaleModel()}
+    models = {"cvae": _model(), "mesh": MeshRefineModel(trivial["copy"], 0), **trivial}
+    found = meter.measure_generated(models, lambda name: np.random.default_rng(0))
+    assert set(found) == {"cvae", *trivial}
+    more = meter.measure_generated({"a": _model(4), **models}, lambda name: np.random.default_rng(len(name)))
+    alone = meter.measure_generated(models, lambda name: np.random.default_rng(len(name)))
+    assert more["cvae"] == alone["cvae"] != more["a"]
     assert found["naive_fk"]["E_b"] < 1e-6 < 1.0 < found["copy"]["E_b"]
     assert found["copy"]["JPD"] == 0.0 or np.isnan(found["copy"]["JPD"])
     scale, motion = _model().generate(TAKE, np.random.default_rng(0))
     wanted = np.abs(bone_lengths(BODY22, motion) - scale * bone_lengths(BODY22, TAKE.positions_m))
     assert found["cvae"]["E_b"] == pytest.approx(1000.0 * wanted[..., 1:].mean())
-    assert meter.measure_generated({"copy": models["copy"]}, np.random.default_rng(0)) == {}
+    assert meter.measure_generated(trivial, lambda name: np.random.default_rng(0)) == {}
 
 
 def test_variants_of_both_are_not_learned_from_and_weights_of_another_size_are_refused() -> None:

@@ -12,6 +12,7 @@ from flows.exports.export_format import Export, ExportFormat, FileNames, write_t
 from pasdedeux.learning import Weights, write_weights
 from storage_schema import Manifest, Reference, Store
 from tasks.stage import verdict_of
+from tasks.training.items import skeleton_name
 from tasks.training.run import load_stored
 
 __all__ = ["ModelWeights", "stored_weights"]
@@ -62,6 +63,7 @@ def _card(store: Store, manifest: Manifest) -> Iterator[str]:
     yield from (f"# {facts['model']}, split {facts['split']}", "")
     counted = {part: sum(map(len, facts[part].values())) for part in ("train", "validation", "test")}
     yield f"- class: `{facts['class']}`; artifact: {manifest.ref.stage} {manifest.ref.key}"
+    yield f"- skeleton: {skeleton_name(manifest)}"
     yield f"- split: `{facts['split']}`, seed {manifest.seed}; variants: " + ", ".join(
         f"{part} {count}" for part, count in counted.items()
     )

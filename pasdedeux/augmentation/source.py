@@ -20,7 +20,7 @@ from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.interaction.surfaces import closest_joint_distance
 from pasdedeux.kinematics import bone_directions, bone_lengths, local_rotations, place_bones
 from pasdedeux.plausibility import body_height_m, capsule_model
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
     "Girths",
@@ -50,9 +50,10 @@ _OWN_TOUCH = np.array([pair for pair in capsule_model(BODY22).within if set(pair
 
 @dataclass(frozen=True)
 class Source:
-    """The body22 of one or more people over time, the template of every variant.
+    """The motion of one or more people over time, the template of every variant.
 
-    The joints of all people make the points: person A's 22, then B's, and so on; n of them.
+    The joints of all people make the points: person A's 22, then B's, and so on; n of them.  What has to do with
+    surfaces, and so the solver, is of `body22` alone; models may be of another skeleton.
 
     Args:
         positions_m: World positions (frame, person, joint=22, 3), metres, Y up.
@@ -60,6 +61,7 @@ class Source:
         name: Name of the take, used in messages.
         ground_m: Height of standing toe joints, metres, where it is known; otherwise it is found from everybody.
         objects: What people handle; it moves as it did, whoever has another size.
+        skeleton: Skeleton of everybody.
 
     Raises:
         InputError: Wrong shape, no frames, a frame that is not finite or kilometres away, a rate that is not positive,
@@ -71,14 +73,15 @@ class Source:
     name: str = "take"
     ground_m: float | None = None
     objects: MovingObjects | None = None
+    skeleton: Skeleton = BODY22
 
     def __post_init__(self) -> None:
         """Check shape, finiteness and rate."""
         shape = self.positions_m.shape
-        if len(shape) != 4 or not shape[1] or shape[2:] != (BODY22.num_joints, 3):
+        if len(shape) != 4 or not shape[1] or shape[2:] != (self.skeleton.num_joints, 3):
             raise InputError(
-                f"{self.name}: positions have shape {shape}, expected (frames, people, {BODY22.num_joints}, 3): "
-                "one person or more, all on body22"
+                f"{self.name}: positions have shape {shape}, expected (frames, people, {self.skeleton.num_joints}, "
+                f"3): one person or more, all on {self.skeleton.name}"
             )
         if shape[0] == 0:
             raise InputError(f"{self.name}: the take has no frames, at least one is needed")
@@ -108,24 +111,24 @@ class Source:
     @property
     def num_points(self) -> int:
         """Joints of all people n, 22 P."""
-        return self.num_people * BODY22.num_joints
+        return self.num_people * self.skeleton.num_joints
 
     @cached_property
     def lengths_m(self) -> Array:
         """Length of each bone (P, 22), metres: the median over the frames, as a mapped joint may wander a little."""
-        return np.asarray(np.median(bone_lengths(BODY22, self.positions_m), axis=0))
+        return np.asarray(np.median(bone_lengths(self.skeleton, self.positions_m), axis=0))
 
     @cached_property
     def directions(self) -> Array:
         """Unit direction of each bone (frame, P, 22, 3)."""
-        return bone_directions(BODY22, self.positions_m)
+        return bone_directions(self.skeleton, self.positions_m)
 
     @cached_property
     def floor_m(self) -> float:
         """Height of standing toe joints, metres: one floor under everybody, so who is held up stands on nothing."""
         if self.ground_m is not None:
             return self.ground_m
-        toes = self.positions_m[:, :, _TOES]
+        toes = self.positions_m[:, :, self.skeleton.indices(["left_toe", "right_toe"])]
         return floor_under(toes, find_standing(toes, rate_hz=self.rate_hz, settings=StandingSettings(away_share=1.0)))
 
     @cached_property
@@ -194,9 +197,10 @@ def complete_scales(source: Source, bone_scale: Array) -> Array:
     Raises:
         InputError: Wrong shape, or a scale that is not positive.
     """
-    check_bone_scales(bone_scale, source.num_people, what=source.name)
+    skeleton = source.skeleton
+    check_bone_scales(bone_scale, source.num_people, what=source.name, skeleton=skeleton)
     completed = np.array(bone_scale, dtype=np.float64)
-    completed[..., BODY22.root] = leg_ratio(completed, source.lengths_m)
+    completed[..., skeleton.root] = leg_ratio(completed, source.lengths_m, skeleton)
     return completed
 
 
@@ -214,17 +218,18 @@ def reference_motion(source: Source, bone_scale: Array) -> Array:
     Returns:
         Positions (variant, T, P, 22, 3), metres.
     """
-    root = np.repeat(source.positions_m[None, :, :, BODY22.root], len(bone_scale), axis=0)
+    skeleton = source.skeleton
+    root = np.repeat(source.positions_m[None, :, :, skeleton.root], len(bone_scale), axis=0)
     height = root[..., 1] - source.floor_m
-    root[..., 1] = source.floor_m + height * bone_scale[:, None, :, BODY22.root]
+    root[..., 1] = source.floor_m + height * bone_scale[:, None, :, skeleton.root]
     lengths = source.lengths_m * bone_scale
-    return place_bones(BODY22, root, source.directions[None], lengths[:, None])
+    return place_bones(skeleton, root, source.directions[None], lengths[:, None])
 
 
 def scaled_lengths(source: Source, bone_scale: Array) -> Array:
     """Return the new bone lengths (variant, n), metres, of scales (variant, P, 22); 0 for the roots."""
     lengths = source.lengths_m * bone_scale
-    lengths[..., BODY22.root] = 0.0
+    lengths[..., source.skeleton.root] = 0.0
     return np.asarray(lengths.reshape(len(bone_scale), source.num_points))
 
 

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
     "LIMB_GROUPS",
@@ -164,7 +164,9 @@ def persons_of(who: str, num_people: int) -> list[int]:
     return [person for person, letter in enumerate(letters) if who == EVERYBODY or letter in who]
 
 
-def check_bone_scales(bone_scale: Array, num_people: int | None = None, *, what: str = "bone_scale") -> None:
+def check_bone_scales(
+    bone_scale: Array, num_people: int | None = None, *, what: str = "bone_scale", skeleton: Skeleton = BODY22
+) -> None:
     """Refuse scales of the wrong shape, or outside 0.05 to 20 (zero, negative and non-finite ones included).
 
     With `num_people` they have to be those of so many people.
@@ -173,16 +175,16 @@ def check_bone_scales(bone_scale: Array, num_people: int | None = None, *, what:
         InputError: With the person and bone at fault.
     """
     people = num_people or (bone_scale.shape[-2] if bone_scale.ndim > 1 else 2)
-    expected = (people, BODY22.num_joints)
+    expected = (people, skeleton.num_joints)
     if bone_scale.shape[-2:] != expected:
         raise InputError(
-            f"{what}: bone scales have shape {bone_scale.shape}, expected {expected} (person, body22 bone)"
+            f"{what}: bone scales have shape {bone_scale.shape}, expected {expected} (person, {skeleton.name} bone)"
         )
     is_bad = ~(np.isfinite(bone_scale) & (bone_scale >= _SMALLEST_SCALE) & (bone_scale <= _LARGEST_SCALE))
     if is_bad.any():
         at = tuple(int(i) for i in np.argwhere(is_bad)[0])
         raise InputError(
-            f"{what}: the scale of person {ascii_uppercase[at[-2]]}'s bone '{BODY22.joint_names[at[-1]]}' is "
+            f"{what}: the scale of person {ascii_uppercase[at[-2]]}'s bone '{skeleton.joint_names[at[-1]]}' is "
             f"{bone_scale[at]:g}; allowed are {_SMALLEST_SCALE:g} to {_LARGEST_SCALE:g}"
         )
 
@@ -214,9 +216,9 @@ def make_variations(
     return list({variation.variant_id: variation for variation in found}.values())
 
 
-def leg_ratio(bone_scale: Array, lengths_m: Array) -> Array:
+def leg_ratio(bone_scale: Array, lengths_m: Array, skeleton: Skeleton = BODY22) -> Array:
     """Return new over old leg length (thigh and shin, both sides) of scales (*batch, 22) and lengths (22,)."""
-    bones = BODY22.indices(_LEG_BONES)
+    bones = skeleton.indices(_LEG_BONES)
     old = lengths_m[..., bones].sum(axis=-1)
     new = (lengths_m[..., bones] * bone_scale[..., bones]).sum(axis=-1)
     return np.asarray(np.where(old > 0, new / np.where(old > 0, old, 1.0), 1.0))

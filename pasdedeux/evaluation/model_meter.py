@@ -57,15 +57,19 @@ class ModelMeter:
 
     Args:
         request: Any request for the take: its source, how it is solved, its known contacts.
+
+    On another skeleton than `body22` there are neither contacts nor surfaces: figures are E_r, E_b and PWD alone.
     """
 
     def __init__(self, request: VariantRequest) -> None:
         self._request = request
-        self._quality = QualityMeter(
-            request.source,
-            girth=request.solving.girth,
-            touch_m=request.solving.touch_m,
-            user_contacts=request.contacts,
+        self._is_body22 = request.source.skeleton == BODY22
+
+    @cached_property
+    def _quality(self) -> QualityMeter:
+        solving = self._request.solving
+        return QualityMeter(
+            self._request.source, girth=solving.girth, touch_m=solving.touch_m, user_contacts=self._request.contacts
         )
 
     @cached_property
@@ -78,15 +82,15 @@ class ModelMeter:
         return source.contacts(request.solving.touch_m)
 
     @cached_property
-    def keys(self) -> Contacts:
-        """Key contacts of the take, those that last longest."""
-        return key_contacts(self.contacts)
+    def keys(self) -> Contacts | None:
+        """Key contacts of the take, those that last longest; None on another skeleton."""
+        return key_contacts(self.contacts) if self._is_body22 else None
 
     def key_names(self) -> str:
         """Return the key pairs of bones in words; empty where nothing is ever in contact."""
         names = [
             " and ".join(f"{'AB'[bone // 22]}'s {BODY22.joint_names[bone % 22].replace('_', ' ')}" for bone in pair)
-            for pair in self.keys.bones()[0].tolist()
+            for pair in (self.keys.bones()[0].tolist() if self.keys else ())
         ]
         return ", ".join(names)
 
@@ -104,6 +108,11 @@ class ModelMeter:
             Figures in `UNITS` by name; the solver has no distances to itself.
         """
         source = self._request.source
+        if not self._is_body22:
+            return {
+                name: {} if name == SOLVER else model_errors(motion, true_m, skeleton=source.skeleton)
+                for name, motion in {**predicted_m, SOLVER: true_m}.items()
+            }
         scales = complete_scales(source, bone_scale[None])
         lengths = scaled_lengths(source, scales)[0]
         reference = points_of(reference_motion(source, scales)[0])
@@ -145,9 +154,10 @@ class ModelMeter:
         self, models: Mapping[str, VariantModel], streams: Callable[[str], np.random.Generator]
     ) -> dict[str, dict[str, float]]:
         """Return E_b and JPD of `generated`, means where there are several; see `generated_errors`."""
-        source_m, found = self._request.source.positions_m, {}
+        source, found = self._request.source, {}
         for name, made in generated(models, self._request, streams).items():
-            rows = [generated_errors(motion, source_m, scale, self.keys) for scale, motion in made]
+            template = (source.positions_m, self.keys, source.skeleton)
+            rows = [generated_errors(motion, scale, *template) for scale, motion in made]
             found[name] = {metric: float(np.mean([row[metric] for row in rows])) for metric in rows[0]}
         return found
 

@@ -14,7 +14,6 @@ from pasdedeux.evaluation.players import TRUTH_COLOUR, Figure, pack_player, peop
 from pasdedeux.evaluation.score_tables import TextTable, format_score
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.learning import SPLIT_NAMES, TrainingItem
-from pasdedeux.skeletons import BODY22
 
 __all__ = ["LARGEST_SCALE", "best_model", "case_player", "extreme_cases", "model_tables"]
 
@@ -51,13 +50,14 @@ def case_player(cases: Mapping[str, tuple[TrainingItem, Array]]) -> bytes:
     frames, rate_hz = shown_frames(min(source.num_frames for source in sources), sources[0].rate_hz)
     panels = []
     for what, (item, predicted) in cases.items():
+        skeleton = item.request.source.skeleton
         true, guessed = item.motion_m[frames], predicted[frames]
-        middle = true[:, :, BODY22.root].mean(axis=(0, 1)) * [1.0, 0.0, 1.0]
+        middle = true[:, :, skeleton.root].mean(axis=(0, 1)) * [1.0, 0.0, 1.0]
         title = f"{what}: {item.request.take_id} {item.variant_id}"
         behind = tuple(
-            Figure(BODY22, true[:, person] - middle, TRUTH_COLOUR, is_thin=True) for person in range(true.shape[1])
+            Figure(skeleton, true[:, person] - middle, TRUTH_COLOUR, is_thin=True) for person in range(true.shape[1])
         )
-        panel = people_panel(title, BODY22, guessed - middle)
+        panel = people_panel(title, skeleton, guessed - middle)
         panels.append(replace(panel, figures=(*behind, *panel.figures)))
     return pack_player(panels, rate_hz=rate_hz)
 

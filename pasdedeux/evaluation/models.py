@@ -22,7 +22,7 @@ from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import Score, bootstrap_interval
 from pasdedeux.interaction.contacts import Contacts
 from pasdedeux.kinematics import bone_lengths
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
     "GENERATED",
@@ -82,45 +82,51 @@ def key_contacts(contacts: Contacts, *, max_pairs: int = 3) -> Contacts:
     )
 
 
-def model_errors(predicted_m: Array, true_m: Array, keys: Contacts | None = None) -> dict[str, float]:
+def model_errors(
+    predicted_m: Array, true_m: Array, keys: Contacts | None = None, skeleton: Skeleton = BODY22
+) -> dict[str, float]:
     """Return E_r, JPD and PWD in cm and E_b in mm of a predicted variant; JPD is NaN where a take has no key pair.
 
     Args:
         predicted_m: (T, 2, 22, 3), metres.
         true_m: (T, 2, 22, 3), metres.
-        keys: Key contacts of the take; without them JPD is NaN.
+        keys: Key contacts of the take, on `body22`; without them JPD is NaN.
+        skeleton: Skeleton of both, whose joints stand for the 22.
 
     Raises:
         InputError: Shapes differ, or a value is not finite.
     """
-    if predicted_m.shape != true_m.shape or predicted_m.shape[-3:] != (2, BODY22.num_joints, 3):
-        raise InputError(f"predicted motion {predicted_m.shape} and true motion {true_m.shape} must be (T, 2, 22, 3)")
+    if predicted_m.shape != true_m.shape or predicted_m.shape[-3:] != (2, skeleton.num_joints, 3):
+        raise InputError(
+            f"predicted motion {predicted_m.shape} and true motion {true_m.shape} must be "
+            f"(T, 2, {skeleton.num_joints}, 3)"
+        )
     if not (np.isfinite(predicted_m).all() and np.isfinite(true_m).all()):
         raise InputError("a predicted or true motion is not finite")
     return {
         "E_r": _CM * float(np.linalg.norm(predicted_m - true_m, axis=-1).mean()),
-        "E_b": _length_error_mm(predicted_m, bone_lengths(BODY22, true_m)),
+        "E_b": _length_error_mm(predicted_m, bone_lengths(skeleton, true_m), skeleton),
         "JPD": _key_error_cm(predicted_m, true_m, keys),
         "PWD": _CM * _weighted_distance_error(predicted_m, true_m),
     }
 
 
 def generated_errors(
-    motion_m: Array, source_m: Array, bone_scale: Array, keys: Contacts | None = None
+    motion_m: Array, bone_scale: Array, source_m: Array, keys: Contacts | None = None, skeleton: Skeleton = BODY22
 ) -> dict[str, float]:
     """Return E_b and JPD of a motion for scales (2, 22) that have no true motion.
 
     Bones are beside the source's times their scales, distances of key pairs beside those of the source (T, 2, 22, 3).
     """
     return {
-        "E_b": _length_error_mm(motion_m, bone_scale * bone_lengths(BODY22, source_m)),
+        "E_b": _length_error_mm(motion_m, bone_scale * bone_lengths(skeleton, source_m), skeleton),
         "JPD": _key_error_cm(motion_m, source_m, keys),
     }
 
 
-def _length_error_mm(motion_m: Array, lengths_m: Array) -> float:
-    bones = [child for _, child in BODY22.bones]
-    return _MM * float(np.abs(bone_lengths(BODY22, motion_m) - lengths_m)[..., bones].mean())
+def _length_error_mm(motion_m: Array, lengths_m: Array, skeleton: Skeleton) -> float:
+    bones = [child for _, child in skeleton.bones]
+    return _MM * float(np.abs(bone_lengths(skeleton, motion_m) - lengths_m)[..., bones].mean())
 
 
 def _key_error_cm(motion_m: Array, other_m: Array, keys: Contacts | None) -> float:

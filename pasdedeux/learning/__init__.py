@@ -28,6 +28,7 @@ from pasdedeux.learning.ridge_adapted import RidgeAdaptedModel
 from pasdedeux.learning.ridge_scale import RidgeScaleModel, RidgeSettings
 from pasdedeux.learning.splits import SPLIT_NAMES, Split, SplitName, VariantKey, make_split
 from pasdedeux.learning.start_net import StartNetModel
+from pasdedeux.learning.topology import mapped_item, mapped_source
 from pasdedeux.learning.torch_settings import has_torch
 from pasdedeux.learning.weights import Weights, read_weights, write_weights
 
@@ -59,6 +60,8 @@ __all__ = [
     "has_torch",
     "load_model",
     "make_split",
+    "mapped_item",
+    "mapped_source",
     "model_arrays",
     "model_class",
     "needs_torch",

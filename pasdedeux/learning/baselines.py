@@ -18,6 +18,8 @@ class _Untrained(VariantModel):
     """A model without anything to learn; its one array says which form of it this is."""
 
     is_trained = False
+    is_of_any_skeleton = True
+    skeleton = None
 
     @classmethod
     def train(cls, training: Training) -> Trained:

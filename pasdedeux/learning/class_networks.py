@@ -1,16 +1,13 @@
 """The networks of `actor_like` and `action2motion_like`, in torch; what they are is said with their settings.
 
-Both give the change of both people from the template, as 132 numbers a frame, for a class and the template's first and
-last frame.
+Both give the change of both people from the template, as three numbers a joint, for a class and the template's first
+and last frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
 from pasdedeux.learning.paper_settings import Action2MotionLikeSettings, ActorLikeSettings
@@ -28,30 +25,26 @@ from pasdedeux.learning.torch_layers import (
     shapes_of_look_at,
     shapes_of_mlp,
     sines,
-    tensors,
 )
-from pasdedeux.skeletons import BODY22
+from pasdedeux.learning.window_vae import WindowNetworks
 
 __all__ = ["Action2MotionNetworks", "ActorNetworks"]
 
-Narrow = npt.NDArray[np.float32]
-
-_POSE = 2 * BODY22.num_joints * 3
-
 
 @dataclass(frozen=True)
-class ActorNetworks:
-    """Transformers that encode and decode a window; see `WindowNetworks`."""
+class ActorNetworks(WindowNetworks):
+    """Transformers that encode and decode a window."""
 
     settings: ActorLikeSettings
     num_classes: int
+    num_joints: int
 
     def shapes(self) -> Shapes:
         """Return the shapes of all weights."""
-        width = self.settings.width
+        width, pose = self.settings.width, 6 * self.num_joints
         shapes: Shapes = {f"class/{what}/matrix": (self.num_classes, width) for what in ("mean", "variance", "bias")}
-        shapes |= shapes_of_dense("pose", _POSE, width) | shapes_of_dense("ends", 2 * _POSE, width)
-        shapes |= shapes_of_mlp("decoder/out", (width, width, _POSE))
+        shapes |= shapes_of_dense("pose", pose, width) | shapes_of_dense("ends", 2 * pose, width)
+        shapes |= shapes_of_mlp("decoder/out", (width, width, pose))
         for block in range(self.settings.num_blocks):
             for part in ("encoder", "decoder", "memory"):
                 shapes |= shapes_of_look_at(f"{part}/{block}", width)
@@ -67,15 +60,10 @@ class ActorNetworks:
         moved = self._decode(weights, batch, draw_latent(found, batch["noise_z"]))
         return ((moved - _change(batch)) ** 2).mean() + self.settings.divergence_weight * divergence(found)
 
-    def displacement(
-        self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow], *, is_known: bool = False
-    ) -> Narrow:
+    def move(self, weights: Tensors, batch: Tensors, *, is_known: bool) -> torch.Tensor:
         """Return how far both move, by z of the noise or of the answer."""
-        torch.set_num_threads(1)
-        own, given = tensors(weights), tensors(batch)
-        with torch.no_grad():
-            z = self._encode(own, given).chunk(2, -1)[0] if is_known else given["noise_z"]
-            return _people(self._decode(own, given, z))
+        z = self._encode(weights, batch).chunk(2, -1)[0] if is_known else batch["noise_z"]
+        return _people(self._decode(weights, batch, z))
 
     def _encode(self, weights: Tensors, batch: Tensors) -> torch.Tensor:
         asked = [batch["condition"] @ weights[f"class/{what}/matrix"] for what in ("mean", "variance")]
@@ -97,21 +85,22 @@ class ActorNetworks:
 
 
 @dataclass(frozen=True)
-class Action2MotionNetworks:
-    """Recurrent networks that encode and decode frame after frame; see `WindowNetworks`."""
+class Action2MotionNetworks(WindowNetworks):
+    """Recurrent networks that encode and decode frame after frame."""
 
     settings: Action2MotionLikeSettings
     num_classes: int
+    num_joints: int
 
     def shapes(self) -> Shapes:
         """Return the shapes of all weights."""
-        hidden, size = self.settings.hidden, self.settings.latent_size
+        hidden, size, pose = self.settings.hidden, self.settings.latent_size, 6 * self.num_joints
         shapes: Shapes = {"class/known/matrix": (self.num_classes, hidden)}
-        shapes |= shapes_of_dense("ends", 2 * _POSE, hidden) | shapes_of_mlp("decoder/out", (hidden, hidden, _POSE))
+        shapes |= shapes_of_dense("ends", 2 * pose, hidden) | shapes_of_mlp("decoder/out", (hidden, hidden, pose))
         for name in ("prior", "posterior"):
-            shapes |= shapes_of_gru(name, _POSE + hidden + 1, hidden) | shapes_of_dense(f"{name}/z", hidden, 2 * size)
+            shapes |= shapes_of_gru(name, pose + hidden + 1, hidden) | shapes_of_dense(f"{name}/z", hidden, 2 * size)
         return (
-            shapes | shapes_of_gru("first", _POSE + size + hidden + 1, hidden) | shapes_of_gru("second", hidden, hidden)
+            shapes | shapes_of_gru("first", pose + size + hidden + 1, hidden) | shapes_of_gru("second", hidden, hidden)
         )
 
     def noise_shapes(self, num_frames: int) -> Shapes:
@@ -124,21 +113,16 @@ class Action2MotionNetworks:
         moved, apart = self._unroll(weights, batch, change)
         return ((moved - change) ** 2).mean() + self.settings.divergence_weight * apart
 
-    def displacement(
-        self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow], *, is_known: bool = False
-    ) -> Narrow:
+    def move(self, weights: Tensors, batch: Tensors, *, is_known: bool) -> torch.Tensor:
         """Return how far both move, by z of the prior and the noise or of the answer."""
-        torch.set_num_threads(1)
-        own, given = tensors(weights), tensors(batch)
-        with torch.no_grad():
-            return _people(self._unroll(own, given, _change(given) if is_known else None)[0])
+        return _people(self._unroll(weights, batch, _change(batch) if is_known else None)[0])
 
     def _unroll(
         self, weights: Tensors, batch: Tensors, change: torch.Tensor | None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the change (W, T, 132), and how far z's normals are from the prior: 0 where that is drawn from."""
+        """Return the change (W, T, 6 J), and how far z's normals are from the prior: 0 where that is drawn from."""
         known = batch["condition"] @ weights["class/known/matrix"] + dense(weights, "ends", _ends(batch))
-        last, apart, found = known.new_zeros(len(known), _POSE), known.new_zeros(()), []
+        last, apart, found = known.new_zeros(len(known), 6 * self.num_joints), known.new_zeros(()), []
         states = {name: torch.zeros_like(known) for name in ("prior", "posterior", "first", "second")}
         num_frames = batch["template_m"].shape[1]
         for frame in range(num_frames):
@@ -167,14 +151,14 @@ def _divergence_between(found: torch.Tensor, prior: torch.Tensor) -> torch.Tenso
 
 
 def _change(batch: Tensors) -> torch.Tensor:
-    """Return how far both move from the template (W, T, 132)."""
+    """Return how far both move from the template (W, T, 6 J)."""
     return (batch["motion_m"] - batch["template_m"]).flatten(2)
 
 
 def _ends(batch: Tensors) -> torch.Tensor:
-    """Return the template's first and last frame (W, 264)."""
+    """Return the template's first and last frame (W, 12 J)."""
     return batch["template_m"][:, [0, -1]].flatten(1)
 
 
-def _people(moved: torch.Tensor) -> Narrow:
-    return np.asarray(moved.unflatten(-1, (2, BODY22.num_joints, 3)).numpy())
+def _people(moved: torch.Tensor) -> torch.Tensor:
+    return moved.unflatten(-1, (2, -1, 3))

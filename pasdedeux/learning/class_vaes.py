@@ -51,7 +51,7 @@ class ActorLikeModel(_ClassVae):
         """Return its transformers."""
         from pasdedeux.learning.class_networks import ActorNetworks
 
-        return ActorNetworks(self.config, len(self.known_scales))
+        return ActorNetworks(self.config, *self.known_scales.shape)
 
 
 @dataclass
@@ -66,4 +66,4 @@ class Action2MotionLikeModel(_ClassVae):
         """Return its recurrent networks."""
         from pasdedeux.learning.class_networks import Action2MotionNetworks
 
-        return Action2MotionNetworks(self.config, len(self.known_scales))
+        return Action2MotionNetworks(self.config, *self.known_scales.shape)

@@ -16,6 +16,7 @@ from pasdedeux.augmentation.source import complete_scales, points_of, scaled_len
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
 from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = [
     "Arrays",
@@ -43,7 +44,7 @@ class VariantRequest:
     Args:
         take_id: Name of the take; a model may know it from training.
         source: The take's own motion, T frames.
-        bone_scale: Scale of each bone (2, 22), the root's being the root height's.
+        bone_scale: Scale of each bone (2, 22), the root's being the root height's; J for the 22 of another skeleton.
         solving: How variants of the take are solved, for models that ask the solver.
         contacts: Contacts stated for the take, in place of what is found.
 
@@ -63,7 +64,7 @@ class VariantRequest:
             raise InputError(
                 f"{self.take_id}: models are of takes of two people, this one has {self.source.num_people}"
             )
-        check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id)
+        check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id, skeleton=self.source.skeleton)
 
     def with_exact_bones(self, motion_m: Array, *, is_aimed: bool = False) -> Array:
         """Return a motion (T, 2, 22, 3), metres, with exactly the bones asked for, placed by `project_to_bones`."""
@@ -165,6 +166,13 @@ class VariantModel(ABC):
     """Every motion has the source's bone lengths times the scales asked for, to rounding."""
     needs_torch: ClassVar[bool] = False
     """It needs the extra `learning`."""
+    is_of_any_skeleton: ClassVar[bool] = False
+    """It can be of any of `MODEL_SKELETONS`, that of the takes it is trained on; otherwise of `body22` alone."""
+
+    @property
+    def skeleton(self) -> Skeleton | None:
+        """The skeleton of its motions; None where it is that of whatever is asked."""
+        return BODY22
 
     @property
     def built_on(self) -> VariantModel | None:
@@ -215,7 +223,7 @@ class VariantModel(ABC):
         Takes that it was not trained on are answered too.
 
         Raises:
-            InputError: A take that it was trained on has another number of frames.
+            InputError: A take that it was trained on has another number of frames, or the take another skeleton.
         """
 
     def generate(self, source: Source, generator: np.random.Generator) -> tuple[Array, Array] | None:

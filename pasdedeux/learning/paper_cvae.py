@@ -15,7 +15,6 @@ import numpy.typing as npt
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.learning.paper_settings import PaperCvaeSettings
 from pasdedeux.learning.window_vae import WindowVae
-from pasdedeux.skeletons import BODY22
 
 if TYPE_CHECKING:
     from pasdedeux.learning.interaction_cvae import InteractionCvae
@@ -41,7 +40,7 @@ class PaperCvaeModel(WindowVae):
         """Return equations 1 to 8."""
         from pasdedeux.learning.interaction_cvae import InteractionCvae
 
-        return InteractionCvae(self.config)
+        return InteractionCvae(self.config, self.skeleton)
 
     @classmethod
     def learned_scales(cls, bone_scale: Narrow) -> Narrow:
@@ -74,8 +73,8 @@ class PaperCvaeModel(WindowVae):
         moved = networks.displacement(weights, {**batch, "condition": drawn})
         template = batch["template_m"][:, :, 1].astype(np.float64)
         mean, deviation = self.known_scales
-        error = bone_lengths(BODY22, template + moved[:, :, 1])
-        error -= (mean + deviation * drawn)[:, None] * bone_lengths(BODY22, template)
+        error = bone_lengths(self.skeleton, template + moved[:, :, 1])
+        error -= (mean + deviation * drawn)[:, None] * bone_lengths(self.skeleton, template)
         return {
             "validation_generated_bone_error_mm": 1000.0 * float(np.abs(error).mean()),
             "generated_scale_deviation": float((deviation * drawn.std(axis=0)).mean()),

@@ -2,7 +2,7 @@
 
 On a take of its training set, the motion is the source's plus a quadratic in the people's scales whose coefficients are
 fitted per frame, joint and axis by ridge regression; at scale 1 it is the source.  An unseen take has no coefficients:
-there each joint moves by a fixed mix of how plain forward kinematics moves all 44 joints, the same mix for all takes,
+there each joint moves by a fixed mix of how plain forward kinematics moves all joints, the same mix for all takes,
 frames and axes (so it turns with the pair), also fitted by ridge regression.
 """
 
@@ -27,19 +27,16 @@ from pasdedeux.learning.model import (
     VariantRequest,
     check_arrays,
 )
+from pasdedeux.learning.topology import check_topology, skeleton_of
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import BODY22, Skeleton
 
 __all__ = ["RidgeScaleModel", "RidgeSettings"]
 
 Array = npt.NDArray[np.float64]
 
-_NUM_POINTS = 2 * BODY22.num_joints
 _MIX_RIDGE = 1e-4
 """Ridge of the mix for unseen takes, as a share of the mean diagonal."""
-
-_WHOLE = [np.array([index for index in range(BODY22.num_joints) if index != BODY22.root])]
-_GROUPS = [np.array(BODY22.indices(bones)) for bones in LIMB_GROUPS.values()]
 
 
 class RidgeSettings(Settings):
@@ -67,30 +64,38 @@ class RidgeScaleModel(VariantModel):
     Args:
         is_by_group: Features are the scales of each limb group; of whole people where training varied nothing finer.
         coefficients: Per take (feature, T, 2, 22, 3), metres.
-        mix: How much of each joint's plain displacement each joint takes (44, 44).
+        mix: How much of each joint's plain displacement each joint takes (44, 44), or of another skeleton's joints.
     """
 
     name = "ridge_scale"
     settings = RidgeSettings
+    is_of_any_skeleton = True
 
     is_by_group: bool = False
     coefficients: dict[str, Array] = field(default_factory=dict)
-    mix: Array = field(default_factory=lambda: np.eye(_NUM_POINTS))
+    mix: Array = field(default_factory=lambda: np.eye(2 * BODY22.num_joints))
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton that the mix is of."""
+        return skeleton_of(self.name, len(self.mix) // 2)
 
     @classmethod
     def train(cls, training: Training) -> Trained:
         """Fit both parts; reads the items three times and holds one at a time."""
         items, ridge = training.items, training.options(RidgeSettings).ridge
-        is_by_group, num_items = False, 0
+        is_by_group, num_items, skeleton = False, 0, BODY22
         for item in items():
             num_items += 1
-            bones = np.delete(item.request.bone_scale, BODY22.root, axis=1)
+            skeleton = item.request.source.skeleton
+            bones = np.delete(item.request.bone_scale, skeleton.root, axis=1)
             is_by_group = is_by_group or bool(np.ptp(bones, axis=1).max() > 1e-6)
         if num_items == 0:
             raise InputError("ridge_scale: there is no variant to train on; check the split and the scales")
-        model = cls(is_by_group=is_by_group)
+        num_points = 2 * skeleton.num_joints
+        model = cls(is_by_group=is_by_group, mix=np.eye(num_points))
         sums: dict[str, _Sums] = {}
-        gram, moment = np.zeros((2, _NUM_POINTS, _NUM_POINTS))
+        gram, moment = np.zeros((2, num_points, num_points))
         for item in items():
             model._add(item, sums)
             plain, change = _displacements(item)
@@ -122,16 +127,18 @@ class RidgeScaleModel(VariantModel):
     def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> VariantModel:
         """Make the model from its arrays."""
         takes = {name.removeprefix("take/"): values for name, values in arrays.items() if name.startswith("take/")}
-        wanted = {"mix": (_NUM_POINTS, _NUM_POINTS), "is_by_group": (1,)}
-        check_arrays(cls.name, arrays, wanted)
+        num_points = len(arrays["mix"]) if np.ndim(arrays.get("mix", 0)) else 2 * BODY22.num_joints
+        check_arrays(cls.name, arrays, {"mix": (num_points, num_points), "is_by_group": (1,)})
+        joints = skeleton_of(cls.name, num_points // 2 if num_points % 2 == 0 else 0).num_joints
         model = cls(is_by_group=bool(arrays["is_by_group"][0]), coefficients=takes, mix=arrays["mix"])
-        shape = (len(model.features(np.ones((2, BODY22.num_joints)))), 2, BODY22.num_joints, 3)
+        shape = (len(model.features(np.ones((2, joints)))), 2, joints, 3)
         of_takes = {f"take/{take}": (shape[0], *values.shape[1:2], *shape[1:]) for take, values in takes.items()}
         check_arrays(cls.name, arrays, of_takes)
         return model
 
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion: by the take's own quadratic where it was trained on, by the mix elsewhere."""
+        check_topology(self, request.source)
         source = request.source.positions_m
         known = self.coefficients.get(request.take_id)
         if known is None:
@@ -145,7 +152,10 @@ class RidgeScaleModel(VariantModel):
 
     def features(self, bone_scale: Array) -> Array:
         """Return the quadratic features (feature,) of scales (2, 22): zero at scale 1."""
-        groups = _GROUPS if self.is_by_group else _WHOLE
+        names, root = self.skeleton.joint_names, self.skeleton.root
+        whole = [[index for index in range(len(names)) if index != root]]
+        parts = [[names.index(bone) for bone in bones if bone in names] for bones in LIMB_GROUPS.values()]
+        groups = parts if self.is_by_group else whole
         linear = np.array([[person[bones].mean() - 1.0 for bones in groups] for person in bone_scale])
         sizes = linear.mean(axis=1)
         return np.concatenate([linear.ravel(), linear.ravel() ** 2, [sizes[0] * sizes[1]]])
@@ -176,9 +186,9 @@ def _ridge(gram: Array, moment: Array, share: float) -> Array:
 def _plain_displacement(request: VariantRequest) -> Array:
     scales = complete_scales(request.source, request.bone_scale[None])
     moved = reference_motion(request.source, scales)[0] - request.source.positions_m
-    return moved.reshape(-1, _NUM_POINTS, 3)
+    return moved.reshape(len(moved), -1, 3)
 
 
 def _displacements(item: TrainingItem) -> tuple[Array, Array]:
     change = item.motion_m - item.request.source.positions_m
-    return _plain_displacement(item.request), change.reshape(-1, _NUM_POINTS, 3)
+    return _plain_displacement(item.request), change.reshape(len(change), -1, 3)

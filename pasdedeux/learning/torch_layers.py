@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch.nn.functional import layer_norm, pad, scaled_dot_product_attention
 
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import Skeleton
 
 __all__ = [
     "NUM_SINES",
@@ -40,21 +41,18 @@ Shapes = dict[str, tuple[int, ...]]
 
 NUM_SINES = 8
 """Numbers that say which frame it is, where nothing else needs more."""
-_JOINTS = BODY22.num_joints
 _LAST_LAYER = "out/1"
 _NUM_HEADS = 4
 
 
-def _adjacency() -> torch.Tensor:
-    """Return the skeleton's graph with every joint its own neighbour, normalised on both sides (22, 22)."""
-    graph = torch.eye(_JOINTS)
-    for parent, child in BODY22.bones:
+@lru_cache(maxsize=4)
+def _graph(skeleton: Skeleton) -> torch.Tensor:
+    """Return the skeleton's graph with every joint its own neighbour, normalised on both sides (J, J)."""
+    graph = torch.eye(skeleton.num_joints)
+    for parent, child in skeleton.bones:
         graph[parent, child] = graph[child, parent] = 1.0
     root = graph.sum(1).rsqrt()
     return root[:, None] * graph * root
-
-
-_GRAPH = _adjacency()
 
 
 def first_values(shapes: Shapes, generator: np.random.Generator) -> dict[str, Narrow]:
@@ -151,30 +149,37 @@ def _next_state(given: torch.Tensor, kept: torch.Tensor, state: torch.Tensor) ->
     return update * state + (1.0 - update) * torch.tanh(of_given[2] + reset * of_state[2])
 
 
-def shapes_of_st_gcn(name: str, inputs: int, width: int, num_blocks: int, kernel: int) -> Shapes:
+def shapes_of_st_gcn(name: str, joints: int, inputs: int, width: int, num_blocks: int, kernel: int) -> Shapes:
     """Return the shapes of `st_gcn`'s weights."""
     shapes: Shapes = {}
     for block in range(num_blocks):
         at = f"{name}/{block}"
-        shapes |= {f"{at}/edges": (_JOINTS, _JOINTS)} | shapes_of_dense(f"{at}/space", inputs, width)
+        shapes |= {f"{at}/edges": (joints, joints)} | shapes_of_dense(f"{at}/space", inputs, width)
         shapes |= shapes_of_dense(f"{at}/time", kernel * width, width) | shapes_of_dense(f"{at}/past", inputs, width)
         inputs = width
     return shapes
 
 
 def st_gcn(
-    weights: Tensors, name: str, x: torch.Tensor, num_blocks: int, kernel: int, *, is_pooled: bool = True
+    weights: Tensors,
+    name: str,
+    skeleton: Skeleton,
+    x: torch.Tensor,
+    num_blocks: int,
+    kernel: int,
+    *,
+    is_pooled: bool = True,
 ) -> torch.Tensor:
-    """Return features (W, 22, width) of motions (W, T, 22, inputs), the mean over time [Yan et al. 2018].
+    """Return features (W, J, width) of motions (W, T, J, inputs), the mean over time [Yan et al. 2018].
 
     A block is a graph convolution with a learned mask of edges, a convolution over `kernel` frames, and a residual;
     each block but the first looks at every second frame of the one before.  What is not pooled keeps all frames,
-    (W, T, 22, width).
+    (W, T, J, width).
     """
     for block in range(num_blocks):
         at = f"{name}/{block}"
         step = 2 if block and is_pooled else 1
-        near = (_GRAPH.to(x.device) * weights[f"{at}/edges"]) @ x
+        near = (_graph(skeleton).to(x.device) * weights[f"{at}/edges"]) @ x
         here = torch.relu(dense(weights, f"{at}/space", near))
         padded = pad(here, (0, 0, 0, 0, kernel // 2, kernel // 2))
         # Slices beside each other and not `unfold`, whose backward pass is a quarter of a training step.
@@ -183,9 +188,9 @@ def st_gcn(
     return x.mean(1) if is_pooled else x
 
 
-def shapes_of_graph_gru(name: str, inputs: int, hidden: int, outputs: int) -> Shapes:
+def shapes_of_graph_gru(name: str, joints: int, inputs: int, hidden: int, outputs: int) -> Shapes:
     """Return the shapes of `graph_gru`'s weights; `inputs` is what it is given, without its own last output."""
-    shapes: Shapes = {f"{name}/edges": (_JOINTS, _JOINTS)} | shapes_of_dense(f"{name}/begin", inputs, hidden)
+    shapes: Shapes = {f"{name}/edges": (joints, joints)} | shapes_of_dense(f"{name}/begin", inputs, hidden)
     for source, size in (("in", inputs), ("hidden", hidden)):
         shapes |= shapes_of_dense(f"{name}/{source}", size, 3 * hidden)
     return (
@@ -195,18 +200,19 @@ def shapes_of_graph_gru(name: str, inputs: int, hidden: int, outputs: int) -> Sh
     )
 
 
-def graph_gru(weights: Tensors, name: str, known: torch.Tensor, num_frames: int) -> torch.Tensor:
-    """Return outputs of frame after frame (W, T, 22, outputs), each the last one and what is added to it.
+def graph_gru(weights: Tensors, name: str, skeleton: Skeleton, known: torch.Tensor, num_frames: int) -> torch.Tensor:
+    """Return outputs of frame after frame (W, T, J, outputs), each the last one and what is added to it.
 
     Gated recurrent units of all joints whose states are mixed along a learned graph [Li et al. 2020, DMGNN].
 
     Args:
         weights: The weights; columns of gates are in the order reset, update, candidate.
         name: Name of the layer.
-        known: What it is given, the same in every frame (W, 22, inputs).
+        skeleton: Skeleton of J joints.
+        known: What it is given, the same in every frame (W, J, inputs).
         num_frames: T.
     """
-    graph = _GRAPH.to(known.device) * weights[f"{name}/edges"]
+    graph = _graph(skeleton).to(known.device) * weights[f"{name}/edges"]
     state = torch.tanh(dense(weights, f"{name}/begin", known))
     given, into = dense(weights, f"{name}/in", known), weights[f"{name}/last/matrix"]
     last = known.new_zeros(*known.shape[:-1], into.shape[0])

@@ -46,7 +46,7 @@ def write_weights(weights: Weights) -> bytes:
 
     said = {
         "model": weights.model.name,
-        "joints": ",".join(BODY22.joint_names),
+        "joints": _joints(weights.model),
         "takes": json.dumps(dict(weights.takes), sort_keys=True),
     }
     arrays = {name: np.ascontiguousarray(values) for name, values in model_arrays(weights.model).items()}
@@ -78,12 +78,17 @@ def read_weights(data: bytes, what: str) -> Weights:
         raise InputError(
             f"{what}: these are no weights of a model that `export --format safetensors` wrote ({found})"
         ) from None
-    if joints != ",".join(BODY22.joint_names):
-        raise InputError(f"{what}: weights of another topology, {joints.count(',') + 1} joints: {joints[:60]}")
     try:
-        return Weights(load_model(name, arrays), takes)
+        model = load_model(name, arrays)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
+    if joints != _joints(model):
+        raise InputError(f"{what}: weights of another topology, {joints.count(',') + 1} joints: {joints[:60]}")
+    return Weights(model, takes)
+
+
+def _joints(model: VariantModel) -> str:
+    return ",".join((model.skeleton or BODY22).joint_names)
 
 
 def _header(data: bytes) -> bytes:

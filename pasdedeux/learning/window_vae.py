@@ -8,10 +8,10 @@ beside z drawn from the prior.
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -27,10 +27,11 @@ from pasdedeux.learning.model import (
     check_arrays,
 )
 from pasdedeux.learning.paper_settings import WindowVaeSettings
+from pasdedeux.learning.topology import check_topology, skeleton_of
 from pasdedeux.learning.torch_settings import require_torch
 from pasdedeux.learning.windows import Window, blend, cut, gather_windows, scaled_persons
 from pasdedeux.settings import Settings
-from pasdedeux.skeletons import BODY22
+from pasdedeux.skeletons import Skeleton
 
 if TYPE_CHECKING:
     import torch
@@ -44,28 +45,44 @@ _VALIDATED = 48
 """Windows of validation variants that training looks at."""
 
 
-class WindowNetworks(Protocol):
+class WindowNetworks(ABC):
     """The networks of one autoencoder, for sizes that its settings say.
 
-    Batches hold `template_m`, `motion_m` (W, T, 2, 22, 3), metres, `condition` (W, n), and unit noise `noise_...`.
+    Batches hold `template_m`, `motion_m` (W, T, 2, J, 3), metres, `condition` (W, n), and unit noise `noise_...`.
     """
 
+    @abstractmethod
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Return the shapes of all weights."""
 
+    @abstractmethod
     def noise_shapes(self, num_frames: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of the unit noise that a window takes, by name."""
 
+    @abstractmethod
     def loss(self, weights: Mapping[str, torch.Tensor], batch: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the loss of a batch."""
+
+    @abstractmethod
+    def move(
+        self, weights: Mapping[str, torch.Tensor], batch: Mapping[str, torch.Tensor], *, is_known: bool
+    ) -> torch.Tensor:
+        """Return how far both move from the template (W, T, 2, J, 3), metres: z by the batch's noise, or the answer's.
+
+        Noise of 0 is the mean of the prior.
+        """
 
     def displacement(
         self, weights: Mapping[str, Narrow], batch: Mapping[str, Narrow], *, is_known: bool = False
     ) -> Narrow:
-        """Return how far both move from the template (W, T, 2, 22, 3), metres: z by the batch's noise, or the answer's.
+        """Return `move` of arrays, on one thread."""
+        import torch
 
-        Noise of 0 is the mean of the prior.
-        """
+        from pasdedeux.learning.torch_layers import tensors
+
+        torch.set_num_threads(1)
+        with torch.no_grad():
+            return np.asarray(self.move(tensors(weights), tensors(batch), is_known=is_known).numpy())
 
 
 @dataclass
@@ -80,6 +97,7 @@ class WindowVae(VariantModel):
     """
 
     needs_torch = True
+    is_of_any_skeleton = True
     sizes: ClassVar[tuple[str, ...]]
     """Settings that the networks' shapes depend on: whole numbers and choices."""
 
@@ -87,6 +105,11 @@ class WindowVae(VariantModel):
     length: int
     known_scales: Narrow
     weights: dict[str, Narrow]
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton that its scales are of."""
+        return skeleton_of(self.name, self.known_scales.shape[1])
 
     @abstractmethod
     def networks(self) -> WindowNetworks:
@@ -179,8 +202,9 @@ class WindowVae(VariantModel):
     def from_arrays(cls, arrays: Arrays, built_on: VariantModel | None = None) -> Self:
         """Make the model from its arrays."""
         require_torch(cls.name)
-        count = (np.shape(arrays["known_scales"]) or (0,))[0] if "known_scales" in arrays else 0
-        check_arrays(cls.name, arrays, {"sizes": (1 + len(cls.sizes),), "known_scales": (count, BODY22.num_joints)})
+        count, joints = (*np.shape(arrays.get("known_scales", ())), 0, 0)[:2]
+        check_arrays(cls.name, arrays, {"sizes": (1 + len(cls.sizes),), "known_scales": (count, joints)})
+        skeleton_of(cls.name, joints)
         length, *numbers = (int(size) for size in arrays["sizes"])
         try:
             told = {
@@ -204,7 +228,7 @@ class WindowVae(VariantModel):
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion of the prior's mean; a take shorter than a window is one window of its own length."""
         moved = np.zeros_like(request.source.positions_m)
-        for person in scaled_persons(request.bone_scale):
+        for person in scaled_persons(request):
             moved += self.moved(request.source, person, request.bone_scale[person], None)
         return request.source.positions_m + moved
 
@@ -228,6 +252,7 @@ class WindowVae(VariantModel):
 
     def moved(self, source: Source, person: int, scale: Array, generator: np.random.Generator | None) -> Array:
         """Return how far both move (T, 2, 22, 3), metres, where one is scaled; noise is the same for all windows."""
+        check_topology(self, source)
         windows = cut(source, "", person, self.length)
         count, num_frames = len(windows), len(windows[0].frames)
         noise = self._noise(1, num_frames, generator)

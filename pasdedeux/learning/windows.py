@@ -1,7 +1,7 @@
 """Windows of takes and their variants, as models that look at a few seconds see them: one body scaled, in its own axes.
 
 A window is a stretch of a take at ten frames a second.  Its axes lie where the two are in its first frame: the origin
-on the floor between their mid-hips, the second person along x.  The person who is scaled is the second; where it is A,
+on the floor between their roots, the second person along x.  The person who is scaled is the second; where it is A,
 the two change roles, and where both are scaled the displacements for one and for the other are added.
 """
 
@@ -15,8 +15,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source
-from pasdedeux.learning.model import Items
-from pasdedeux.skeletons import BODY22
+from pasdedeux.learning.model import Items, VariantRequest
 
 __all__ = ["Spread", "Window", "blend", "cut", "frames_looked_at", "gather_windows", "scaled_persons"]
 
@@ -91,9 +90,9 @@ class Spread:
         return np.concatenate([shares @ values[knots] for knots, shares in self.stretches])
 
 
-def scaled_persons(bone_scale: Array) -> list[int]:
-    """Return who is scaled by scales (2, 22), the root's aside; the second person where nobody is."""
-    bones = np.delete(bone_scale, BODY22.root, axis=1)
+def scaled_persons(request: VariantRequest) -> list[int]:
+    """Return who is scaled, the root's scale aside; the second person where nobody is."""
+    bones = np.delete(request.bone_scale, request.source.skeleton.root, axis=1)
     return [person for person in range(2) if np.abs(bones[person] - 1.0).max() > _SCALED] or [1]
 
 
@@ -114,7 +113,7 @@ def cut(source: Source, take_id: str, person: int, length: int) -> list[Window]:
     for start in sorted(set(starts)):
         frames = np.arange(start, min(start + length, count))
         people = source.positions_m[looked[frames]][:, order]
-        hips = people[0, :, BODY22.root]
+        hips = people[0, :, source.skeleton.root]
         along = (hips[1] - hips[0]) * (1.0, 0.0, 1.0)
         distance = float(np.linalg.norm(along))
         x = along / distance if distance > 1e-6 else np.array([1.0, 0.0, 0.0])
@@ -123,7 +122,7 @@ def cut(source: Source, take_id: str, person: int, length: int) -> list[Window]:
         origin[1] = source.floor_m
         template = ((people - origin) @ axes).astype(np.float32)
         none = np.zeros((0, *template.shape), np.float32)
-        empty = np.zeros((0, BODY22.num_joints), np.float32)
+        empty = np.zeros((0, source.skeleton.num_joints), np.float32)
         windows.append(Window(take_id, person, frames, template, axes, none, empty))
     return windows
 
@@ -132,7 +131,7 @@ def gather_windows(items: Items, length: int) -> list[Window]:
     """Return the windows of all takes and of who is scaled in them, with the variants of one scaled person."""
     variants: dict[tuple[str, int], tuple[Source, list[Array], list[Array]]] = {}
     for item in items():
-        persons = scaled_persons(item.request.bone_scale)
+        persons = scaled_persons(item.request)
         if len(persons) > 1:
             continue
         source, (person,) = item.request.source, persons
@@ -158,7 +157,7 @@ def blend(source: Source, windows: Sequence[Window], moved_m: Iterator[Narrow]) 
             fades into the other.
     """
     looked = frames_looked_at(source)
-    total, shares = np.zeros((len(looked), 2, BODY22.num_joints, 3)), np.zeros(len(looked))
+    total, shares = np.zeros((len(looked), *source.positions_m.shape[1:])), np.zeros(len(looked))
     for window, moved in zip(windows, moved_m, strict=True):
         count = len(window.frames)
         share = np.minimum(np.arange(1, count + 1), np.arange(count, 0, -1)).astype(np.float64)

@@ -13,18 +13,16 @@ from pasdedeux.evaluation.models import GENERATED, UNITS, model_figure, model_sc
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.scores import FEWEST_UNITS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.learning import BASELINES, VariantKey, VariantModel
-from pasdedeux.learning.ridge_scale import RidgeScaleModel
+from pasdedeux.learning import BASELINES, DEFAULT_MODELS, VariantKey, VariantModel
+from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored, without_torch
 
-__all__ = ["RIVALS", "TOPIC"]
+__all__ = ["TOPIC"]
 
-RIVALS = (RidgeScaleModel.name, *BASELINES)
-"""What a model has to beat: the closed form, mixed over takes where a take is not learned from, and the baselines."""
 _DRAWS = 10
 """Motions that a model which draws scales draws for a take, as in table 3 of the paper."""
 
@@ -51,7 +49,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     missing = [f"{name} is left out: torch is not installed where this was scored" for name in left_out]
     if not manifests:
         return TopicResult(notes=missing)
-    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    skeleton = skeleton_name(stored[0])
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), skeleton)
     models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
     meters: dict[str, ModelMeter] = {}
     errors: dict[str, list[dict[str, float]]] = {name: [] for name in (*models, SOLVER)}
@@ -76,7 +75,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         *scores_where("all", range(len(tested))),
         *share_scores(
             distances,
-            baselines=RIVALS,
+            baselines=DEFAULT_MODELS,
             split=split,
             takes=None if facts["shares_takes"] else [key.take_id for key in tested],
         ),
@@ -122,6 +121,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     learned = len({key for manifest in manifests for key in manifest.facts["train"]})
     notes = [
         *missing,
+        *([f"Models and figures are of {skeleton}; what is of surfaces is not measured."] * (skeleton != BODY22.name)),
         f"Split {facts['split']}: {len(tested)} test variants of {len(meters)} "
         f"take{'s' * (len(meters) != 1)}, learned from {learned}. "
         + (
@@ -165,7 +165,7 @@ TOPIC = Topic(
     run=_run,
     metrics=tuple(UNITS),
     yardsticks=(
-        Yardstick("E_r", "joint error E_r", RIVALS),
+        Yardstick("E_r", "joint error E_r", DEFAULT_MODELS),
         Yardstick("E_r", "joint error E_r", BASELINES),
     ),
     cautions=(

@@ -17,11 +17,12 @@ from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.learning import BASELINES, has_torch
 from pasdedeux.learning.clip_classifier import ClassifierSettings, ClipClassifier, clips_of
 from pasdedeux.learning.motion_predictor import PredictorSettings
+from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.augmentation import read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.training.items import StoredVariants, interaction_of
+from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored
 
 __all__ = ["LEFT_OUT", "TOPIC", "WITHOUT_TORCH", "LearnedSettings"]
@@ -46,7 +47,8 @@ class LearnedSettings(Parameters):
 
 def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     """Plan one shard over all splits and models where there are two interactions to tell apart."""
-    models = inputs.of("models")
+    # The classifier knows `body22` alone.
+    models = [model for model in inputs.of("models") if skeleton_name(model) == BODY22.name]
     takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []

@@ -7,17 +7,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pasdedeux.augmentation import AugmentationSettings
-from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest
+from pasdedeux.augmentation import AugmentationSettings, Source
+from pasdedeux.learning import TrainingItem, VariantKey, VariantRequest, mapped_item, mapped_source
+from pasdedeux.skeletons import BODY22, MAPPED_SKELETONS, JointMap
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.augmentation import TakeMotion, batch_of, read_take
 
-__all__ = ["StoredVariants", "interaction_of"]
+__all__ = ["StoredVariants", "interaction_of", "skeleton_name"]
 
 
 def interaction_of(take: Manifest) -> str:
     """Return what a take is a performance of: the built-in duet that it was made from, or itself."""
     return str(take.parameters.get("duet", {}).get("name", "") or take.facts["take_id"])
+
+
+def skeleton_name(model: Manifest) -> str:
+    """Return the skeleton of a stored model; older ones are of `body22` and do not say so."""
+    return str(model.facts.get("skeleton", BODY22.name))
 
 
 @dataclass(frozen=True)
@@ -32,8 +38,12 @@ class _Home:
 class StoredVariants:
     """The variants of some artifacts, with their takes: read one at a time, when they are asked for."""
 
-    def __init__(self, store: Store, takes: Sequence[ArtifactRef], variants: Sequence[ArtifactRef]) -> None:
+    def __init__(
+        self, store: Store, takes: Sequence[ArtifactRef], variants: Sequence[ArtifactRef], skeleton: str = BODY22.name
+    ) -> None:
         self._store = store
+        self._joints = MAPPED_SKELETONS.get(skeleton)
+        self._mapped: dict[str, Source] = {}
         self.takes: dict[str, TakeMotion] = {
             store.manifest(ref).facts["take_id"]: read_take(store, ref) for ref in takes
         }
@@ -76,4 +86,11 @@ class StoredVariants:
                     solving=told.part(AugmentationSettings),
                     contacts=told.contacts,
                 )
-                yield TrainingItem(str(name), request, motion.reshape(-1, 2, *motion.shape[1:]).astype(np.float64))
+                item = TrainingItem(str(name), request, motion.reshape(-1, 2, *motion.shape[1:]).astype(np.float64))
+                yield item if self._joints is None else self._on_other_skeleton(item, self._joints)
+
+    def _on_other_skeleton(self, item: TrainingItem, joints: JointMap) -> TrainingItem:
+        take_id = item.request.take_id
+        if take_id not in self._mapped:
+            self._mapped[take_id] = mapped_source(item.request.source, joints)
+        return mapped_item(item, joints, self._mapped[take_id])

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, SerializeAsAny, ValidationError, create_model, model_validator
 
 from pasdedeux.learning import DEFAULT_MODELS, MODELS, SPLIT_NAMES, SplitName, model_class
 from pasdedeux.settings import Settings
+from pasdedeux.skeletons import BODY22
 from tasks.stage import Parameters
 
 __all__ = ["LeftOutParameters", "SegmentParameters", "TrainingParameters"]
+
+SkeletonName = Literal["body22", "expi18"]
 
 
 def _with_settings_of_models(section: type[Parameters]) -> Any:
@@ -36,6 +39,9 @@ class TrainingParameters(Parameters):
         min_length=1,
         description=f"Models, or names of `forms`: {', '.join(MODELS)}",
     )
+    skeleton: SkeletonName = Field(
+        "body22", description="Skeleton of the models: body22, or 18 joints as in ExPI, which follow from it (expi18)"
+    )
     test_takes: tuple[str, ...] = Field(
         (),
         description="Takes the splits across interactions test on, with all of their interactions, beside held-out; "
@@ -58,6 +64,12 @@ class TrainingParameters(Parameters):
                 raise ValueError(f"training.models: '{name}' is not known; known models: {', '.join(known)}")
         for name in known:
             self._with_starts(name, ())
+        free = [name for name, model in MODELS.items() if model.is_of_any_skeleton]
+        for name in self.in_order() if self.skeleton != BODY22.name else ():
+            if self.kind_of(name) not in free:
+                raise ValueError(
+                    f"training.models: '{name}' is of {BODY22.name} alone; of {self.skeleton} can be {', '.join(free)}"
+                )
         return self
 
     def kind_of(self, name: str) -> str:
@@ -113,6 +125,8 @@ class SegmentParameters(Parameters):
     model: str
     settings: SerializeAsAny[Settings]
     segment: int
+    # Left out of the key for `body22`: what was trained before there was another skeleton stays as it is.
+    skeleton: SkeletonName = Field("body22", exclude_if=lambda name: name == BODY22.name)
 
 
 class LeftOutParameters(Parameters):

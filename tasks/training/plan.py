@@ -55,7 +55,13 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
                     name,
                     model if num_segments == 1 else f"{model}-segment{segment}",
                     SegmentParameters(
-                        split=name, test_takes=test_takes, name=model, model=kind, settings=settings, segment=segment
+                        split=name,
+                        test_takes=test_takes,
+                        name=model,
+                        model=kind,
+                        settings=settings,
+                        segment=segment,
+                        skeleton=parameters.skeleton,
                     ),
                     takes=takes,
                     variants=variants,

@@ -50,7 +50,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     kind = model_class(told.model)
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))
     split = split_variants(told.split, takes, variants_of, told.test_takes, shard.seed)
-    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"))
+    variants = StoredVariants(store, shard.refs("takes"), shard.refs("variants"), told.skeleton)
     train, validation = variants.sound(split.train), variants.sound(split.validation)
     if not train and kind.is_trained:
         raise InputError(f"split '{told.split}': every variant that it would learn from failed ({len(split.train)})")
@@ -87,6 +87,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
             "split": told.split,
             "model": told.name,
             "class": told.model,
+            "skeleton": told.skeleton,
             "segment": told.segment,
             "needs_torch": needs_torch(trained.model),
             "takes": sorted({key.take_id for key in train}),
@@ -149,8 +150,9 @@ def _judge(name: str, model: VariantModel, items: Callable[[], Iterator[Training
     rivals = {baseline: load_model(baseline, {}) for baseline in BASELINES}
     errors: dict[str, list[float]] = {"": [], **{baseline: [] for baseline in rivals}}
     for item in items():
+        skeleton = item.request.source.skeleton
         for found, one in zip(errors.values(), (model, *rivals.values()), strict=True):
-            found.append(model_errors(one.predict(item.request), item.motion_m)["E_r"])
+            found.append(model_errors(one.predict(item.request), item.motion_m, skeleton=skeleton)["E_r"])
     if not errors[""]:
         return Verdict(Level.WARN, "no variant is left for validation, so nothing is said of the model")
     means = {rival: float(np.mean(found)) for rival, found in errors.items()}

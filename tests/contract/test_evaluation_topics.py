@@ -20,7 +20,7 @@ from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, Store
-from tasks import ingest, projections, reconstruction
+from tasks import ingest, projections, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
@@ -38,7 +38,7 @@ EVERYTHING = {
     "num_judged_pairs": 3,
     "unseen_views_deg": (0.0,),
     "num_crowd_views": 1,
-    "num_realism_variants": 2,
+    "num_realism_variants": 4,
     "num_downstream_seeds": 1,
     "classifier": {"num_steps": 1, "clips_per_step": 2},
     "predictor": {"num_steps": 1, "clips_per_step": 2},
@@ -75,6 +75,7 @@ def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tu
     for shard in projections.plan(takes, projections.ProjectionsParameters(pitches_deg=(0.0, 20.0), heights_m=())):
         projections.run_shard(shard, store)
     _detect(store)
+    _learn_to_draw(store)
     _dance_again(store)
     made = evaluate(store, STAGE, **EVERYTHING)
     return store, made, page_of(store, made)
@@ -89,6 +90,17 @@ def _dance_again(store: Store) -> None:
     )
     for shard in planned:
         ingest.run_shard(shard, store)
+
+
+def _learn_to_draw(store: Store) -> None:
+    """Put a model that draws scales itself into the small study's store, hardly trained."""
+    told = {
+        "splits": ["cross_interaction"],
+        "models": ["copy", "naive_fk", "ridge_scale", "actor_like"],
+        "actor_like": {"num_steps": 1, "width": 4, "num_blocks": 1},
+    }
+    for shard in training.STAGE.plan(inputs_of(store, training.STAGE), training.STAGE.parameters.model_validate(told)):
+        training.STAGE.run_shard(shard, store)
 
 
 def _detect(store: Store) -> None:
@@ -130,6 +142,18 @@ def test_what_a_topic_finds_arrives_in_the_report(evaluated: tuple[Store, list[M
                 assert not np.isnan(score.at) or f"<td>{format_score(score)}</td>" in section
             shown += table.num_rows
     assert shown > 0
+
+
+def test_what_a_model_draws_is_judged_as_a_distribution_beside_chance(
+    evaluated: tuple[Store, list[Manifest], str],
+) -> None:
+    store, made, _ = evaluated
+    (part,) = [one for one in made if one.partition == "realism"]
+    scores = store.read(part.ref, "scores")
+    drawn = (scores["item"] == "generated") & (scores["metric"] == "FID")
+    assert set(scores["method"][drawn]) == {"actor_like", "copy", "naive_fk", "ridge_scale", "solver"}
+    of_solver = scores["value"][(scores["method"] == "solver") & (scores["metric"] == "FID")]
+    assert len(set(of_solver.tolist())) == 1  # chance is the same for what is predicted and what is drawn
 
 
 def test_the_page_is_whole_small_and_opens_in_a_browser(

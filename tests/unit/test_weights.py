@@ -68,7 +68,7 @@ def test_a_model_comes_back_from_its_file_with_what_it_is_built_on_and_the_bytes
         (_forged({}, model="oracle"), "model 'oracle' is not known"),
         (
             _forged({"on:ridge_scale/mix": np.eye(36)}),
-            r"'mix' has shape \(36, 36\), not \(44, 44\): weights of another",
+            r"'take/sway' has shape \(5, 6, 2, 22, 3\), not \(5, 6, 2, 18, 3\): weights of another",
         ),
         (_forged({"on:ridge_scale/take/sway": np.ones((5, 6, 2, 18, 3))}), "'take/sway' has shape"),
         (_forged({"on:ridge_scale/mix": np.full((44, 44), np.nan)}), "'mix' has a value that is not finite"),

@@ -1,0 +1,112 @@
+"""Models of the 18 joints that ExPI has: items follow from body22, all models that may train and answer, none mixes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pasdedeux.augmentation import Source, reference_motion, uniform_variations
+from pasdedeux.augmentation.source import complete_scales
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.model_meter import ModelMeter
+from pasdedeux.kinematics import bone_lengths
+from pasdedeux.learning import (
+    MODELS,
+    Training,
+    TrainingItem,
+    VariantModel,
+    VariantRequest,
+    Weights,
+    load_model,
+    mapped_item,
+    mapped_source,
+    model_arrays,
+    read_weights,
+    write_weights,
+)
+from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETONS
+from tasks.training.parameters import SegmentParameters, TrainingParameters
+from tests.builders.moving_pairs import swaying_pair
+
+TAKE = Source(swaying_pair(30), 20.0, "sway")
+MAPPED = mapped_source(TAKE, EXPI18_OF_BODY22)
+FREE = [kind for kind in MODELS.values() if kind.is_of_any_skeleton]
+SMALL = {
+    "paper_cvae": {"width": 6, "hidden": 5, "latent_size": 3, "num_blocks": 2, "kernel": 3},
+    "actor_like": {"width": 8, "num_blocks": 1},
+    "action2motion_like": {"hidden": 6, "latent_size": 3},
+}
+
+
+def _items(scales: tuple[float, ...] = (0.8, 0.9, 1.1)) -> list[TrainingItem]:
+    """Return variants on body22, plain kinematics in place of a solver."""
+    found = []
+    for one in uniform_variations(scales, ["B"]):
+        motion = reference_motion(TAKE, complete_scales(TAKE, one.bone_scale[None]))[0]
+        found.append(TrainingItem(one.variant_id, VariantRequest("sway", TAKE, one.bone_scale), motion))
+    return found
+
+
+def _trained(kind: type[VariantModel], *, is_mapped: bool) -> VariantModel:
+    items = [mapped_item(item, EXPI18_OF_BODY22, MAPPED) if is_mapped else item for item in _items()]
+    told = SMALL.get(kind.name)
+    settings = kind.settings.model_validate({"window_s": 1.0, "num_steps": 2} | told) if told else None
+    return kind.train(Training(lambda: iter(items), settings=settings)).model
+
+
+def test_a_mapped_item_has_the_scales_and_the_motion_that_its_bones_have() -> None:
+    assert len({skeleton.num_joints for skeleton in MODEL_SKELETONS.values()}) == len(MODEL_SKELETONS)
+    (item,) = (mapped_item(item, EXPI18_OF_BODY22, MAPPED) for item in _items((0.8,)))
+    np.testing.assert_allclose(item.request.bone_scale[0], 1.0, atol=1e-12)
+    bones = [child for _, child in EXPI18.bones]
+    np.testing.assert_allclose(item.request.bone_scale[1, bones], 0.8, atol=1e-9)
+    lengths = [np.median(bone_lengths(EXPI18, motion), axis=0) for motion in (item.motion_m, MAPPED.positions_m)]
+    np.testing.assert_allclose(lengths[0][1], 0.8 * lengths[1][1], atol=1e-9)
+    assert item.request.source.floor_m == TAKE.floor_m
+    # One leg longer: the bones that it is made of, and no other, are.
+    scale = np.ones((2, 22))
+    scale[0, BODY22.indices(["left_knee"])] = 1.2
+    one = replace(_items((0.8,))[0], request=VariantRequest("sway", TAKE, scale))
+    found = mapped_item(one, EXPI18_OF_BODY22, MAPPED).request.bone_scale[0]
+    assert [EXPI18.joint_names[row] for row in np.flatnonzero(np.abs(found - 1.0) > 1e-9)] == ["left_knee"]
+    assert found[EXPI18.index("left_knee")] == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("kind", FREE, ids=lambda kind: kind.name)
+def test_a_model_learns_and_answers_on_18_joints_and_refuses_the_other_topology(kind: type[VariantModel]) -> None:
+    model, other = _trained(kind, is_mapped=True), _trained(kind, is_mapped=False)
+    asked = mapped_item(_items((0.85,))[0], EXPI18_OF_BODY22, MAPPED).request
+    motion = model.predict(asked)
+    assert motion.shape == (30, 2, 18, 3)
+    assert np.isfinite(motion).all()
+    unseen = replace(asked, take_id="another")
+    np.testing.assert_array_equal(load_model(kind.name, model_arrays(model)).predict(unseen), model.predict(unseen))
+    found = ModelMeter(asked).measure(asked.bone_scale, {kind.name: motion}, MAPPED.positions_m)[kind.name]
+    assert {"E_r", "E_b", "PWD"} <= {name for name, value in found.items() if np.isfinite(value)}
+    if model.skeleton is None:
+        return
+    assert (model.skeleton, other.skeleton) == (EXPI18, BODY22)
+    with pytest.raises(InputError, match=f"{kind.name}: weights of another topology: it is of expi18, 18 joints"):
+        model.predict(_items((0.85,))[0].request)
+    with pytest.raises(InputError, match="weights of another topology: it is of body22, 22 joints"):
+        other.predict(asked)
+    # Arrays of both mixed, and a file that says it is of the other.
+    key = "mix" if kind.name == "ridge_scale" else "known_scales"
+    with pytest.raises(InputError, match="weights of another topology"):
+        load_model(kind.name, {**model_arrays(other), key: model_arrays(model)[key]})
+    data = write_weights(Weights(model))
+    assert read_weights(data, "own").model.skeleton is EXPI18
+    said = b",".join(name.encode() for name in EXPI18.joint_names)
+    assert said in data
+    with pytest.raises(InputError, match="weights of another topology, 18 joints"):
+        read_weights(data.replace(said, said.replace(b"back", b"hips")), "other")
+
+
+def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay() -> None:
+    with pytest.raises(ValueError, match="'start_net' is of body22 alone; of expi18 can be copy, naive_fk"):
+        TrainingParameters.model_validate({"skeleton": "expi18", "models": ["copy", "start_net"]})
+    told = {"split": "random", "test_takes": (), "name": "copy", "model": "copy", "segment": 0}
+    told["settings"] = MODELS["copy"].settings()
+    assert "skeleton" not in SegmentParameters.model_validate(told).model_dump(mode="json")
+    other = SegmentParameters.model_validate(told | {"skeleton": "expi18"})
+    assert other.model_dump(mode="json")["skeleton"] == "expi18"

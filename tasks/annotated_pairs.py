@@ -21,6 +21,7 @@ __all__ = [
     "PLACE_COLUMNS",
     "Place",
     "PlacedPairs",
+    "SeenPair",
     "annotated_pairs",
     "gather",
     "gather_tracks",
@@ -29,6 +30,7 @@ __all__ = [
     "place_columns",
     "place_of",
     "read_people",
+    "read_seen_pairs",
     "views_of",
 ]
 
@@ -44,6 +46,8 @@ class Place(NamedTuple):
 
 
 PLACE_COLUMNS = Place._fields
+MIN_SEEN = 10
+"""Joints of the two people that an annotation must show to be lifted."""
 People = dict[int, np.ndarray]
 """Joints of a pair in a frame, or of the one of both who is there, (17, 2), pixels, by person id."""
 
@@ -59,6 +63,25 @@ class PlacedPairs:
     places: tuple[Place, ...]
     frames: Mapping[Place, People]
     stills: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class SeenPair:
+    """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first.
+
+    One that is `left_out` is of what draws are not made from.
+    """
+
+    place: Place
+    image_m: np.ndarray
+    directions: np.ndarray
+    hypotheses: np.ndarray
+    is_left_out: bool
+
+    @property
+    def is_seen(self) -> np.ndarray:
+        """Which joints are seen, (2, 17)."""
+        return np.asarray(np.isfinite(self.image_m).all(axis=-1))
 
 
 def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
@@ -126,6 +149,31 @@ def read_people(
         is_wanted = (np.asarray(table["is_key"]) | is_between) & (~np.asarray(table["is_held_out"]) | with_held_out)
         _add_people(people, table, points, is_wanted)
     return people
+
+
+def read_seen_pairs(
+    store: Store, annotations: ArtifactRef, views: ArtifactRef, *, num_hypotheses: int
+) -> tuple[dict[Place, SeenPair], int]:
+    """Return the annotated pairs with enough joints and a view, in order, and how many had not."""
+    people = read_people(store, [annotations], with_held_out=True)
+    learned = read_people(store, [annotations])
+    names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
+    table = store.read(views, "views", columns=[*PLACE_COLUMNS, *names])
+    hypothesis, direction, weight, scale = (np.asarray(table[name]) for name in names)
+    likeliest: dict[Place, list[int]] = {}
+    for row in np.lexsort((hypothesis, -weight)).tolist():
+        likeliest.setdefault(place_of(table, row), []).append(row)
+    found: dict[Place, SeenPair] = {}
+    for place in sorted(people):
+        rows = likeliest.get(place, [])[:num_hypotheses]
+        if len(people[place]) < 2 or not rows:
+            continue
+        image = pair_in_metres(pair_of(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
+        directions = np.asarray(direction, dtype=np.float64)[rows]
+        one = SeenPair(place, image, directions, hypothesis[rows], place not in learned)
+        if one.is_seen.sum() >= MIN_SEEN:
+            found[place] = one
+    return found, len(people) - len(found)
 
 
 def _read_tables(store: Store, refs: Iterable[ArtifactRef]) -> Iterator[tuple[TableData, np.ndarray]]:

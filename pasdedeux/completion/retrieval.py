@@ -12,11 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.cameras import project_pair
 from pasdedeux.completion.draw_index import DrawIndex, Nearest
 from pasdedeux.interaction.dissimilarity import plane_residual
+from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.settings import Settings
 
-__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "retrieve"]
+__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "nearest_by_interaction", "nearest_images", "retrieve"]
 
 Array = npt.NDArray[np.float64]
 
@@ -69,6 +71,52 @@ def retrieve(index: DrawIndex, image_m: Array, directions: Array, options: Retri
     weight = np.exp(-0.5 * (squared - squared[0]) / options.neighbour_deviation_m**2)
     pairs = index.placed(nearest.draw, np.asarray(directions)[nearest.view], image_m)
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
+
+
+def nearest_by_interaction(
+    index: DrawIndex, image_m: Array, directions: Array, *, count: int = 1, num_tried: int = 12
+) -> tuple[Array, Array]:
+    """Return the draws nearest to an image in d_I, each under its best view: the nearest by place, ranked anew.
+
+    Args:
+        index: Draws.
+        image_m: Image points (person=2, joint=17, 2), metres; NaN where not seen.
+        directions: Hypotheses of the view in the pair's local frame, (view, 3).
+        count: Draws wanted.
+        num_tried: Draws nearest by place that d_I is computed of.
+
+    Returns:
+        The draws (k, 2, 17, 3) as the image's camera saw them, nearest first, and d_I, (k,), metres.
+    """
+    near = index.nearest(image_m, directions, count=max(num_tried, count))
+    placed = index.placed(near.draw, np.asarray(directions)[near.view], image_m)
+    distance = image_distances(image_m[None], placed[..., :2])[0]
+    order = np.argsort(distance, kind="stable")[:count]
+    return placed[order], distance[order]
+
+
+def nearest_images(
+    pair_m: Array, images_m: Array, directions: Array, *, count: int = 1, num_tried: int = 20
+) -> tuple[npt.NDArray[np.int64], Array]:
+    """Return the images that look most like a pair, each seen from where it was taken, by d_I.
+
+    Args:
+        pair_m: A pair (person=2, joint=17, 3), metres, in any axes.
+        images_m: Images (n, 2, 17, 2), metres; NaN where a joint is not seen.
+        directions: View of each in the pair's local frame, (n, 3).
+        count: Images wanted.
+        num_tried: Images nearest by place that d_I is computed of.
+
+    Returns:
+        Which images, nearest first, and d_I, (k,), metres.
+    """
+    seen = project_pair(pair_m, directions)
+    flat, images = (one.reshape(len(images_m), -1, 2) for one in (seen, images_m))
+    residual = plane_residual(flat, images) / np.isfinite(images).all(axis=-1).sum(axis=1)
+    tried = np.argsort(residual, kind="stable")[: max(num_tried, count)]
+    distance = np.array([image_distances(seen[at][None], images_m[at][None])[0, 0] for at in tried])
+    order = np.argsort(distance, kind="stable")[:count]
+    return tried[order], distance[order]
 
 
 def image_residual(pair_m: Array, image_m: Array) -> float:

@@ -1,7 +1,8 @@
-"""The space of pairs as a picture: draws among real pairs by multi-dimensional scaling (Yin et al. 2018, Fig. 8).
+"""The space of pairs as a picture: draws among real pairs, and annotations (Yin et al. 2018, Figs. 8 and 5b).
 
-Classical scaling of the real pairs under D_I; draws are placed among them by their dissimilarities to the real ones (de
-Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points"), so more draws never move the map.
+Classical scaling of the real pairs under D_I, or of images under d_I; others are placed among them by their
+dissimilarities to those (de Silva and Tenenbaum 2004, "Sparse multidimensional scaling using landmark points"), so more
+of them never move the map.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.figures import figure_svg, new_figure
 from pasdedeux.evaluation.names import in_words
-from pasdedeux.interaction.nearest import interaction_distances
+from pasdedeux.interaction.nearest import image_distances, interaction_distances
 from pasdedeux.sampling.density import PRIOR_ONLY
 
 __all__ = ["PairMap", "map_figure"]
@@ -28,10 +29,10 @@ _MARKERS = ("^", "s", "X", "D", "v")
 
 @dataclass(frozen=True)
 class PairMap:
-    """A plane on which real pairs lie as far apart as D_I says, as far as a plane can.
+    """A plane on which real pairs, or images, lie as far apart as D_I says, as far as a plane can.
 
     Args:
-        landmarks_m: The real pairs, (n, person=2, joint, 3), metres.
+        landmarks_m: The real pairs, (n, person=2, joint, 3), or images, (n, person=2, joint, 2), metres.
         places: Where they lie, (n, 2), metres.
         share: Share of the positive eigenvalues that the plane shows.
     """
@@ -44,14 +45,14 @@ class PairMap:
 
     @classmethod
     def of(cls, pairs_m: Array) -> PairMap:
-        """Lay out real pairs (n, person=2, joint, 3), metres, at least three that differ.
+        """Lay out real pairs (n, person=2, joint, 3), or images (..., 2), metres, at least three that differ.
 
         Raises:
             InputError: There are fewer than three, or all are the same.
         """
         if len(pairs_m) < 3:
             raise InputError(f"a map needs at least 3 pairs, found {len(pairs_m)}")
-        squared = interaction_distances(pairs_m, pairs_m) ** 2
+        squared = _distances(pairs_m, pairs_m) ** 2
         squared = 0.5 * (squared + squared.T)
         np.fill_diagonal(squared, 0.0)
         mean = squared.mean(axis=0)
@@ -72,11 +73,15 @@ class PairMap:
         )
 
     def place(self, pairs_m: Array) -> Array:
-        """Return where other pairs (m, person=2, joint, 3) lie, (m, 2), metres."""
+        """Return where other pairs (m, person=2, joint, 3 or 2) lie, (m, 2), metres."""
         if not len(pairs_m):
             return np.empty((0, 2))
-        squared = interaction_distances(pairs_m, self.landmarks_m) ** 2
+        squared = _distances(pairs_m, self.landmarks_m) ** 2
         return np.asarray(-0.5 * (squared - self._mean_squares) @ self._inverse.T)
+
+
+def _distances(first_m: Array, second_m: Array) -> Array:
+    return (image_distances if first_m.shape[-1] == 2 else interaction_distances)(first_m, second_m)
 
 
 def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: Array | None, title: str) -> bytes:

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.evaluation.players import PERSON_COLOURS
+from pasdedeux.skeletons import PAIR17
+
 if TYPE_CHECKING:  # matplotlib is imported where it draws: 0.3 s that planning does not need
     from matplotlib.figure import Figure
 
@@ -18,6 +21,7 @@ __all__ = [
     "CurvePanel",
     "compared_figure",
     "curve_figure",
+    "draw_pair",
     "figure_svg",
     "grid_figure",
     "new_figure",
@@ -29,6 +33,7 @@ Array = npt.NDArray[np.float64]
 
 _DOTS_PER_INCH = 90
 """Clouds of points are drawn as an image within the figure: thousands of shapes would be megabytes."""
+_ORIGIN = np.zeros(2)
 _LEVEL_GAP = 0.045  # share of an axis that the name of a level takes
 
 
@@ -154,6 +159,15 @@ def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, 
         axis.axvline(goal, color="#a3123a", linestyle="--", linewidth=1.2)
     _label(axis, x_label)
     return figure_svg(figure)
+
+
+def draw_pair(axis: Any, points: Array, place: Array = _ORIGIN) -> None:
+    """Draw two people (person=2, joint=17, 2) as sticks with the middle of the joints there at a place (2,)."""
+    shown = points - np.nanmean(points.reshape(-1, 2), axis=0) + place
+    for person, colour in zip(shown, PERSON_COLOURS, strict=False):
+        # One line for all bones, broken between them: hundreds of figures stay small.
+        ends = np.array([[person[parent], person[child], (np.nan, np.nan)] for parent, child in PAIR17.bones])
+        axis.plot(*ends.reshape(-1, 2).T, color=colour, linewidth=0.9, solid_capstyle="round")
 
 
 def view_figure(psi_rad: Array, phi_rad: Array, weight: Array, *, title: str) -> bytes:

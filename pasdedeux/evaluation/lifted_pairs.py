@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_rigid
 from pasdedeux.completion.occlusion import blend_onto, complete_pair
+from pasdedeux.evaluation.figures import draw_pair, figure_svg, new_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
 from pasdedeux.evaluation.scores import Score, summarise
@@ -20,11 +22,13 @@ from pasdedeux.skeletons import PAIR17
 __all__ = [
     "BASELINES",
     "HIDDEN",
+    "LiftedExample",
     "completion_scores",
     "in_between_scores",
     "lifted_errors",
     "lifted_player",
     "lifted_scores",
+    "nearest_figure",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +44,8 @@ HIDDEN = {
 """What is hidden of one person: an arm, a leg, or everything beyond shoulders and hips."""
 
 _ROOT = PAIR17.root
+_CELL_M = np.array([1.75, 2.7])
+"""Width and height that a pair has in a picture of many, metres."""
 
 
 def lifted_errors(lifted_m: Array, truth_m: Array) -> dict[str, Array]:
@@ -143,6 +149,47 @@ def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
         panels.append(people_panel(in_words(method), PAIR17, people))
     labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
     return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
+
+
+@dataclass(frozen=True)
+class LiftedExample:
+    """A lifted pair and what is most like it, nearest first.
+
+    Args:
+        label: What it is.
+        image_m: Its image (person=2, joint=17, 2), metres, NaN where not seen.
+        pair_m: What it was lifted to (2, 17, 3), metres, camera axes.
+        annotations: Other annotations (2, 17, 2), metres, each with its d_I to the pair seen from there, metres.
+        draws: Draws (2, 17, 3) as the image's camera saw them, each with its d_I to the image, metres.
+    """
+
+    label: str
+    image_m: Array
+    pair_m: Array
+    annotations: Sequence[tuple[Array, float]]
+    draws: Sequence[tuple[Array, float]]
+
+
+def nearest_figure(examples: Sequence[LiftedExample]) -> bytes:
+    """Draw a row for each lifted pair: its image, it, its nearest annotations and draws; give SVG bytes."""
+    columns = 3 + max((len(one.annotations) + len(one.draws) for one in examples), default=0)
+    width, height = columns * _CELL_M[0], len(examples) * _CELL_M[1]
+    figure, ((axis,),) = new_figure(9.0, 9.0 * height / width)
+    axis.set_xlim(0.0, width)
+    axis.set_ylim(-height, 0.0)
+    axis.set_aspect("equal")
+    axis.set_axis_off()
+    for row, one in enumerate(examples):
+        # From its left: what was towards the camera is on the right.
+        seen = [(one.image_m, "image"), (one.pair_m[..., :2], "lifted"), (one.pair_m[..., [2, 1]], "from the side")]
+        seen += [(image, f"annotation, {100 * far:.0f} cm") for image, far in one.annotations]
+        seen += [(pair[..., :2], f"draw, {100 * far:.0f} cm") for pair, far in one.draws]
+        for column, (points, words) in enumerate(seen):
+            middle, top = _CELL_M[0] * (column + 0.5), -_CELL_M[1] * row
+            draw_pair(axis, points, np.array([middle, top - 0.56 * _CELL_M[1]]))
+            axis.text(middle, top - 0.16 * _CELL_M[1], words, fontsize=7, ha="center")
+        axis.text(0.0, -_CELL_M[1] * (row + 0.05), one.label, fontsize=7, fontweight="bold")
+    return figure_svg(figure)
 
 
 def _summary(values: Array, metric: str, method: str, split: str, *, item: str = "all") -> list[Score]:

@@ -13,9 +13,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d, turned_gap
+from pasdedeux.interaction.triangulation import delaunay_edges_fast
 
-__all__ = ["PairTable", "interaction_distances", "lower_minima", "pair_table"]
+__all__ = ["PairTable", "image_distances", "interaction_distances", "lower_minima", "pair_table"]
 
 Array = npt.NDArray[np.float64]
 
@@ -92,6 +94,76 @@ def interaction_distances(first_m: Array, second_m: Array) -> Array:
         distances,
     )
     return distances
+
+
+def image_distances(first_m: Array, second_m: Array) -> Array:
+    """Return d_I (n, m), metres, between images (n, person=2, joint, 2) and (m, person=2, joint, 2), metres.
+
+    As `interaction_dissimilarity`: a joint may be missing (NaN).  NaN where two images share fewer than two joints.
+    """
+    shape = (-1, first_m.shape[1] * first_m.shape[2], 2)
+    first, second = (np.ascontiguousarray(one, dtype=np.float64).reshape(shape) for one in (first_m, second_m))
+    distances = np.empty((len(first), len(second)))
+    _fill_image_distances(first, *delaunay_edges_fast(first), second, *delaunay_edges_fast(second), BETA_M, distances)
+    return distances
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_image_distances(  # type: ignore[no-untyped-def]
+    first, first_edges, first_counts, second, edges, counts, beta_m, distances
+):
+    dx, dy = np.empty(first.shape[1]), np.empty(first.shape[1])
+    is_shared = np.empty(first.shape[1], dtype=np.bool_)
+    for row in range(first.shape[0]):
+        for column in range(second.shape[0]):
+            distances[row, column] = np.nan
+            if _plane_gaps(first[row], second[column], is_shared, dx, dy) >= 2:
+                total = _shared_side(first[row], first_edges[row], first_counts[row], is_shared, dx, dy, beta_m)
+                total += _shared_side(second[column], edges[column], counts[column], is_shared, dx, dy, beta_m)
+                distances[row, column] = total
+
+
+@numba.njit(cache=True, nogil=True)
+def _shared_side(points, edges, count, is_shared, dx, dy, beta_m):  # type: ignore[no-untyped-def]
+    """Return one side of eq. 8 over the edges of which both ends are shared."""
+    total, weights = 0.0, 1e-300
+    for e in range(count):
+        i, j = edges[e, 0], edges[e, 1]
+        if is_shared[i] and is_shared[j]:
+            length = np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1])
+            weight = 1.0 / max(beta_m, length)
+            total += weight * np.hypot(dx[j] - dx[i], dy[j] - dy[i])
+            weights += weight
+    return total / weights
+
+
+@numba.njit(cache=True, nogil=True)
+def _plane_gaps(moving, fixed, is_shared, dx, dy):  # type: ignore[no-untyped-def]
+    """Write the differences of points turned and shifted onto others where both are there; give their number."""
+    count = 0
+    sums = np.zeros(4)
+    for k in range(moving.shape[0]):
+        is_shared[k] = np.isfinite(moving[k, 0]) and np.isfinite(fixed[k, 0])
+        if is_shared[k]:
+            count += 1
+            for axis in range(2):
+                sums[axis] += moving[k, axis]
+                sums[2 + axis] += fixed[k, axis]
+    sums /= max(count, 1)
+    a = b = 0.0
+    for k in range(moving.shape[0]):
+        if is_shared[k]:
+            x, y = moving[k, 0] - sums[0], moving[k, 1] - sums[1]
+            u, v = fixed[k, 0] - sums[2], fixed[k, 1] - sums[3]
+            a += x * u + y * v
+            b += x * v - y * u
+    length = np.hypot(a, b)
+    cosine, sine = (a / length, b / length) if length > 1e-300 else (1.0, 0.0)
+    for k in range(moving.shape[0]):
+        x, y = moving[k, 0] - sums[0], moving[k, 1] - sums[1]
+        dx[k] = cosine * x - sine * y - (fixed[k, 0] - sums[2])
+        dy[k] = sine * x + cosine * y - (fixed[k, 1] - sums[3])
+    return count
 
 
 @numba.njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -22,6 +23,7 @@ __all__ = [
     "ViewBank",
     "build_bank",
     "gather_pairs",
+    "is_left_out",
     "shows_enough",
 ]
 
@@ -43,6 +45,25 @@ def shows_enough(points: Array) -> npt.NDArray[np.bool_]:
     is_seen = np.asarray(np.isfinite(points).all(axis=-1))
     has_torsos = (is_seen[..., TORSO_INDICES].sum(axis=-1) >= MIN_TORSO_JOINTS).all(axis=-1)
     return np.asarray(has_torsos & (is_seen.mean(axis=(-1, -2)) >= MIN_SEEN_SHARE))
+
+
+def is_left_out(
+    sequence_id: Sequence[str], frame: npt.NDArray[np.integer], every: int, stills: Collection[str] = ()
+) -> npt.NDArray[np.bool_]:
+    """Return which annotations (row,) are left out of what draws are made from: every so many-th moment.
+
+    A moment is `SAME_MOMENT` frames of a video, which show nearly the same pose, or one frame of `stills`; the first
+    one left out is in the middle of the first `every`.  None where `every` is 0, or moments are too few.
+
+    >>> is_left_out(["a", "a", "a", "b"], np.array([0, 29, 30, 0]), 2).tolist()
+    [False, False, True, False]
+    """
+    if not every:
+        return np.zeros(len(frame), dtype=bool)
+    length = np.array([1 if name in stills else SAME_MOMENT for name in sequence_id])
+    names = np.unique(np.asarray(sequence_id), return_inverse=True)[1]
+    number = np.unique(np.stack([names, np.asarray(frame) // length]), axis=1, return_inverse=True)[1].reshape(-1)
+    return np.asarray(number % every == every // 2)
 
 
 @dataclass(frozen=True)
@@ -115,6 +136,15 @@ class GatheredPairs:
         annotation, first = np.unique(self.pairs.annotation_index, return_index=True)
         moment = self.moment[annotation] if len(self.moment) else SAME_MOMENT * annotation
         return left_out(self.pairs.points_m[first], self.pairs.directions[first], moment)
+
+    @cached_property
+    def view_spread_rad(self) -> float:
+        """How far nine of ten likeliest views are from their mean at most, radians."""
+        annotation, which = np.unique(self.pairs.annotation_index, return_inverse=True)
+        order = np.lexsort((-self.weights, which))
+        first = order[np.searchsorted(which[order], np.arange(len(annotation)))]
+        directions = self.pairs.directions[first]
+        return float(np.percentile(angle_between_directions(directions.mean(axis=0), directions), 90.0))
 
     def view_density(self, *, deviation_rad: float = 0.5) -> ViewDensity:
         """Return the density of views over these annotations (Yin et al. 2018, eq. 5)."""

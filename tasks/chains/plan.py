@@ -17,7 +17,7 @@ from tasks.stage import Shard, StageInputs, named_refs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 12
+VERSION = 13
 
 Inputs = dict[str, Sequence[Manifest]]
 

@@ -37,6 +37,8 @@ from tasks.stage import Shard, commit, merge_takes, stream
 __all__ = ["ChainProblem", "SeedRow", "chain_problem", "read_seed_row", "run_shard"]
 
 Refs = tuple[ArtifactRef, ...]
+_ONE_VIEW_RAD = float(np.deg2rad(15.0))
+"""Views that spread less are one view: guesses of a view are some 10 degrees off."""
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -212,6 +214,7 @@ class Evidence:
     places: tuple[Place, ...] = ()
     speeds: Speeds | None = None
     num_annotations: int = 0
+    view_spread_rad: float = np.pi
     num_skipped: int = 0
     num_swapped: int = 0
 
@@ -224,9 +227,15 @@ class Evidence:
         """Say what is unusual about the annotations; nothing when all is well."""
         notes = []
         if 0 < self.num_annotations < MIN_CANDIDATES:
+            count = f"{self.num_annotations} annotations are" if self.num_annotations > 1 else "1 annotation is"
             notes.append(
-                f"{self.num_annotations} annotations are fewer than the {MIN_CANDIDATES} that a view should be "
-                "compared with: the likelihood says little"
+                f"{count} fewer than the {MIN_CANDIDATES} that a view should be compared with: the likelihood says "
+                "little"
+            )
+        if self.num_annotations > 1 and self.view_spread_rad < _ONE_VIEW_RAD:
+            notes.append(
+                f"nearly all annotations see the pair from one side, within {np.rad2deg(self.view_spread_rad):.0f} "
+                "degrees: how deep people are is told by how bodies move alone"
             )
         if self.num_skipped:
             total = self.num_annotations + self.num_skipped
@@ -273,6 +282,7 @@ def _image_evidence(
         places=tuple(placed.places[one] for one in pairs.annotation_index),
         speeds=speeds,
         num_annotations=len(np.unique(pairs.annotation_index)),
+        view_spread_rad=placed.gathered.view_spread_rad,
         num_skipped=placed.gathered.num_skipped,
         num_swapped=num_swapped,
     )

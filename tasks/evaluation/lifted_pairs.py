@@ -7,21 +7,26 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.retrieval import nearest_by_interaction, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
+    LiftedExample,
     completion_scores,
     in_between_scores,
     lifted_errors,
     lifted_player,
     lifted_scores,
+    nearest_figure,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.evaluation.verdicts import Yardstick
+from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from storage_schema import Store
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, place_of
-from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
+from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
 from tasks.stage import Parameters, Shard, StageInputs, stream
@@ -32,6 +37,10 @@ _GAPS = (10, 20, 30)
 """Frames between the ends of spans that are filled in."""
 _SHEET_METHODS = ("lifting", "lifting_ik", "naive_sampling", "nearest_draw", "fitted")
 _NUM_EXAMPLES = 6
+_NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
+"""Annotations and draws most like a lifted pair, and how many pairs are shown with them."""
+_NUM_HYPOTHESES = 4
+_MAX_KNOWN = 600
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
 
@@ -45,7 +54,7 @@ class LiftedPairsSettings(Parameters):
 
 
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
-    """Plan one shard over all lifted pairs, and one over real pairs of which joints are hidden and frames left out."""
+    """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
     known = {ref.key for manifest in lifted for ref in manifest.inputs}
@@ -56,14 +65,23 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     if lifted and takes and annotations:
         found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
+    sources = {ref for manifest in lifted for ref in manifest.inputs}
+    shown = [one for one in inputs.of("annotations") if one.ref in sources and views_of([one], inputs)]
+    learned = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
+    if shown and draws and learned:
+        every = [*shown, *(one for one in learned if one not in shown)]
+        views = [views_of([one], inputs)[0] for one in every]
+        found.append(
+            TOPIC.shard(inputs, "nearest", lifted=lifted, annotations=every, views=views, known=learned, draws=draws)
+        )
     if settings.num_completed_pairs and draws and takes:
         found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=takes, draws=draws))
     return found
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
-    """Score one of the two."""
-    return _completed(shard, store) if shard.name == "completed" else _lifted(shard, store)
+    """Score or show one of the three."""
+    return {"lifted": _lifted, "nearest": _nearest, "completed": _completed}[shard.name](shard, store)
 
 
 def _lifted(shard: Shard, store: Store) -> TopicResult:
@@ -124,6 +142,59 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(scores=scores, pictures=pictures, captions=captions)
 
 
+def _nearest(shard: Shard, store: Store) -> TopicResult:
+    """Show some lifted pairs, each with the annotations and draws most like it (Yin et al. 2018, fig. 11)."""
+    draws = read_all_draws(store, shard.refs("draws"))
+    index = DrawIndex(draws.pairs_m)
+    seen: dict[Place, SeenPair] = {}
+    known: list[SeenPair] = []
+    for ref, views in zip(shard.refs("annotations"), shard.refs("views"), strict=True):
+        own = read_seen_pairs(store, ref, views, num_hypotheses=_NUM_HYPOTHESES)[0]
+        seen |= own
+        known += [one for one in own.values() if not one.is_left_out] if ref in shard.refs("known") else []
+    known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
+    pairs: dict[Place, np.ndarray] = {}
+    for ref in shard.refs("lifted"):
+        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "method", "pair17_m"])
+        # In the order of methods "completed" comes before "fitted", which is all that there is of a whole image.
+        for row in range(table.num_rows):
+            if table["method"][row] in ("completed", "fitted") and place_of(table, row) in seen:
+                pairs.setdefault(place_of(table, row), np.asarray(table["pair17_m"][row], dtype=np.float64))
+    chosen = [list(pairs)[at] for at in evenly_spread(len(pairs), _NUM_NEAREST_SHOWN, has_ends=False)]
+    examples = [_example(seen[place], pairs[place], known, index) for place in chosen]
+    if not examples:
+        return TopicResult()
+    caption = (
+        "Some lifted pairs, each with the other annotations and the draws most like it, nearest first, and their "
+        "distance d_I: of an annotation to the pair seen from where that was taken, of a draw to the pair's image (Yin "
+        "et al. 2018, fig. 11). Better: all look alike, from a few centimetres on; far neighbours say that nothing "
+        "like it is known."
+    )
+    return TopicResult(pictures={"nearest.svg": nearest_figure(examples)}, captions={"nearest.svg": caption})
+
+
+def _example(one: SeenPair, pair_m: np.ndarray, known: Sequence[SeenPair], index: DrawIndex) -> LiftedExample:
+    place = one.place
+    others = [
+        other
+        for other in known
+        if other.place.sequence_id != place.sequence_id or abs(other.place.frame - place.frame) >= SAME_MOMENT
+    ]
+    near: list[tuple[np.ndarray, float]] = []
+    if others:
+        images, views = np.stack([other.image_m for other in others]), np.stack([o.directions[0] for o in others])
+        found, far = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
+        near = list(zip(images[found], far.tolist(), strict=True))
+    placed, distance = nearest_by_interaction(index, one.image_m, one.directions, count=_NUM_NEAREST)
+    return LiftedExample(
+        label=f"{place.sequence_id}, frame {place.frame}",
+        image_m=one.image_m,
+        pair_m=pair_m,
+        annotations=near,
+        draws=list(zip(placed, distance.tolist(), strict=True)),
+    )
+
+
 def _completed(shard: Shard, store: Store) -> TopicResult:
     count = shard.options(LiftedPairsSettings).num_completed_pairs
     take_refs, draw_refs = shard.refs("takes"), shard.refs("draws")
@@ -173,7 +244,7 @@ TOPIC = Topic(
     introduction="3D pairs made of images by the draws that look like them; joints of real pairs hidden and completed "
     "from draws; frames filled in between. Errors of pairs count distance and depth between the people too, errors of "
     "people are each about their own hips.",
-    reads=("lifted_pairs", "in_betweens", "poses", "annotations", "cameras", "draws", "seeds"),
+    reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,
     run=_run,
     metrics=("*_error_mean", "*_error_median", "*_error_p90", "lifted_D_C_*"),

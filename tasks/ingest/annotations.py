@@ -17,6 +17,7 @@ from pasdedeux.formats.detections import UNKNOWN, Footage
 from pasdedeux.formats.registry import ANNOTATION_FORMATS, read_annotations
 from pasdedeux.people.decisions import Decision, read_decisions, write_decisions
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
+from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, SourceCredit, Store
@@ -202,7 +203,7 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
     rate_hz = frames.rate_hz or DEFAULT_RATE_HZ
     pair17 = KEYPOINT_LAYOUTS[frames.layout].derive("pair17", frames.keypoints_px, frames.confidence)
     sizes = [frames.image_size_px.get(name) for name in frames.sequence_id]
-    count = frames.num_rows
+    count, stills = frames.num_rows, {one.sequence_id for one in settled.sequences if one.why_not_followed}
     people = Counter(zip(frames.sequence_id, frames.frame.tolist(), strict=True))
     return commit(
         shard,
@@ -217,7 +218,8 @@ def run_annotations(shard: Shard, store: Store, parameters: AnnotationParameters
                 "time_s": frames.frame / rate_hz,
                 "is_key": np.ones(count, dtype=bool),
                 "is_virtual": np.zeros(count, dtype=bool),
-                "is_held_out": np.full(count, parameters.is_held_out),
+                "is_held_out": parameters.is_held_out
+                | is_left_out(frames.sequence_id, frames.frame, parameters.left_out_every, stills),
                 "take_id": [parameters.take_id] * count,
                 "take_frame": [None] * count,
                 "layout": [frames.layout] * count,

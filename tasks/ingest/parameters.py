@@ -312,6 +312,12 @@ class VirtualVideoOptions(VirtualCameras):
         le=100_000,
         description="Annotated pairs from random views, for each take of two people that is not held out",
     )
+    left_out_every: int = Field(
+        default=0,
+        ge=0,
+        description="Every so many-th of the random views is left out of what draws are made from, and how near draws "
+        "come to it is scored; 0: none",
+    )
     detector: DetectorOptions | None = Field(
         default=None,
         description="Each whole video once more as this detector sees it, with people in any order in every frame: "
@@ -356,6 +362,12 @@ class AnnotationCommon(PeopleSettings, Parameters):
     )
     on_unreadable: Literal["refuse", "skip"] = Field(
         default="refuse", description="A damaged OpenPose file stops the run, or is skipped and counted"
+    )
+    left_out_every: int = Field(
+        default=10,
+        ge=0,
+        description="Every so many-th moment (30 frames of a video, or a still) is left out of what draws are made "
+        "from, and how near draws come to it is scored: evidence without truth; 0: none",
     )
     take_id: str | None = Field(default=None, description="Take of this study that the video shows, if it is one")
     licence: str = Field(default="not stated", description="Licence of the source")

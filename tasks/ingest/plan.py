@@ -36,7 +36,7 @@ from tasks.stage import Parameters, Shard, SourceFile, StageInputs
 
 __all__ = ["VERSION", "plan"]
 
-VERSION = 12
+VERSION = 13
 
 
 def plan(inputs: StageInputs, parameters: IngestParameters) -> list[Shard]:
@@ -294,6 +294,7 @@ def _virtual_video_shards(parameters: IngestParameters, take: Shard) -> Iterator
                 take_id=told.take_id,
                 is_held_out=told.is_held_out,
                 rate_hz=parameters.rate_hz,
+                left_out_every=options.left_out_every if purpose == "random_views" else 0,
                 detector=detector,
                 **cameras,
             )

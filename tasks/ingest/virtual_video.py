@@ -20,6 +20,7 @@ from pasdedeux.cameras.virtual_video import (
 from pasdedeux.errors import InputError
 from pasdedeux.people.identity import identity_switches
 from pasdedeux.people.settle import SequenceRows, SettledSequence, settle_sequence
+from pasdedeux.sampling.annotations import is_left_out
 from pasdedeux.skeletons import OP14, PAIR17
 from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.verdict import Level, Verdict
@@ -100,6 +101,8 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         else:
             _add_known(rows, parameters, sequence_id, view, frames, key, seen)
         _add_camera(cameras, parameters, sequence_id, view)
+    left_out = is_left_out(rows["sequence_id"], np.array(rows["frame"]), parameters.left_out_every)
+    rows["is_held_out"] = (left_out | parameters.is_held_out).tolist()
     return commit(
         shard,
         store,
@@ -317,7 +320,6 @@ def _add_rows(
         frame=number,
         time_s=number / parameters.rate_hz,
         is_virtual=[True] * count,
-        is_held_out=[parameters.is_held_out] * count,
         take_id=[parameters.take_id] * count,
         layout=["pair17"] * count,
         keypoints_px=px.reshape(count, -1),

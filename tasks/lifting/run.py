@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from pasdedeux.cameras.views import pair_in_metres
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
@@ -22,7 +20,7 @@ from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
-from tasks.annotated_pairs import PLACE_COLUMNS, Place, pair_of, place_of, read_people
+from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
 from tasks.draw_sets import DrawSet, read_all_draws
 from tasks.lifting.parameters import LiftingShard
 from tasks.priors import read_limits
@@ -31,25 +29,7 @@ from tasks.torso_bases import read_torso_basis
 
 __all__ = ["run_shard"]
 
-MIN_SEEN = 10
-"""Joints of the two people that an annotation must show to be lifted."""
-
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class _Annotated:
-    """One annotated pair in metres (2, 17, 2), NaN where not seen, with its views (hypothesis, 3), likeliest first."""
-
-    place: Place
-    image_m: np.ndarray
-    directions: np.ndarray
-    hypotheses: np.ndarray
-
-    @property
-    def is_seen(self) -> np.ndarray:
-        """Which joints are seen, (2, 17)."""
-        return np.asarray(np.isfinite(self.image_m).all(axis=-1))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -57,7 +37,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     options = shard.options(LiftingShard)
     annotated = store.manifest(shard.ref("annotations"))
     draws, index = _indexed_draws(store, shard.refs("draws"))
-    every, num_skipped = _read(shard, store, options.num_hypotheses)
+    every, num_skipped = read_seen_pairs(
+        store, shard.ref("annotations"), shard.ref("views"), num_hypotheses=options.num_hypotheses
+    )
     is_video = annotated.facts.get("purpose") in ("video", "given") and options.between_frames > 0
     stills = annotated.facts.get("why_no_video", {})
     in_time = [place for place in every if is_video and place.sequence_id not in stills]
@@ -120,27 +102,6 @@ def _indexed_draws(store: Store, refs: tuple[ArtifactRef, ...]) -> tuple[DrawSet
     return draws, DrawIndex(draws.pairs_m)
 
 
-def _read(shard: Shard, store: Store, num_hypotheses: int) -> tuple[dict[Place, _Annotated], int]:
-    """Return the annotated pairs with enough joints and a view, and how many had not."""
-    people = read_people(store, shard.refs("annotations"), with_held_out=True)
-    names = ["hypothesis", "direction", "weight", "metres_per_pixel"]
-    views = store.read(shard.ref("views"), "views", columns=[*PLACE_COLUMNS, *names])
-    hypothesis, direction, weight, scale = (np.asarray(views[name]) for name in names)
-    likeliest: dict[Place, list[int]] = {}
-    for row in np.lexsort((hypothesis, -weight)).tolist():
-        likeliest.setdefault(place_of(views, row), []).append(row)
-    found: dict[Place, _Annotated] = {}
-    for place in sorted(people):
-        rows = likeliest.get(place, [])[:num_hypotheses]
-        if len(people[place]) < 2 or not rows:
-            continue
-        image = pair_in_metres(pair_of(people[place]), np.asarray(scale[rows[0]], dtype=np.float64))
-        one = _Annotated(place, image, np.asarray(direction, dtype=np.float64)[rows], hypothesis[rows])
-        if one.is_seen.sum() >= MIN_SEEN:
-            found[place] = one
-    return found, len(people) - len(found)
-
-
 def _spans(places: Sequence[Place], num_spans: int, gap: int) -> list[tuple[Place, Place]]:
     """Return two places each of one pair, spread over all: `gap` frames apart, or key frames up to twice that."""
     there = set(places)
@@ -153,7 +114,7 @@ def _spans(places: Sequence[Place], num_spans: int, gap: int) -> list[tuple[Plac
     return [spans[at] for at in evenly_spread(len(spans), num_spans)]
 
 
-def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:
+def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     return {
         **one.place._asdict(),
         "method": method,
@@ -166,7 +127,7 @@ def _row(one: _Annotated, method: str, pair_m: np.ndarray, **more: Any) -> Row:
     }
 
 
-def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, options: LiftingShard) -> tuple[list[Row], np.ndarray]:
+def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, options: LiftingShard) -> tuple[list[Row], np.ndarray]:
     """Return the rows of one annotation, and its last pair in place."""
     found = retrieve(index, one.image_m, one.directions, options)
     known = {
@@ -190,9 +151,7 @@ def _lift(one: _Annotated, draws: DrawSet, index: DrawIndex, options: LiftingSha
     return rows, fitted
 
 
-def _baselines(
-    shard: Shard, store: Store, wanted: Sequence[_Annotated], every: Mapping[Place, _Annotated]
-) -> list[Row]:
+def _baselines(shard: Shard, store: Store, wanted: Sequence[SeenPair], every: Mapping[Place, SeenPair]) -> list[Row]:
     """Lift whole annotations without draws, where the study asks for it."""
     options = shard.options(LiftingShard)
     whole = [one.image_m for one in every.values() if one.is_seen.all()]

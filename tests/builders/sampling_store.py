@@ -33,7 +33,12 @@ def put_take(store: Store, take_id: str, *, is_held_out: bool = False, num_perso
 
 
 def put_annotations(
-    store: Store, take_id: str, *, is_held_out: bool = False, spoil: Callable[[np.ndarray], None] = lambda _: None
+    store: Store,
+    take_id: str,
+    *,
+    is_held_out: bool = False,
+    spoil: Callable[[np.ndarray], None] = lambda _: None,
+    has_one_view: bool = False,
 ) -> tuple[Manifest, Manifest]:
     """Commit annotations of a take from random views, one with a missing joint, each with the frames next to it.
 
@@ -42,6 +47,8 @@ def put_annotations(
     rng = np.random.default_rng(5)
     pairs = pairs_of(take_id)
     directions = normalise(rng.normal(size=(NUM_FRAMES, 3)) * [1.0, 0.2, 1.0])
+    if has_one_view:
+        directions[:] = directions[0]
     images = project_pair(pairs, directions) * [100.0, -100.0] + 500.0
     drift = rng.normal(scale=1.5, size=images.shape)
     pixels = np.stack([images - drift, images, images + drift], axis=1)

@@ -25,11 +25,16 @@ OPTIONS: dict[str, Any] = {**QUICK, "num_chains": 1, "proposal": "velocity"}
 
 
 def sampled(
-    folder: Path, spoil: Callable[[np.ndarray], None], *, densities: tuple[str, ...] = ("ic",), **seeds: Any
+    folder: Path,
+    spoil: Callable[[np.ndarray], None] = lambda _: None,
+    *,
+    densities: tuple[str, ...] = ("ic",),
+    has_one_view: bool = False,
+    **seeds: Any,
 ) -> tuple[Store, list[Manifest]]:
     """Sample from annotations that `spoil` changed: pixels (annotation, frame, person, joint, 2), middle one seen."""
     store = Store(folder / "store")
-    annotations, views = put_annotations(store, "one", spoil=spoil)
+    annotations, views = put_annotations(store, "one", spoil=spoil, has_one_view=has_one_view)
     tables = {"poses": [put_take(store, "one")], "annotations": [annotations], "views": [views]}
     given = with_seeds(store, tables, **(seeds or {"num_seeds": 1}))
     planned = chains.plan(given, ChainsParameters(**OPTIONS, densities=densities))
@@ -110,6 +115,21 @@ def test_fewer_annotations_than_a_view_should_be_compared_with_are_used_and_said
 
     note = note_of(*sampled(tmp_path, spoil))
     assert note.startswith("9 annotations are fewer than the 20 that a view should be compared with")
+
+
+def test_one_annotation_is_used_and_said(tmp_path: Path) -> None:
+    def spoil(pixels: np.ndarray) -> None:
+        pixels[1:, 1] = np.nan
+
+    note = note_of(*sampled(tmp_path, spoil))
+    assert note.startswith("1 annotation is fewer than the 20 that a view should be compared with")
+
+
+def test_annotations_all_from_one_view_are_used_and_said(tmp_path: Path) -> None:
+    store, made = sampled(tmp_path, has_one_view=True)
+    assert note_of(store, made).startswith("nearly all annotations see the pair from one side, within 0 degrees")
+    views = np.concatenate([np.asarray(store.read(one.ref, "draws")["view"]) for one in made if "draws" in one.tables])
+    assert np.isfinite(views).all()
 
 
 def test_asking_for_the_full_density_alone_without_annotations_is_refused(tmp_path: Path) -> None:

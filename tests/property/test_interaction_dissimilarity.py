@@ -18,7 +18,7 @@ from pasdedeux.interaction import (
     plane_residual,
 )
 from pasdedeux.interaction.kernels import best_turn
-from pasdedeux.interaction.nearest import interaction_distances, lower_minima, pair_table
+from pasdedeux.interaction.nearest import image_distances, interaction_distances, lower_minima, pair_table
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.sampling.coverage import Coverage, coverage_curve
@@ -100,6 +100,9 @@ def test_masked_dissimilarity_is_symmetric_rigid_and_the_plain_form(seed: int, d
     expected = plain_masked(first, second)
     assert interaction_dissimilarity(first, second) == pytest.approx(expected, rel=1e-9, abs=1e-12)
     assert interaction_dissimilarity(second, first) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    if dimension == 2:
+        images = np.stack([first, second]).reshape(2, 2, 17, 2)
+        np.testing.assert_allclose(image_distances(images[:1], images)[0], [0.0, expected], rtol=1e-6, atol=1e-8)
     rotmat = turn(rng.uniform(-np.pi, np.pi)) if dimension == 2 else rotmat_from_unitquat(normalise(rng.normal(size=4)))
     moved = first @ rotmat.T + rng.normal(size=dimension)
     assert interaction_dissimilarity(moved, second) == pytest.approx(expected, rel=1e-6, abs=1e-9)

@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.cameras import ViewOptions
+from pasdedeux.cameras import ViewOptions, project_pair
+from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.retrieval import nearest_by_interaction, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
     HIDDEN,
+    LiftedExample,
     completion_scores,
     in_between_scores,
     lifted_errors,
     lifted_player,
     lifted_scores,
+    nearest_figure,
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.views import CONDITIONS, view_robustness
-from pasdedeux.kinematics.rotations import yaw_rotmat
+from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
 from tests.builders.poses import BASIS, dancers, filmed
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
@@ -91,3 +95,22 @@ def test_lifted_pairs_are_shown_beside_their_truth_one_example_after_another() -
     shown = json.loads(lifted_player([{"truth": PAIRS[0], "fitted": PAIRS[1]}, {"truth": PAIRS[2]}]))
     assert [panel["title"] for panel in shown["panels"]] == ["the truth", "fitted draws"]
     assert shown["labels"] == ["example 1 of 2", "example 2 of 2"]
+
+
+def test_the_images_most_like_a_pair_are_those_of_it_and_are_drawn_beside_it() -> None:
+    views = normalise(np.random.default_rng(2).normal(size=(len(PAIRS), 3)))
+    images = project_pair(PAIRS, views)
+    images[4, 1, 3:9] = np.nan  # a few joints are not seen
+    found, distance = nearest_images(PAIRS[4] @ yaw_rotmat(0.7).T, images, views, count=3)
+    assert found[0] == 4
+    np.testing.assert_allclose(distance[0], 0.0, atol=1e-6)
+    assert (np.diff(distance) > 0).all()
+    placed, far = nearest_by_interaction(DrawIndex(PAIRS), images[4], views[4:5], count=2)
+    assert far[0] < 1e-4 < far[1]
+    np.testing.assert_allclose(
+        np.linalg.norm(placed[0, 0, 0] - placed[0, 1, 0]), np.linalg.norm(PAIRS[4, 0, 0] - PAIRS[4, 1, 0]), rtol=1e-4
+    )
+    near = [(images[at], float(far)) for at, far in zip(found, distance, strict=True)]
+    picture = nearest_figure([LiftedExample("clip, frame 4", images[4], PAIRS[4], near, [(placed[0], far[0])])])
+    assert picture.count(b"<path") > 2 * 7
+    assert b"clip, frame 4" in picture

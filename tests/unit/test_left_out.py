@@ -1,0 +1,79 @@
+"""Annotations that are left out, how near draws come to them, and the map of annotations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pasdedeux.benchmarks.synthetic import random_pairs
+from pasdedeux.cameras import project_pair
+from pasdedeux.errors import InputError
+from pasdedeux.evaluation.left_out import (
+    annotation_map_figure,
+    left_out_curve,
+    left_out_figure,
+    left_out_scores,
+)
+from pasdedeux.sampling.annotations import is_left_out
+
+PAIRS = random_pairs(np.random.default_rng(0), 60, spread_rad=0.3)
+VIEWS = np.array([[0.0, 0.2, 1.0], [0.8, 0.1, 0.6]])
+IMAGES = [project_pair(pair, VIEWS[1]) for pair in PAIRS[:6]]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 400)), min_size=1, max_size=60),
+    st.integers(1, 6),
+    st.booleans(),
+)
+def test_moments_are_left_out_whole_and_every_so_many_of_them(
+    rows: list[tuple[str, int]], every: int, has_stills: bool
+) -> None:
+    names, frames = [name for name, _ in rows], np.array([frame for _, frame in rows])
+    left = is_left_out(names, frames, every, {"a"} if has_stills else ())
+    moments = [(name, frame if has_stills and name == "a" else frame // 30) for name, frame in rows]
+    fate = dict(zip(moments, left.tolist(), strict=True))
+    assert [fate[moment] for moment in moments] == left.tolist()
+    assert sum(fate.values()) == len(range(every // 2, len(fate), every))
+
+
+def test_nothing_is_left_out_where_nobody_asks_or_moments_are_few() -> None:
+    assert not is_left_out(["a"] * 4, np.array([0, 100, 200, 300]), 0).any()
+    assert not is_left_out(["a"] * 4, np.array([0, 100, 200, 300]), 10).any()
+
+
+def test_an_image_of_a_draw_is_at_no_distance_once_the_draw_is_among_them() -> None:
+    draws = np.concatenate([PAIRS[20:], PAIRS[:6]])
+    curve = left_out_curve(IMAGES, [VIEWS] * 6, draws)
+    assert curve.num_draws.tolist() == [1, 10, 46]
+    assert (np.diff(curve.nearest_m, axis=0) <= 0).all()
+    assert curve.nearest_m[1].min() > 0.01
+    np.testing.assert_allclose(curve.nearest_m[-1], 0.0, atol=1e-4)  # draws are kept in single precision
+
+
+def test_scores_tell_the_curve_and_its_end_and_pictures_are_drawn() -> None:
+    curves = {
+        name: left_out_curve(IMAGES, [VIEWS] * 6, pairs) for name, pairs in (("ic", PAIRS), ("prior_only", PAIRS[6:30]))
+    }
+    scores = left_out_scores(curves, ["prior_only"], split="left_out")
+    ends = {(one.method, one.metric): one for one in scores if np.isnan(one.at)}
+    assert ends["ic", "left_out_d_I_mean"].value < ends["prior_only", "left_out_d_I_mean"].value
+    assert ends["prior_only", "left_out_d_I_mean"].is_baseline
+    assert [one.at for one in scores if one.method == "ic" and not np.isnan(one.at)] == [1.0, 10.0, 60.0]
+    pictures = (
+        left_out_figure({"left_out": curves}, ["prior_only"]),
+        annotation_map_figure(
+            np.stack(IMAGES), {"ic": np.stack([IMAGES[0], IMAGES[0], IMAGES[3]])}, np.stack(IMAGES[:2])
+        ),
+    )
+    for picture in pictures:
+        assert picture.count(b"<path") > 20, "an empty picture"
+        assert len(picture) < 60_000
+
+
+def test_a_map_of_two_annotations_is_refused() -> None:
+    with pytest.raises(InputError, match="at least 3"):
+        annotation_map_figure(np.stack(IMAGES[:2]), {}, np.zeros((0, 2, 17, 2)))

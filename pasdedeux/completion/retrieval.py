@@ -18,7 +18,7 @@ from pasdedeux.interaction.dissimilarity import plane_residual
 from pasdedeux.interaction.nearest import image_distances
 from pasdedeux.settings import Settings
 
-__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "nearest_by_interaction", "nearest_images", "retrieve"]
+__all__ = ["Retrieval", "RetrievalOptions", "image_residual", "nearest_by_image", "nearest_images", "retrieve"]
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def retrieve(index: DrawIndex, image_m: Array, directions: Array, options: Retri
     return Retrieval(pairs_m=pairs, weight=weight / weight.sum(), nearest=nearest)
 
 
-def nearest_by_interaction(
+def nearest_by_image(
     index: DrawIndex, image_m: Array, directions: Array, *, count: int = 1, num_tried: int = 12
 ) -> tuple[Array, Array]:
     """Return the draws nearest to an image in d_I, each under its best view: the nearest by place, ranked anew.

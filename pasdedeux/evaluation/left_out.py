@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.retrieval import nearest_by_interaction
+from pasdedeux.completion.retrieval import nearest_by_image
 from pasdedeux.evaluation.embedding import PairMap
 from pasdedeux.evaluation.figures import Curve, CurvePanel, draw_pair, figure_svg, new_figure, panel_figure
 from pasdedeux.evaluation.names import in_words
@@ -23,7 +23,7 @@ __all__ = ["LeftOutCurve", "annotation_map_figure", "left_out_curve", "left_out_
 
 Array = npt.NDArray[np.float64]
 
-_COUNTS = (1, 10, 100, 1_000, 10_000)
+_COUNTS = (10, 100, 1_000, 10_000)
 _NUM_DRAWN = 14
 """Annotations that are drawn on the map as people."""
 _DRAWN_SHARE = 0.13
@@ -53,7 +53,7 @@ def left_out_curve(
     for point, count in enumerate(counts):
         index = DrawIndex(pairs_m[:count])
         for at, (image, views) in enumerate(zip(images_m, directions, strict=True)):
-            nearest[point, at] = nearest_by_interaction(index, image, views)[1][0]
+            nearest[point, at] = nearest_by_image(index, image, views)[1][0]
     # The nearest of few is among many too; that d_I is computed of some only must not hide it.
     return LeftOutCurve(counts, np.minimum.accumulate(nearest, axis=0))
 

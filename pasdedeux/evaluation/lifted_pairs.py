@@ -14,7 +14,7 @@ from pasdedeux.completion.occlusion import blend_onto, complete_pair
 from pasdedeux.evaluation.figures import draw_pair, figure_svg, new_figure
 from pasdedeux.evaluation.names import in_words
 from pasdedeux.evaluation.players import pack_player, people_panel
-from pasdedeux.evaluation.scores import Score, summarise
+from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity
 from pasdedeux.kinematics import align_rigid
 from pasdedeux.skeletons import PAIR17
@@ -23,7 +23,9 @@ __all__ = [
     "BASELINES",
     "HIDDEN",
     "LiftedExample",
+    "calibration_scores",
     "completion_scores",
+    "expected_figure",
     "in_between_scores",
     "lifted_errors",
     "lifted_player",
@@ -149,6 +151,32 @@ def lifted_player(examples: Sequence[Mapping[str, Array]]) -> bytes:
         panels.append(people_panel(in_words(method), PAIR17, people))
     labels = [f"example {number + 1} of {len(examples)}" for number in range(len(examples))]
     return pack_player(panels, rate_hz=0.5, labels=labels, has_floor=False)
+
+
+def calibration_scores(expected_m: Array, errors_m: Array, *, split: str) -> list[Score]:
+    """Score expected errors (n, 3) with the ends of their intervals, metres, against true ones (n,), metres."""
+    value, low, high = expected_m.T
+    figures = {"expected_interval_share": float(((low <= errors_m) & (errors_m <= high)).mean())}
+    if len(value) > 2 and np.ptp(value) > 0.0 and np.ptp(errors_m) > 0.0:
+        figures["expected_correlation"] = float(np.corrcoef(value, errors_m)[0, 1])
+    return scores_of(figures, "fitted", split=split, count=len(value))
+
+
+def expected_figure(parts: Mapping[str, tuple[Array, Array]]) -> bytes:
+    """Draw true errors (n,) over expected ones (n, 3), metres, of each part, and what holds 80 %; give SVG bytes."""
+    figure, ((axis,),) = new_figure(4.6, 3.6)
+    for marker, (name, (expected, errors)) in zip("os^D", parts.items(), strict=False):
+        more = {"linewidths": 0, "rasterized": True, "alpha": 0.7}
+        axis.scatter(100 * expected[:, 0], 100 * errors, s=14, marker=marker, label=name.replace("_", " "), **more)
+    every = 100 * np.concatenate([expected for expected, _ in parts.values()])
+    every = every[np.argsort(every[:, 0])]
+    axis.plot(every[:, 0], every[:, 0], color="#444444", linewidth=0.8)
+    axis.fill_between(every[:, 0], every[:, 1], every[:, 2], color="#444444", alpha=0.12, linewidth=0)
+    axis.set_xlabel("expected error (cm)", fontsize=8)
+    axis.set_ylabel("true error (cm)", fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.legend(fontsize=7)
+    return figure_svg(figure)
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,9 @@ _METRICS = {
         "joint error with distance and depth between people kept",
         "smaller",
     ),
+    "expected_error": ("expected error of lifted pairs", "the same told without the truth", "smaller"),
+    "expected_interval_share": ("errors inside 80 %", "share of true errors within what is expected of 80 %", ""),
+    "expected_correlation": ("expected against true", "correlation of expected and true errors", "larger"),
     "lifted_person_error": ("error of lifted people", "joint error of each person about their own root", "smaller"),
     "occluded_joint_error": (
         "error of completed joints",

@@ -29,6 +29,14 @@ LIFTED_PAIRS = Table(
         float64("residual_m", "Root mean square distance of the joints seen from the image", unit="m"),
         text("draw", "Reference of the nearest draw; null for baselines", is_nullable=True),
         integer("hypothesis", "View hypothesis under which that draw was seen; null for baselines", is_nullable=True),
+        float64(
+            "expected_error_m",
+            "Mean joint error to expect, told without the truth; null but for the last of fitted and completed",
+            unit="m",
+            is_nullable=True,
+        ),
+        float64("expected_low_m", "Lower end of where 80 % of the errors are", unit="m", is_nullable=True),
+        float64("expected_high_m", "Upper end", unit="m", is_nullable=True),
         _PAIR,
     ),
 )

@@ -27,12 +27,12 @@ from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC"]
 
-_NUM_JUDGED = 30
+_NUM_JUDGED = 24
 """Annotations of each part that are judged, at most, evenly spread."""
 _NUM_HYPOTHESES = 4
 _MIN_APART = 10
 """Frames of a video from what is left out to what draws were made from, at least: nearer ones are the same image."""
-_MAX_DRAWS, _MAX_KNOWN = 20_000, 600
+_MAX_DRAWS, _MAX_KNOWN = 20_000, 400
 _NUM_MAPPED, _NUM_LEFT_OUT_MAPPED = 150, 40
 _NEAREST, _REAL = "nearest_annotation", "real_frames"
 _BASELINES = (PRIOR_ONLY, _NEAREST, _REAL)

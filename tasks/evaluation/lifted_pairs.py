@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from pydantic import Field
 
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.retrieval import nearest_by_interaction, nearest_images
+from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
     LiftedExample,
+    calibration_scores,
     completion_scores,
+    expected_figure,
     in_between_scores,
     lifted_errors,
     lifted_player,
     lifted_scores,
     nearest_figure,
 )
-from pasdedeux.evaluation.scores import Score, scores_of
+from pasdedeux.evaluation.scores import Score, scores_of, summarise
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.density import PRIOR_ONLY
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
-from storage_schema import Store
+from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pairs, place_of, read_seen_pairs, views_of
 from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
@@ -40,6 +43,7 @@ _NUM_EXAMPLES = 6
 _NUM_NEAREST, _NUM_NEAREST_SHOWN = 3, 5
 """Annotations and draws most like a lifted pair, and how many pairs are shown with them."""
 _NUM_HYPOTHESES = 4
+_EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 _MAX_KNOWN = 600
 _MAX_DRAWS = 20_000
 """Draws of chains that joints are completed from, at most; grown seeds are all used."""
@@ -91,6 +95,7 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
     frames, cameras = read_take_frames(store, annotation_refs), read_cameras(store, annotation_refs)
     found: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
     between: dict[str, dict[str, list[tuple[np.ndarray, np.ndarray]]]] = {}
+    expected: dict[str, list[tuple[list[float], np.ndarray, np.ndarray]]] = {}
     examples: dict[str, dict[Place, dict[str, np.ndarray]]] = {}
     for ref in shard.refs("lifted"):
         facts = store.manifest(ref).facts
@@ -99,7 +104,8 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
         for table_name, sink in (("lifted_pairs", found), ("in_betweens", between)):
             if table_name not in store.manifest(ref).tables:
                 continue
-            table = store.read(ref, table_name, columns=[*PLACE_COLUMNS, "method", "pair17_m"])
+            also = _EXPECTED if table_name == "lifted_pairs" else ()
+            table = store.read(ref, table_name, columns=[*PLACE_COLUMNS, "method", "pair17_m", *also])
             for row in range(table.num_rows):
                 place = place_of(table, row)
                 found_pair = true_pair(place, frames, takes)
@@ -113,6 +119,8 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
                 sink.setdefault(split, {}).setdefault(method, []).append((pair, truth))
                 if table_name == "lifted_pairs":
                     examples.setdefault(split, {}).setdefault(place, {"truth": truth})[method] = pair
+                    if (told := _told(table, row)) is not None:
+                        expected.setdefault(split, []).append((told, pair, truth))
     scores: list[Score] = []
     for split, methods in sorted(found.items()):
         lifted, truths = (
@@ -126,6 +134,17 @@ def _lifted(shard: Shard, store: Store) -> TopicResult:
             more = {"is_baseline": method == "straight", "split": split, "count": len(errors)}
             scores += scores_of(figure, method, "m", **more)
     pictures, captions = {}, {}
+    judged: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for split, lifts in sorted(expected.items()):
+        found_m, *both = (np.array(column) for column in zip(*lifts, strict=True))
+        judged[split] = found_m, lifted_errors(*both)["lifted_pair_error"]
+        scores += calibration_scores(*judged[split], split=split)
+    if judged:
+        pictures["expected-error.svg"] = expected_figure(judged)
+        captions["expected-error.svg"] = (
+            "What was expected of each lifted pair without the truth, and its true error. Better: dots follow the "
+            "line, and four of five lie in the grey."
+        )
     for split, places in sorted(examples.items()):
         chosen = [places[place] for place in sorted(places)]
         spread = evenly_spread(len(chosen), _NUM_EXAMPLES, has_ends=False)
@@ -153,28 +172,42 @@ def _nearest(shard: Shard, store: Store) -> TopicResult:
         seen |= own
         known += [one for one in own.values() if not one.is_left_out] if ref in shard.refs("known") else []
     known = [known[at] for at in evenly_spread(len(known), _MAX_KNOWN)]
-    pairs: dict[Place, np.ndarray] = {}
+    pairs: dict[Place, tuple[np.ndarray, list[float]]] = {}
+    scores: list[Score] = []
     for ref in shard.refs("lifted"):
-        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "method", "pair17_m"])
-        # In the order of methods "completed" comes before "fitted", which is all that there is of a whole image.
+        table = store.read(ref, "lifted_pairs", columns=[*PLACE_COLUMNS, "pair17_m", *_EXPECTED])
+        every: list[float] = []
         for row in range(table.num_rows):
-            if table["method"][row] in ("completed", "fitted") and place_of(table, row) in seen:
-                pairs.setdefault(place_of(table, row), np.asarray(table["pair17_m"][row], dtype=np.float64))
+            if (told := _told(table, row)) is not None:
+                every.append(told[0])
+                if place_of(table, row) in seen:
+                    pairs[place_of(table, row)] = (np.asarray(table["pair17_m"][row], dtype=np.float64), told)
+        manifest = store.manifest(ref)
+        more = {"item": f"{manifest.partition} {manifest.name}".replace("_", " ")}
+        scores += summarise(np.array(every), metric="expected_error", method="fitted", unit="m", **more)
     chosen = [list(pairs)[at] for at in evenly_spread(len(pairs), _NUM_NEAREST_SHOWN, has_ends=False)]
-    examples = [_example(seen[place], pairs[place], known, index) for place in chosen]
+    examples = [_example(seen[place], *pairs[place], known, index) for place in chosen]
     if not examples:
-        return TopicResult()
+        return TopicResult(scores)
     caption = (
-        "Some lifted pairs, each with the other annotations and the draws most like it, nearest first, and their "
-        "distance d_I: of an annotation to the pair seen from where that was taken, of a draw to the pair's image (Yin "
-        "et al. 2018, fig. 11). Better: all look alike, from a few centimetres on; far neighbours say that nothing "
-        "like it is known."
+        "Some lifted pairs with the error of a joint to expect, and where four of five such errors are; each beside "
+        "the other annotations and the draws most like it, nearest first, and their distance d_I: of an annotation to "
+        "the pair seen from where that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Better: "
+        "all look alike; far neighbours say that nothing like it is known."
     )
-    return TopicResult(pictures={"nearest.svg": nearest_figure(examples)}, captions={"nearest.svg": caption})
+    return TopicResult(scores, {"nearest.svg": nearest_figure(examples)}, {"nearest.svg": caption})
 
 
-def _example(one: SeenPair, pair_m: np.ndarray, known: Sequence[SeenPair], index: DrawIndex) -> LiftedExample:
-    place = one.place
+def _told(table: TableData, row: int) -> list[float] | None:
+    """Return the expected error and the ends of its interval, metres; None of a method that has none."""
+    told = [float(table[name][row]) for name in _EXPECTED]
+    return None if math.isnan(told[0]) else told
+
+
+def _example(
+    one: SeenPair, pair_m: np.ndarray, told_m: list[float], known: Sequence[SeenPair], index: DrawIndex
+) -> LiftedExample:
+    place, (value, low, high) = one.place, (100.0 * value for value in told_m)
     others = [
         other
         for other in known
@@ -185,9 +218,9 @@ def _example(one: SeenPair, pair_m: np.ndarray, known: Sequence[SeenPair], index
         images, views = np.stack([other.image_m for other in others]), np.stack([o.directions[0] for o in others])
         found, far = nearest_images(pair_m, images, views, count=_NUM_NEAREST)
         near = list(zip(images[found], far.tolist(), strict=True))
-    placed, distance = nearest_by_interaction(index, one.image_m, one.directions, count=_NUM_NEAREST)
+    placed, distance = nearest_by_image(index, one.image_m, one.directions, count=_NUM_NEAREST)
     return LiftedExample(
-        label=f"{place.sequence_id}, frame {place.frame}",
+        label=f"{place.sequence_id}, frame {place.frame}: expected error {value:.0f} cm, {low:.0f} to {high:.0f}",
         image_m=one.image_m,
         pair_m=pair_m,
         annotations=near,
@@ -247,7 +280,7 @@ TOPIC = Topic(
     reads=("lifted_pairs", "in_betweens", "poses", "annotations", "views", "cameras", "draws", "seeds"),
     plan=_plan,
     run=_run,
-    metrics=("*_error_mean", "*_error_median", "*_error_p90", "lifted_D_C_*"),
+    metrics=("*_error_mean", "*_error_median", "*_error_p90", "expected_*", "lifted_D_C_*"),
     settings=LiftedPairsSettings,
     yardsticks=(
         Yardstick("occluded_joint_error_mean", "error of completed joints", ("mean_pair", "nearest_draw"), ("fitted",)),

@@ -12,6 +12,7 @@ import numpy as np
 
 from pasdedeux.completion.baselines import lift_by_ik, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.expected_error import expected_error
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
@@ -30,6 +31,9 @@ from tasks.torso_bases import read_torso_basis
 __all__ = ["run_shard"]
 
 Row = dict[str, Any]
+DOUBTFUL_M = 0.15
+"""Median expected error above which lifted pairs are doubted."""
+_EXPECTED = ("expected_error_m", "expected_low_m", "expected_high_m")
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -84,6 +88,8 @@ def _verdict(rows: Sequence[Row], num_skipped: int) -> Verdict:
         reason = f"nothing was lifted: {num_skipped} annotated pairs show too little or have no view"
     elif nearest >= mean_pair:
         level, reason = Level.WARN, "the nearest draws look no more like the images than the mean of all draws does"
+    elif (expected := float(np.median([one for row in rows if (one := row[_EXPECTED[0]]) is not None]))) > DOUBTFUL_M:
+        level, reason = Level.WARN, f"draws had to be bent far: joints are expected {100 * expected:.0f} cm off"
     return Verdict(
         level,
         reason,
@@ -122,6 +128,7 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
         "residual_m": image_residual(pair_m, one.image_m),
         "draw": None,
         "hypothesis": None,
+        **dict.fromkeys(_EXPECTED),
         "pair17_m": pair_m - pair_m.reshape(-1, 3).mean(axis=0),
         **more,
     }
@@ -146,6 +153,8 @@ def _lift(one: SeenPair, draws: DrawSet, index: DrawIndex, options: LiftingShard
         count = min(options.num_completing, len(draws.pairs_m))
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
+    expected = expected_error(one.image_m, found.mean_m, fitted)
+    rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
     return rows, fitted

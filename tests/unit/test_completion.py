@@ -13,6 +13,7 @@ from pasdedeux.benchmarks.synthetic import random_pairs, standing_pair
 from pasdedeux.cameras import project_pair
 from pasdedeux.completion.baselines import lift_by_ik, resolve_penetration, sample_naively
 from pasdedeux.completion.draw_index import DrawIndex
+from pasdedeux.completion.expected_error import expected_error
 from pasdedeux.completion.fit import FitOptions, fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.neighbours import nearest_by_interaction, nearest_rigid
@@ -209,3 +210,22 @@ def test_naive_samples_keep_bones_and_the_nearest_is_the_nearest() -> None:
 def test_a_fit_without_width_is_refused() -> None:
     with pytest.raises(ValidationError, match="greater than 0"):
         FitOptions(image_deviation_m=0.0)
+
+
+@given(scale=st.floats(0.1, 10.0), seed=st.integers(0, 1000))
+@settings(deadline=None, max_examples=20)
+def test_an_expected_error_is_a_length_and_knows_no_place(scale: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    lifted, mean = PAIRS[rng.integers(len(PAIRS), size=2)]
+    image = lifted[..., :2].copy()
+    image[rng.random((2, 17)) < 0.3] = np.nan
+    one = expected_error(image, mean, lifted)
+    assert one.low_m < one.value_m < one.high_m
+    moved = expected_error(scale * image + 3.0, scale * mean + 1.0, scale * lifted + 1.0)
+    assert moved.value_m == pytest.approx(scale * one.value_m)
+    assert expected_error(image, 0.5 * (lifted + mean), lifted).value_m < one.value_m
+
+
+def test_an_error_is_to_be_expected_also_of_draws_that_fit_and_nothing_seen_tells_none() -> None:
+    assert 0.02 < expected_error(PAIRS[0, ..., :2], PAIRS[0], PAIRS[0]).value_m < 0.1
+    assert np.isnan(expected_error(np.full((2, 17, 2), np.nan), PAIRS[0], PAIRS[1]).value_m)

@@ -10,11 +10,13 @@ import pytest
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.cameras import ViewOptions, project_pair
 from pasdedeux.completion.draw_index import DrawIndex
-from pasdedeux.completion.retrieval import nearest_by_interaction, nearest_images
+from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
     HIDDEN,
     LiftedExample,
+    calibration_scores,
     completion_scores,
+    expected_figure,
     in_between_scores,
     lifted_errors,
     lifted_player,
@@ -105,7 +107,7 @@ def test_the_images_most_like_a_pair_are_those_of_it_and_are_drawn_beside_it() -
     assert found[0] == 4
     np.testing.assert_allclose(distance[0], 0.0, atol=1e-6)
     assert (np.diff(distance) > 0).all()
-    placed, far = nearest_by_interaction(DrawIndex(PAIRS), images[4], views[4:5], count=2)
+    placed, far = nearest_by_image(DrawIndex(PAIRS), images[4], views[4:5], count=2)
     assert far[0] < 1e-4 < far[1]
     np.testing.assert_allclose(
         np.linalg.norm(placed[0, 0, 0] - placed[0, 1, 0]), np.linalg.norm(PAIRS[4, 0, 0] - PAIRS[4, 1, 0]), rtol=1e-4
@@ -114,3 +116,18 @@ def test_the_images_most_like_a_pair_are_those_of_it_and_are_drawn_beside_it() -
     picture = nearest_figure([LiftedExample("clip, frame 4", images[4], PAIRS[4], near, [(placed[0], far[0])])])
     assert picture.count(b"<path") > 2 * 7
     assert b"clip, frame 4" in picture
+
+
+def test_errors_as_expected_are_inside_and_correlate_and_others_are_not() -> None:
+    errors = np.linspace(0.05, 0.2, 10)
+    expected = errors[:, None] * [1.0, 0.6, 1.6]
+    right = calibration_scores(expected, errors, split="held_out")
+    assert value(right, "expected_interval_share", "fitted") == 1.0
+    assert value(right, "expected_correlation", "fitted") == pytest.approx(1.0)
+    wrong = calibration_scores(expected[::-1], errors, split="held_out")
+    assert value(wrong, "expected_interval_share", "fitted") < 0.5
+    assert value(wrong, "expected_correlation", "fitted") == pytest.approx(-1.0)
+    assert [one.metric for one in calibration_scores(expected[:1], errors[:1], split="x")] == [
+        "expected_interval_share"
+    ]
+    assert b"true error" in expected_figure({"held_out": (expected, errors)})

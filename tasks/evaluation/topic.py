@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 36
+VERSION = 37
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

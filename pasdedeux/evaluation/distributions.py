@@ -10,10 +10,19 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.distance import cdist
 
 from pasdedeux.evaluation.scores import FEWEST_UNITS
 
-__all__ = ["KID_FACTOR", "density_coverage", "distances", "frechet_distance", "kernel_distance", "kernel_interval"]
+__all__ = [
+    "KID_FACTOR",
+    "density_coverage",
+    "distances",
+    "frechet_distance",
+    "halves",
+    "kernel_distance",
+    "kernel_interval",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -89,10 +98,21 @@ def density_coverage(real: Array, made: Array) -> tuple[float, float]:
     Density is the mean number of real neighbourhoods that a made one lies in, over 5, about 1 for draws of the same
     distribution; coverage the share of real neighbourhoods with a made one inside.
     """
-    own = np.linalg.norm(real[:, None] - real, axis=-1)
-    reach = np.sort(own, axis=1)[:, min(_NEIGHBOURS, len(real) - 1)]
-    is_within = np.linalg.norm(real[:, None] - made, axis=-1) < reach[:, None]
+    reach = np.sort(cdist(real, real), axis=1)[:, min(_NEIGHBOURS, len(real) - 1)]
+    is_within = cdist(real, made) < reach[:, None]
     return float(is_within.sum(axis=0).mean() / _NEIGHBOURS), float(is_within.any(axis=1).mean())
+
+
+def halves(strata: Sequence[tuple[str, ...]], generator: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Return things (n,) by index, dealt into two halves; of things of a stratum in turn, so both are made up alike.
+
+    Halves by chance alone differ in how much of which interaction they have, by more than a model could change.
+
+    >>> halves([("hug", "a"), ("hug", "a"), ("judo", "b"), ("judo", "c")], np.random.default_rng(0))
+    ([0, 2], [1, 3])
+    """
+    dealt = sorted(generator.permutation(len(strata)).tolist(), key=lambda at: strata[at])
+    return dealt[::2], dealt[1::2]
 
 
 def distances(real: Array, made: Array) -> dict[str, float]:

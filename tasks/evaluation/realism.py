@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from pasdedeux.evaluation.distributions import KID_FACTOR, distances, kernel_interval
+from pasdedeux.evaluation.distributions import KID_FACTOR, distances, halves, kernel_interval
 from pasdedeux.evaluation.model_meter import SOLVER, generated
 from pasdedeux.evaluation.models import GENERATED
 from pasdedeux.evaluation.scores import Score, scores_of
@@ -46,7 +46,11 @@ class LearnedSettings(Parameters):
 
 
 def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
-    """Plan one shard over all splits and models where there are two interactions to tell apart."""
+    """Plan one shard over all splits and models where there are two interactions to tell apart.
+
+    The classifier is one for all splits: one that learned from what a split trains on would not know the interactions
+    that splits across these test, and features of two classifiers have no distances in common.
+    """
     # The classifier knows `body22` alone.
     models = [model for model in inputs.of("models") if skeleton_name(model) == BODY22.name]
     takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
@@ -80,13 +84,14 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         test = [(take_id, name) for take_id, names in manifests[0].facts["test"].items() for name in names]
         step = max(len(test) / settings.num_realism_variants, 1.0)
         chosen = [test[int(at)] for at in np.arange(0.0, len(test), step)]
-        order = stream(shard.seed, "evaluation", "halves", split).permutation(len(chosen))
         models = {manifest.facts["model"]: load_stored(store, manifest) for manifest in manifests}
         is_of_takes = not manifests[0].facts["shares_takes"]
         predicted: dict[str, list[_Clips]] = {}
         drawn: dict[str, list[_Clips]] = {}
+        strata: list[tuple[str, str]] = []
         for item in variants.items(chosen):
             take_id, rate_hz = item.request.take_id, item.request.source.rate_hz
+            strata.append((kinds[take_id], take_id))
             unit = take_id if is_of_takes else f"{take_id} {item.variant_id}"
             made = {name: model.predict(item.request) for name, model in models.items()}
             streams = partial(stream, shard.seed, "evaluation", "drawn", split, take_id, item.variant_id)
@@ -96,10 +101,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             for clips, motions in ((predicted, made), (drawn, own)):
                 for name, motion in {**motions, SOLVER: item.motion_m}.items():
                     clips.setdefault(name, []).append(_Clips(kinds[take_id], unit, clips_of(motion, rate_hz)))
+        dealt = halves(strata, stream(shard.seed, "evaluation", "halves", split))
         for of, clips in (("all", predicted), (GENERATED, drawn)):
             if len(clips) > 1:
-                mixed = {name: [found[at] for at in order] for name, found in clips.items()}
-                scores += _compare(classifier, mixed, split=f"{split} test", item=of)
+                scores += _compare(classifier, clips, *dealt, split=f"{split} test", item=of)
         tested = {take_id for take_id, _ in chosen}
         seen = sorted(tested.intersection(take.facts["take_id"] for take in learned))
         notes.append(f"Split {split}: of {len(tested)} tested takes the classifier learned from {len(seen)}.")
@@ -133,15 +138,16 @@ class _Clips:
     clips: np.ndarray
 
 
-def _compare(classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], **of: str) -> list[Score]:
+def _compare(
+    classifier: ClipClassifier, clips: Mapping[str, Sequence[_Clips]], first: list[int], second: list[int], **of: str
+) -> list[Score]:
     """Score what models make of one half of the variants beside what the solver made of the other."""
     scores: list[Score] = []
-    half = len(clips[SOLVER]) // 2
-    real, real_units = _features(classifier, clips[SOLVER][half:])
+    real, real_units = _features(classifier, [clips[SOLVER][at] for at in second or first])
     for name, found in clips.items():
         more: dict[str, Any] = {"is_baseline": name in BASELINES, **of}
-        made, units = _features(classifier, found[: max(half, 1)])
-        if half and min(len(real), len(made)) > 1:
+        made, units = _features(classifier, [found[at] for at in first])
+        if second and min(len(real), len(made)) > 1:
             figures = distances(real, made)
             low, high = kernel_interval(real, made, real_units, units)
             kid = figures.pop("KID")
@@ -169,15 +175,15 @@ def _features(classifier: ClipClassifier, found: Sequence[_Clips]) -> tuple[np.n
 TOPIC = Topic(
     name="realism",
     heading="Models as distributions",
-    introduction="Test variants that a model predicts, beside others that the solver made, in 32 features of a "
-    "two-person ST-GCN that learned to tell real clips of takes apart, held-out ones aside (named below, with how "
-    "many of a split's test takes are among them). The method `solver` is chance: what the solver made of the same "
-    "variants. KID (times 1000, unbiased) comes first; FID of so few clips is mostly bias and means something only "
-    "beside that of the solver. Intervals of KID leave out variants, or takes where these are not learned from. "
-    "`generated` is of motions whose scales the models drew "
-    "themselves, one for each variant, beside trivial ways and the closed form at these scales and, as above, chance. "
-    "Density and coverage are about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the "
-    "share of predicted clips whose interaction is found.",
+    introduction="Test variants that a model predicts, beside others that the solver made, of the same takes where "
+    "there are several, in 32 features of a two-person ST-GCN that learned to tell real clips of takes apart, "
+    "held-out ones aside (named below, with how many of a split's test takes are among them). The method `solver` is "
+    "chance: what the solver made of the same variants. KID (times 1000, unbiased) comes first; FID of so few clips is "
+    "mostly bias and means something only beside that of the solver. Intervals of KID leave out variants, or takes "
+    "where these are not learned from. `generated` is of motions whose scales the models drew themselves, one for each "
+    "variant, beside trivial ways and the closed form at these scales and, as above, chance. Density and coverage are "
+    "about 1 for draws of the same distribution. Recognised, as table 6 of the paper: the share of predicted clips "
+    "whose interaction is found.",
     reads=("models", "poses", "variants", "variant_quality"),
     plan=_plan,
     run=_run,

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 37
+VERSION = 38
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -9,6 +9,7 @@ from pasdedeux.evaluation.distributions import (
     density_coverage,
     distances,
     frechet_distance,
+    halves,
     kernel_distance,
     kernel_interval,
 )
@@ -65,6 +66,16 @@ def test_the_interval_is_that_of_leaving_out_one_unit_after_the_other() -> None:
     middle = kernel_distance(one[0], other[0])
     found = kernel_interval(one[0], other[0], one[1], other[1])
     np.testing.assert_allclose(found, (middle - reach, middle + reach), rtol=1e-9)
+
+
+@given(strata=st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("123")), max_size=20), seed=st.integers(0, 9))
+def test_halves_are_made_up_alike(strata: list[tuple[str, str]], seed: int) -> None:
+    one, other = halves(strata, np.random.default_rng(seed))
+    assert sorted(one + other) == list(range(len(strata)))
+    assert 0 <= len(one) - len(other) <= 1
+    for part in {*strata, *((kind,) for kind, _ in strata)}:
+        count = [sum(strata[at][: len(part)] == part for at in half) for half in (one, other)]
+        assert abs(count[0] - count[1]) <= 1
 
 
 @settings(max_examples=20, deadline=None)

@@ -50,6 +50,7 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.max_invalid_angles": "one value serves every stage now: it is called physical_prior.max_invalid_angles",
     "chains.length_tolerance": "one value serves every stage now: it is called physical_prior.length_tolerance",
     "evaluation.has_unseen_view_sweeps": "noise and missing joints are scored at one level each: leave it out",
+    "evaluation.num_crowd_views": "the topic detector scores who is taken for whom: leave it out",
     "evaluation.has_left_out_clips": "the held-out takes say what it said: leave it out",
     **dict.fromkeys(
         (

@@ -24,7 +24,7 @@ from tasks.evaluation import (
     takes,
     views,
 )
-from tasks.evaluation.experiments import density, people, unseen_views
+from tasks.evaluation.experiments import density, unseen_views
 from tasks.evaluation.topic import STAGE_NAME, VERSION, Topic, commit_topic
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
@@ -42,7 +42,6 @@ TOPICS: tuple[Topic, ...] = (
     reconstruction.TOPIC,
     detector.TOPIC,
     unseen_views.PARALLEL_VIEWS,
-    people.TOPIC,
     augmentation.TOPIC,
     models.TOPIC,
     realism.TOPIC,

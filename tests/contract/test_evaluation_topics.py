@@ -37,7 +37,6 @@ EVERYTHING = {
     "clip_seconds": 0.3,
     "num_judged_pairs": 3,
     "unseen_views_deg": (0.0,),
-    "num_crowd_views": 1,
     "num_realism_variants": 4,
     "num_downstream_seeds": 1,
     "classifier": {"num_steps": 1, "clips_per_step": 2},

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.experiments.detections import film, people_of
-from pasdedeux.experiments.detector_faults import KINDS, Faulty, JointCounts, count_joints, inject
 from pasdedeux.people.faults import RepairedCrowd, repair_faults
 from pasdedeux.skeletons import OP14
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
+from tests.builders.filmed_people import KINDS, Faulty, JointCounts, count_joints, film, inject, people_of
 
 MIN_RECALL = {"stolen": 0.6, "merged": 0.6}
 """Places that are the partner's cannot be told where the partner's limb is nearly there."""

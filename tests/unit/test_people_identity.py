@@ -10,10 +10,10 @@ import pytest
 from pydantic import ValidationError
 
 from pasdedeux.errors import InputError
-from pasdedeux.experiments.detections import Detections, film
 from pasdedeux.people.identity import FollowedRows, IdentityOptions, body_size_px, follow_people, identity_switches
 from pasdedeux.people.identity_kernels import match_costs, predict_joints, update_joints
 from tests.builders.crowds import SALSA_TAKES, duet_couple, salsa_couple
+from tests.builders.filmed_people import Detections, film
 from tests.builders.walkers import walk
 
 

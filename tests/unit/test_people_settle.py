@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from pasdedeux.errors import InputError
-from pasdedeux.experiments.detections import Detections, film
 from pasdedeux.formats.annotated_frames import AnnotatedFrames
 from pasdedeux.people.pairs import PairSettings, choose_pairs
 from pasdedeux.people.settle import PeopleSettings, SettledPeople, settle_people
 from pasdedeux.skeletons import OP14
 from pasdedeux.skeletons.layouts import KEYPOINT_LAYOUTS
 from tests.builders.crowds import duet_couple
+from tests.builders.filmed_people import Detections, film
 from tests.builders.walkers import walk
 
 

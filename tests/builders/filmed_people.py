@@ -1,4 +1,4 @@
-"""Detector faults put into clean keypoints, and how well a repair finds them."""
+"""People on virtual video as a detector lists them, with who each row really is, and faults of detectors put in."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import astuple, dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.cameras.virtual_video import PERSON_HEIGHT_M, annotate, look_at_camera, sample_views
 from pasdedeux.people.faults import RepairedCrowd
 from pasdedeux.people.identity import body_size_px
+from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.skeletons import OP14
 
-__all__ = ["KINDS", "Faulty", "JointCounts", "count_joints", "inject"]
+__all__ = ["KINDS", "Detections", "Faulty", "JointCounts", "count_joints", "film", "inject", "people_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -24,6 +26,77 @@ _ARMS, _LEGS = np.array(OP14.arms).ravel(), np.array(OP14.legs).ravel()
 _LIMBS = [np.array(limb[1:]) for side in zip(OP14.arms, OP14.legs, strict=True) for limb in side]
 _VISIBLE = 0.06
 """A fault that moves a joint by less than this share of the body's height cannot be seen, and does no harm."""
+_PERSON_SHARE = 600.0 / 1080.0
+"""Part of the image's height that a person takes."""
+
+_DISTANCE_M = 4.0
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Rows of a video with the person each really is.
+
+    Args:
+        frame: (row,).
+        true_id: (row,).
+        keypoints_px: (row, 14, 2), y down.
+        confidence: (row, 14).
+        rate_hz: Frames per second.
+    """
+
+    frame: npt.NDArray[np.int64]
+    true_id: npt.NDArray[np.int64]
+    keypoints_px: Array
+    confidence: Array
+    rate_hz: float
+
+    def rows(self, chosen: npt.NDArray[np.int64] | npt.NDArray[np.bool_]) -> Detections:
+        """Return some of the rows."""
+        return Detections(
+            self.frame[chosen], self.true_id[chosen], self.keypoints_px[chosen], self.confidence[chosen], self.rate_hz
+        )
+
+
+def film(
+    rng: np.random.Generator,
+    couple: Array,
+    *,
+    rate_hz: float = 30.0,
+    noise_px: float = 0.0,
+    lines: int = 1080,
+    yaw_rad: float | None = None,
+) -> Detections:
+    """Film people (frame, person, 14, 3) from a random view 4 m away, people in random order in every frame.
+
+    A person is about 600 of 1080 lines tall, and the noise is in pixels of that image.
+    """
+    angles = sample_views(rng, 1)
+    camera = look_at_camera(
+        mid_hip(couple).mean(axis=(0, 1)),
+        distance_m=_DISTANCE_M,
+        yaw_rad=float(angles.yaw_rad[0]) if yaw_rad is None else yaw_rad,
+        pitch_rad=float(angles.pitch_rad[0]),
+        focal_px=_PERSON_SHARE * lines * _DISTANCE_M / PERSON_HEIGHT_M,
+        image_size_px=(lines * 16 // 9, lines),
+    )
+    frames, people = couple.shape[:2]
+    seen = annotate(rng, camera.project(couple).px, noise_px=noise_px)
+    order = np.argsort(rng.random((frames, people)), axis=1)
+    at = np.arange(frames)[:, None]
+    return Detections(
+        frame=np.repeat(np.arange(frames), people),
+        true_id=order.reshape(-1),
+        keypoints_px=seen.px[at, order].reshape(-1, 14, 2),
+        confidence=seen.confidence[at, order].reshape(-1, 14),
+        rate_hz=rate_hz,
+    )
+
+
+def people_of(seen: Detections) -> tuple[Array, Array]:
+    """Return keypoints (person, frame, 14, 2) and confidences in true order."""
+    order = np.lexsort([seen.frame, seen.true_id])
+    people = int(seen.true_id.max()) + 1
+    return seen.keypoints_px[order].reshape(people, -1, 14, 2), seen.confidence[order].reshape(people, -1, 14)
 
 
 @dataclass(frozen=True)

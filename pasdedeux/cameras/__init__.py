@@ -24,12 +24,10 @@ from pasdedeux.cameras.torso_proportions import proportions_torso_basis
 from pasdedeux.cameras.view_density import VIEW_DEVIATION_RAD, ViewDensity
 from pasdedeux.cameras.views import (
     DEPTH_RULES,
-    ViewAccuracy,
     ViewEstimates,
     ViewOptions,
     estimate_views,
     pair_in_metres,
-    view_accuracy,
 )
 from pasdedeux.cameras.virtual_video import (
     Annotated,
@@ -54,7 +52,6 @@ __all__ = [
     "PinholeCamera",
     "Projection",
     "TorsoBasis",
-    "ViewAccuracy",
     "ViewAngles",
     "ViewDensity",
     "ViewDistribution",
@@ -78,6 +75,5 @@ __all__ = [
     "proportions_torso_basis",
     "sample_views",
     "true_direction",
-    "view_accuracy",
     "view_rotmat",
 ]

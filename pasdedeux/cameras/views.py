@@ -24,20 +24,17 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pasdedeux.cameras.frames import angle_between_directions, angles_of_direction, local_frame
+from pasdedeux.cameras.frames import angles_of_direction, local_frame
 from pasdedeux.cameras.orthographic import metres_from_pixels
 from pasdedeux.cameras.torso import TORSO_INDICES, LiftedTorsos, TorsoBasis, lift_torsos
-from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.settings import Settings
 
 __all__ = [
     "DEPTH_RULES",
-    "ViewAccuracy",
     "ViewEstimates",
     "ViewOptions",
     "estimate_views",
     "pair_in_metres",
-    "view_accuracy",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -121,19 +118,6 @@ class ViewEstimates:
     def angles(self) -> tuple[Array, Array]:
         """Return (psi, phi) of every hypothesis, lift eq. 4, radians."""
         return angles_of_direction(self.direction)
-
-
-@dataclass(frozen=True)
-class ViewAccuracy:
-    """Angles in radians between estimated and true views, one per annotation that has an estimate, (m,).
-
-    `best` is the likeliest hypothesis, `nearest` the best of all hypotheses (what weighing could reach at most), and
-    `baseline` the mean of the true views, given for everything: an estimate worse than that is worth nothing.
-    """
-
-    best_rad: Array
-    nearest_rad: Array
-    baseline_rad: Array
 
 
 def estimate_views(
@@ -224,22 +208,6 @@ def pair_in_metres(pair17_px: Array, metres_per_pixel: Array) -> Array:
     between = (anchor[..., 1, :] - anchor[..., 0, :]) * np.array([1.0, -1.0]) * scale.mean(axis=-1)[..., None]
     place = between[..., None, :] * np.array([[-0.5], [0.5]])
     return np.asarray(own + place[..., None, :])
-
-
-def view_accuracy(estimates: ViewEstimates, true_directions: Array) -> ViewAccuracy:
-    """Compare estimates with the true views (n, 3) of the same annotations, as `frames.true_direction` gives them."""
-    truth = normalise(np.asarray(true_directions, dtype=np.float64))
-    error = angle_between_directions(estimates.direction, truth[estimates.annotation])
-    nearest = np.full(len(truth), np.inf)
-    np.minimum.at(nearest, estimates.annotation, error)
-    best = estimates.best()
-    shown = estimates.annotation[best]
-    mean = normalise(truth.mean(axis=0)) if len(truth) else np.zeros(3)
-    return ViewAccuracy(
-        best_rad=error[best],
-        nearest_rad=nearest[shown],
-        baseline_rad=angle_between_directions(np.broadcast_to(mean, (len(shown), 3)), truth[shown]),
-    )
 
 
 @dataclass(frozen=True)

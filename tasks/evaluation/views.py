@@ -6,23 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pasdedeux.cameras import PinholeCamera, true_direction
+from pasdedeux.cameras import true_direction
 from pasdedeux.evaluation.figures import view_figure
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.evaluation.views import view_robustness, view_scores
+from pasdedeux.evaluation.views import view_scores
 from storage_schema import Store, TableData
 from tasks.annotated_pairs import PLACE_COLUMNS, place_of
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
-from tasks.stage import Parameters, Shard, StageInputs, stream
-from tasks.torso_bases import read_torso_basis, shares_takes
-from tasks.views import ViewsParameters
+from tasks.stage import Parameters, Shard, StageInputs
 
 __all__ = ["TOPIC"]
-
-_NUM_PROBED = 300
-"""Annotated pairs whose views are estimated again under other noise and occlusion, at most."""
 
 
 def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
@@ -32,10 +27,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
         return []
     known = {ref.key for manifest in estimated for ref in manifest.inputs}
     annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in known]
-    bases = [basis for basis in inputs.of("torso_basis") if not any(shares_takes(one, basis) for one in annotations)]
-    return [
-        TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"), bases=bases)
-    ]
+    return [TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"))]
 
 
 def _run(shard: Shard, store: Store) -> TopicResult:
@@ -47,7 +39,6 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     annotation_facts = [store.manifest(ref).facts for ref in annotated]
     held_out = {take for facts in annotation_facts if facts["is_held_out"] for take in facts["takes"]}
     scores: list[Score] = []
-    known: list[tuple[str, np.ndarray]] = []
     for split in ("annotated", "held_out"):
         rows = [
             (table, start, stop, truth[1])
@@ -60,9 +51,6 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             estimated, weight = _hypotheses(rows)
             true = np.stack([true_direction(pair, cameras[t["sequence_id"][start]]) for t, start, _, pair in rows])
             scores += view_scores(estimated, weight, true, split=split)
-            known += [(str(table["sequence_id"][start]), pair) for table, start, _, pair in rows]
-    if known:
-        scores += _robustness(shard, store, known, cameras)
     psi, phi, weights = (np.concatenate([table[name] for table in views]) for name in ("psi_rad", "phi_rad", "weight"))
     picture = view_figure(psi, phi, weights, title="estimated views (size: weight of the hypothesis)")
     skipped = [note for ref in shard.refs("views") for note in store.manifest(ref).facts.get("skipped", [])]
@@ -74,27 +62,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             "by level with the pair (1.6) to straight below (3.1). Each dot is a guess, larger where it is likelier "
             "(Yin et al. 2018, fig. 4b). Better: a few tight clusters for each camera, not a haze."
         },
-        notes=[*skipped, *([] if known else ["No true camera is known here, so views have no error."])],
+        notes=[*skipped, *([] if scores else ["No true camera is known here, so views have no error."])],
     )
-
-
-def _robustness(
-    shard: Shard,
-    store: Store,
-    known: Sequence[tuple[str, np.ndarray]],
-    cameras: dict[str, PinholeCamera],
-) -> list[Score]:
-    """Estimate the views of some annotated pairs again, from exact images with noise and occlusion of our own."""
-    generator = stream(shard.seed, TOPIC.name, "robustness")
-    chosen = [known[at] for at in np.sort(generator.permutation(len(known))[:_NUM_PROBED])]
-    pairs = np.stack([pair for _, pair in chosen])
-    images = np.stack([cameras[name].project(pair).px for (name, _), pair in zip(chosen, pairs, strict=True)])
-    truth = np.stack([true_direction(pair, cameras[name]) for (name, _), pair in zip(chosen, pairs, strict=True)])
-    camera_index = np.unique([name for name, _ in chosen], return_inverse=True)[1]
-    settings = store.manifest(shard.refs("views")[0]).parameters
-    options = ViewsParameters.model_validate(settings, strict=False)
-    basis = read_torso_basis(store, shard.all_inputs)
-    return view_robustness(generator, images, truth, camera_index, basis, options)
 
 
 def _annotations(table: TableData) -> list[tuple[int, int]]:
@@ -121,7 +90,7 @@ TOPIC = Topic(
     heading="Views",
     introduction="From which direction each image was taken, guessed from the people in it. Where the camera is known, "
     "as of virtual video, guesses are compared with it; the trivial way says the same direction for every image.",
-    reads=("views", "annotations", "cameras", "poses", "torso_basis"),
+    reads=("views", "annotations", "cameras", "poses"),
     plan=_plan,
     run=_run,
     metrics=("view_error_*",),

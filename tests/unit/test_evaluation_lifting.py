@@ -1,4 +1,4 @@
-"""Scores of lifted pairs, completed joints, in-betweens, and of views under noise."""
+"""Scores of lifted pairs, completed joints and in-betweens."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
-from pasdedeux.cameras import ViewOptions, project_pair
+from pasdedeux.cameras import project_pair
 from pasdedeux.completion.draw_index import DrawIndex
 from pasdedeux.completion.retrieval import nearest_by_image, nearest_images
 from pasdedeux.evaluation.lifted_pairs import (
@@ -24,9 +24,7 @@ from pasdedeux.evaluation.lifted_pairs import (
     nearest_figure,
 )
 from pasdedeux.evaluation.scores import Score
-from pasdedeux.evaluation.views import CONDITIONS, view_robustness
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
-from tests.builders.poses import BASIS, dancers, filmed
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 
@@ -79,18 +77,6 @@ def test_in_betweens_are_scored_beside_the_straight_line() -> None:
     scores = in_between_scores([span], PAIRS, split="learned", item="4 frames")
     assert value(scores, "in_between_error_mean", "straight") == pytest.approx(0.0, abs=1e-12)
     assert {score.method for score in scores} == {"draws", "straight"}
-
-
-def test_views_are_worse_with_noise() -> None:
-    px, truth = filmed(dancers(0, 60), 1)
-    scores = view_robustness(np.random.default_rng(0), px, truth, np.arange(60), BASIS, ViewOptions())
-    assert len({score.item for score in scores}) == len(CONDITIONS)
-    medians = {
-        score.item: score.value
-        for score in scores
-        if (score.metric, score.method) == ("view_error_median", "heaviest_hypothesis")
-    }
-    assert medians["noise 0 px, 0% hidden"] < medians["noise 7 px, 0% hidden"]
 
 
 def test_lifted_pairs_are_shown_beside_their_truth_one_example_after_another() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -10,6 +12,7 @@ from pasdedeux.cameras import (
     DEPTH_RULES,
     TORSO_INDICES,
     ViewDensity,
+    ViewEstimates,
     ViewOptions,
     angle_between_directions,
     estimate_views,
@@ -17,12 +20,40 @@ from pasdedeux.cameras import (
     metres_from_pixels,
     pair_in_metres,
     true_direction,
-    view_accuracy,
 )
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.skeletons import PAIR17
 from tests.builders.poses import BASIS, dancers, direction_of_angles, filmed, standing
+
+
+@dataclass(frozen=True)
+class ViewAccuracy:
+    """Angles in radians between estimated and true views, one per annotation that has an estimate, (m,).
+
+    `best` is the likeliest hypothesis, `nearest` the best of all hypotheses (what weighing could reach at most), and
+    `baseline` the mean of the true views, given for everything: an estimate worse than that is worth nothing.
+    """
+
+    best_rad: np.ndarray
+    nearest_rad: np.ndarray
+    baseline_rad: np.ndarray
+
+
+def view_accuracy(estimates: ViewEstimates, true_directions: np.ndarray) -> ViewAccuracy:
+    """Compare estimates with the true views (n, 3) of the same annotations, as `frames.true_direction` gives them."""
+    truth = normalise(np.asarray(true_directions, dtype=np.float64))
+    error = angle_between_directions(estimates.direction, truth[estimates.annotation])
+    nearest = np.full(len(truth), np.inf)
+    np.minimum.at(nearest, estimates.annotation, error)
+    best = estimates.best()
+    shown = estimates.annotation[best]
+    mean = normalise(truth.mean(axis=0)) if len(truth) else np.zeros(3)
+    return ViewAccuracy(
+        best_rad=error[best],
+        nearest_rad=nearest[shown],
+        baseline_rad=angle_between_directions(np.broadcast_to(mean, (len(shown), 3)), truth[shown]),
+    )
 
 
 def test_views_of_filmed_pairs_are_found_and_apparent_size_is_what_finds_them() -> None:

@@ -23,11 +23,11 @@ def window(time_s: Array, start_s: float, full_s: float, fade_s: float, stop_s: 
     return blend(time_s, start_s, full_s) - blend(time_s, fade_s, stop_s)
 
 
-def bump(fraction: Array, *, rise: int = 3, fall: int = 3) -> Array:
-    """Go from 0 at 0 over 1 at rise / (rise + fall) back to 0 at 1: x^rise (1-x)^fall, scaled; 0 outside."""
+def bump(fraction: Array, *, fall: int = 3) -> Array:
+    """Go from 0 at 0 over 1 at 3 / (3 + fall) back to 0 at 1: x^3 (1-x)^fall, scaled; 0 outside."""
     x = np.clip(fraction, 0.0, 1.0)
-    peak = rise / (rise + fall)
-    return np.asarray(x**rise * (1.0 - x) ** fall / (peak**rise * (1.0 - peak) ** fall))
+    peak = 3 / (3 + fall)
+    return np.asarray(x**3 * (1.0 - x) ** fall / (peak**3 * (1.0 - peak) ** fall))
 
 
 def mix(first: Array, second: Array, weight: Array) -> Array:

@@ -129,9 +129,7 @@ class Figure:
         parts = [np.broadcast_to(np.asarray(part, dtype=np.float64), (frames,)) for part in (left, up, forward)]
         return rotate(self.unitquat[:, BODY22.index("spine3")], np.stack(parts, axis=-1))
 
-    def reach_hand(
-        self, side: str, target_m: Array, elbow_pole: Array, *, palm: Array | None = None, girdle: float = 1.0
-    ) -> None:
+    def reach_hand(self, side: str, target_m: Array, elbow_pole: Array, *, palm: Array | None = None) -> None:
         """Bring a wrist to its target (frame, 3).
 
         Args:
@@ -139,7 +137,6 @@ class Figure:
             target_m: Wanted wrist (frame, 3).
             elbow_pole: Where the elbow points (frame, 3), world.
             palm: Where the palm looks (frame, 3), world; the forearm turns towards it, at most 85 degrees either way.
-            girdle: Share of the usual movement of the shoulder girdle.
         """
         sign = 1.0 if side == "left" else -1.0
         chest, collar, shoulder, elbow, wrist = BODY22.indices(
@@ -150,8 +147,8 @@ class Figure:
         self._follow(shoulder, self.unitquat[:, chest])
         inward = rotate(conjugate(self.unitquat[:, chest]), target_m - self.positions_m[:, shoulder]) / (upper + lower)
         inward = inward / np.sqrt(1.0 + np.sum(inward**2, axis=-1, keepdims=True)) * np.sqrt(2.0)
-        lift = sign * girdle * _ELEVATION * (1.0 + inward[:, 1])
-        forward = -sign * girdle * _PROTRACTION * inward[:, 2]
+        lift = sign * _ELEVATION * (1.0 + inward[:, 1])
+        forward = -sign * _PROTRACTION * inward[:, 2]
         local = unitquat_from_rotvec(np.stack([0.0 * lift, forward, lift], axis=-1))
         self._follow(collar, multiply(self.unitquat[:, chest], local))
         self._follow(shoulder, self.unitquat[:, collar])

@@ -20,6 +20,10 @@ Array = npt.NDArray[np.float64]
 
 _PEEL = 0.22
 """Share of a swing during which the heel rises over the ball of the foot that still stands."""
+_CLEARANCE = 0.018
+"""Height of the arc of a step, fraction of body height."""
+_STANDING_GAP, _PASSING_GAP = 0.085, 0.062
+"""Least distance of the ankles where a foot lands, and when one passes the other, fractions of body height."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +57,7 @@ class FootPath:
     plants: tuple[Plant, ...]
 
 
-def walk_foot(
-    time_s: Array, body: Body, plants: Sequence[Plant], *, clearance: float = 0.018, heel: float = 1.0
-) -> FootPath:
+def walk_foot(time_s: Array, body: Body, plants: Sequence[Plant], *, heel: float = 1.0) -> FootPath:
     """Walk a foot from plant to plant.
 
     Between plants the heel rises over the standing ball of the foot, which then swings over in an arc.
@@ -64,7 +66,6 @@ def walk_foot(
         time_s: Times (frame,).
         body: Whose foot.
         plants: Plants in order of time, at least one; the first holds before, the last after.
-        clearance: Height of the arc of a step, fraction of body height.
         heel: How much the heel rises, 1 for a plain walk.
     """
     ankle_to_toe = body.rest_offsets_m[BODY22.index("left_toe")]  # the right one is the same
@@ -80,7 +81,7 @@ def walk_foot(
         length = float(np.linalg.norm(stop - start)) / body.height_m
         forward = float((stop - start) @ [np.sin(before.yaw_rad), 0.0, np.cos(before.yaw_rad)]) / body.height_m
         position += weight[:, None] * (stop - start)
-        position[:, 1] += clearance * body.height_m * min(1.0, 0.5 + length) * bump(flight)
+        position[:, 1] += _CLEARANCE * body.height_m * min(1.0, 0.5 + length) * bump(flight)
         along = (stop - start) / max(float(np.linalg.norm(stop - start)), 1e-9)
         position += (after.bow_m * bump(weight))[:, None] * np.array([along[2], 0.0, -along[0]])
         yaw += weight * (after.yaw_rad - before.yaw_rad)
@@ -111,16 +112,13 @@ def _ball(plant: Plant, ankle_to_toe: Array) -> Array:
     return np.array([plant.x_m + forward * np.sin(plant.yaw_rad), 0.0, plant.z_m + forward * np.cos(plant.yaw_rad)])
 
 
-def spread_feet(
-    body: Body, left: Sequence[Plant], right: Sequence[Plant], *, gap: float = 0.085
-) -> tuple[list[Plant], list[Plant]]:
+def spread_feet(body: Body, left: Sequence[Plant], right: Sequence[Plant]) -> tuple[list[Plant], list[Plant]]:
     """Move plants outward where a foot would land too near the one that stands, each looked at against the one before.
 
     Args:
         body: Whose feet.
         left: Plants of the left foot.
         right: Plants of the right foot.
-        gap: Least distance of the ankles, fraction of body height.
     """
     plants = sorted([(p, 1.0) for p in left] + [(p, -1.0) for p in right], key=lambda item: item[0].land_s)
     moved = plants[:1]
@@ -131,26 +129,25 @@ def spread_feet(
         outward = sign * np.array([np.cos(yaw), -np.sin(yaw)])
         aside = float(away @ outward)
         ahead = float(np.sqrt(max(float(away @ away) - aside**2, 0.0)))
-        wanted = float(np.sqrt(max((gap * body.height_m) ** 2 - ahead**2, 0.0)))
+        wanted = float(np.sqrt(max((_STANDING_GAP * body.height_m) ** 2 - ahead**2, 0.0)))
         shift = max(0.0, wanted - aside) * outward
         moved.append((replace(plant, x_m=plant.x_m + float(shift[0]), z_m=plant.z_m + float(shift[1])), sign))
     return [p for p, sign in moved if sign > 0], [p for p, sign in moved if sign < 0]
 
 
-def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant], *, gap: float = 0.062) -> list[Plant]:
+def clear_other_foot(body: Body, plants: Sequence[Plant], other: Sequence[Plant]) -> list[Plant]:
     """Bow swings sideways, away from the foot that stands meanwhile, so that the feet do not touch.
 
     Args:
         body: Whose feet.
         plants: Plants of one foot.
         other: Plants of the other foot.
-        gap: Wanted distance of the feet when one passes the other, fraction of body height.
     """
     result = [plants[0]]
     for before, after in pairwise(plants):
         middle_s = 0.5 * (before.lift_s + after.land_s)
         standing = [plant for plant in other if plant.land_s <= middle_s <= plant.lift_s]
-        bow = _bow(before, after, standing[0], gap * body.height_m) if standing else 0.0
+        bow = _bow(before, after, standing[0], _PASSING_GAP * body.height_m) if standing else 0.0
         result.append(replace(after, bow_m=bow))
     return result
 

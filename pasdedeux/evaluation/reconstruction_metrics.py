@@ -15,6 +15,11 @@ __all__ = ["foot_slide_m", "jitter_m", "root_centred_error_m", "root_removed_err
 
 Array = npt.NDArray[np.float64]
 
+_STANDING_M = 0.05
+"""How far over its lowest place in the truth an ankle still counts as standing."""
+_STILL_M_S = 0.2
+"""How fast a standing ankle may be in the truth."""
+
 
 def _centred(positions_m: Array) -> Array:
     if positions_m.shape[-2:] != (OP14.num_joints, 3):
@@ -60,15 +65,7 @@ def jitter_m(positions_m: Array) -> float:
     return float(np.linalg.norm(second, axis=-1).mean())
 
 
-def foot_slide_m(
-    found_m: Array,
-    true_m: Array,
-    *,
-    rate_hz: float,
-    up_axis: int = 1,
-    height_m: float = 0.05,
-    speed_m_s: float = 0.2,
-) -> float:
+def foot_slide_m(found_m: Array, true_m: Array, *, rate_hz: float) -> float:
     """Return the mean horizontal way per frame of the ankles while they stand in the truth; 0 where they never do.
 
     The truth says when, so that all methods are judged in the same frames: a motion that wobbles or sinks would
@@ -78,16 +75,13 @@ def foot_slide_m(
         found_m: op14 positions (frame, 14, 3), upright axes, with the root's motion; NaN frames say nothing.
         true_m: The true ones.
         rate_hz: Frames per second.
-        up_axis: Axis that points up.
-        height_m: How far over its lowest place in the truth an ankle still counts as standing.
-        speed_m_s: How fast a standing ankle may be in the truth.
     """
     ankles = OP14.indices(["left_ankle", "right_ankle"])
     found, true = found_m[:, ankles], true_m[:, ankles]
     if len(true) < 2:
         return 0.0
-    is_low = true[..., up_axis] < true[..., up_axis].min(axis=0) + height_m
-    is_still = np.linalg.norm(np.diff(true, axis=0), axis=-1) * rate_hz < speed_m_s
-    way = np.linalg.norm(np.delete(np.diff(found, axis=0), up_axis, axis=-1), axis=-1)
+    is_low = true[..., 1] < true[..., 1].min(axis=0) + _STANDING_M
+    is_still = np.linalg.norm(np.diff(true, axis=0), axis=-1) * rate_hz < _STILL_M_S
+    way = np.linalg.norm(np.diff(found, axis=0)[..., [0, 2]], axis=-1)
     stands = is_low[1:] & is_low[:-1] & is_still & np.isfinite(way)
     return float(way[stands].mean()) if stands.any() else 0.0

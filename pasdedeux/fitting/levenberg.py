@@ -28,15 +28,19 @@ _SMALLEST_CURVATURE = 1e-9
 """Added to the diagonal so that a bone of length zero, which moves nothing, has a step of zero."""
 
 
+_FIRST_DAMPING = 1e-4
+"""As a share of the diagonal."""
+_LARGEST_DAMPING = 1e8
+"""Beyond this a fit gives up, with what it has."""
+
+
 @dataclass(frozen=True)
 class FitSettings:
-    """When to stop and how to damp.
+    """When to stop.
 
     Args:
         max_iterations: Most accepted or refused steps.
         tolerance: Stops when a step lowers the energy by less than this share.
-        damping: First damping, as a share of the diagonal.
-        largest_damping: Gives up (with what it has) beyond this damping.
 
     Raises:
         InputError: A value that is not allowed.
@@ -44,13 +48,11 @@ class FitSettings:
 
     max_iterations: int = 30
     tolerance: float = 1e-6
-    damping: float = 1e-4
-    largest_damping: float = 1e8
 
     def __post_init__(self) -> None:
         """Check the settings."""
-        if self.max_iterations < 0 or not self.tolerance >= 0 or not 0 < self.damping <= self.largest_damping:
-            raise InputError(f"fit settings {self}: allowed are iterations and tolerance from 0, damping above 0")
+        if self.max_iterations < 0 or not self.tolerance >= 0:
+            raise InputError(f"fit settings {self}: allowed are iterations and tolerance from 0")
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def fit_bones(
     carried = _carry(forest, constant)
     del constant
     energies = [energy]
-    damping, is_converged, iteration = settings.damping, False, 0
+    damping, is_converged, iteration = _FIRST_DAMPING, False, 0
     is_fresh = False
     while iteration < settings.max_iterations and not is_converged:
         if not is_fresh:
@@ -127,7 +129,7 @@ def fit_bones(
             damping, is_fresh = max(damping * 0.1, 1e-12), False
         else:
             damping *= 10.0
-            is_converged = damping > settings.largest_damping
+            is_converged = damping > _LARGEST_DAMPING
     return FitResult(
         positions_m=positions,
         state=state,

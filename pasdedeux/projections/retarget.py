@@ -121,15 +121,10 @@ def body_heading(positions: Array) -> Array:
     return np.where(has_heading, np.arctan2(-across[..., 2], across[..., 0]), 0.0)
 
 
-def centre_and_face(positions: Array, *, is_heading_removed: bool = True) -> CentredPoses:
-    """Take mid-hip and heading away from op14 positions (*batch, 14, 3).
-
-    With `is_heading_removed` False only the place is taken away, and the heading given back is 0.
-    """
+def centre_and_face(positions: Array) -> CentredPoses:
+    """Take mid-hip and heading away from op14 positions (*batch, 14, 3)."""
     root = mid_hip(positions)
     centred = positions - root[..., None, :]
-    if not is_heading_removed:
-        return CentredPoses(centred, np.zeros(positions.shape[:-2]), root)
     heading = body_heading(positions)
     turned = np.einsum("...ij,...nj->...ni", yaw_rotmat(-heading), centred)
     return CentredPoses(np.asarray(turned), heading, root)

@@ -43,6 +43,10 @@ _CELL_SIZE = 1_000_000
 _SAMPLE = 50_000
 """Projections that the cells are laid out by."""
 
+_RECALL_QUERIES = 100
+_RECALL_NOISE_M = 0.03
+"""Standard deviation of the noise of each coordinate."""
+
 Floats32 = npt.NDArray[np.float32]
 Integers = npt.NDArray[np.int64]
 
@@ -211,16 +215,8 @@ def recall(found: Neighbours, exact: Neighbours, *, num_best: int = 1) -> float:
     return float(np.mean(hits)) if hits else float("nan")
 
 
-def measure_recall(
-    database: Database,
-    index: ProjectionIndex,
-    rng: np.random.Generator,
-    *,
-    num_queries: int = 100,
-    num_best: int = 50,
-    noise_m: float = 0.03,
-) -> float:
-    """Return the share of the `num_best` nearest that an index finds, against its own trees searched exactly.
+def measure_recall(database: Database, index: ProjectionIndex, rng: np.random.Generator) -> float:
+    """Return the share of the 50 nearest that an index finds, against its own trees searched exactly.
 
     Queries are projections of the database between its yaw steps with noise on every joint: about as far from their
     nearest projections as images of motion that the database does not hold.
@@ -229,13 +225,9 @@ def measure_recall(
         database: Database of the index.
         index: Index, with its slack.
         rng: Draws queries and noise.
-        num_queries: Queries.
-        num_best: Nearest counted.
-        noise_m: Standard deviation of the noise of each coordinate, metres.
     """
-    rows = rng.integers(0, database.num_rows, num_queries)
-    yaw = rng.uniform(0.0, database.num_yaws, num_queries)
+    rows = rng.integers(0, database.num_rows, _RECALL_QUERIES)
+    yaw = rng.uniform(0.0, database.num_yaws, _RECALL_QUERIES)
     query = np.array(database.camera.project(database.turned(rows, yaw)), dtype=np.float64)
-    query += rng.normal(0.0, noise_m, query.shape)
-    found = index.search(query, num_neighbours=num_best)
-    return recall(found, index.with_slack(0.0).search(query, num_neighbours=num_best), num_best=num_best)
+    query += rng.normal(0.0, _RECALL_NOISE_M, query.shape)
+    return recall(index.search(query), index.with_slack(0.0).search(query), num_best=50)

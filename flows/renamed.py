@@ -60,7 +60,7 @@ RENAMED_KEYS: dict[str, str] = {
             "ingest.virtual_video.pitch_range_deg",
             "priors.max_frames_per_take",
             "projections.*_cluster_change",
-            "projections.num_cluster_dimensions",
+            "projections.num_cluster*",
             "seeds.max_annotations",
             "seeds.max_frames_per_take",
             "views.contact_distance_m",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 __all__ = ["RENAMED_COLUMNS", "RENAMED_TABLES"]
 
-RENAMED_TABLES: dict[str, str] = {}
+RENAMED_TABLES: dict[str, str] = {
+    "codebook": "clusters of the published search are no longer kept: the topic parallel_views makes them",
+}
 """Old table to one sentence with the new name or what became of it."""
 
 RENAMED_COLUMNS: dict[str, str] = {

@@ -1,7 +1,4 @@
-"""Stage `projections`: the poses of a projection database, from takes, and from draws and variants when asked.
-
-For comparison also the codebook of the published search, when asked: clusters of all projections of the takes.
-"""
+"""Stage `projections`: the poses of a projection database, from takes, and from draws and variants when asked."""
 
 from __future__ import annotations
 
@@ -14,11 +11,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pasdedeux.errors import InputError
-from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.kinematics import Motion
 from pasdedeux.kinematics.rotations import multiply, normalise, unitquat_from_rotmat, yaw_rotmat
 from pasdedeux.projections.camera import DatabaseCamera, cameras_of
-from pasdedeux.projections.database import Database
 from pasdedeux.projections.pairs import centre_pairs
 from pasdedeux.projections.retarget import centre_and_face, retarget_proportions
 from pasdedeux.projections.sources import op14_from_working, resample_positions
@@ -27,7 +22,7 @@ from pasdedeux.reconstruction.bones import bone_rotations
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs, stream
+from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 
 __all__ = ["STAGE", "VERSION", "ProjectionsParameters", "ViewsOfPoses", "plan", "read_pairs", "read_views", "run_shard"]
 
@@ -88,13 +83,6 @@ class ProjectionsParameters(Parameters):
         "(--worker-memory 4)",
     )
     densities: tuple[str, ...] = Field(("ic",), description="Densities whose draws enter")
-    num_clusters: int = Field(
-        0,
-        ge=0,
-        le=100_000,
-        description="Clusters of the published search (level orthographic camera, takes only), for comparison with the "
-        "exact one; 0 for none, the paper has 500",
-    )
 
     @model_validator(mode="after")
     def _check_views(self) -> Self:
@@ -125,14 +113,6 @@ class PoseShard(Parameters):
     rate_hz: float
     views: ViewsOfPoses
     source_rate_hz: float | None = None
-
-
-class CodebookShard(Parameters):
-    """What the shard of the published search's clusters is told."""
-
-    rate_hz: float
-    num_yaws: int
-    num_clusters: int
 
 
 def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
@@ -168,27 +148,12 @@ def plan(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
                     seed=inputs.seed,
                 )
             )
-    taken = [shard for shard in shards if shard.options(PoseShard).origin == "take"]
-    if parameters.num_clusters and taken:
-        shards.append(
-            Shard(
-                stage="projections",
-                version=VERSION,
-                partition="codebook",
-                name="codebook",
-                parameters=parameters.part(CodebookShard, num_yaws=parameters.num_yaws),
-                after=tuple(shard.key for shard in taken),
-                seed=inputs.seed,
-            )
-        )
     return shards
 
 
 def _plan_early(inputs: StageInputs, parameters: ProjectionsParameters) -> list[Shard]:
-    """Plan the shards of some artifacts alone: not the codebook, nor draws that enter only where there are no takes."""
-    if parameters.include_draws is None:
-        return []
-    return plan(inputs, parameters.model_copy(update={"num_clusters": 0}))
+    """Plan the shards of some artifacts alone: not draws that enter only where there are no takes."""
+    return [] if parameters.include_draws is None else plan(inputs, parameters)
 
 
 def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
@@ -201,15 +166,7 @@ def _unread(parameters: ProjectionsParameters) -> tuple[str, ...]:
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """Retarget the poses of one source to the reference body, take heading and place away, and commit them."""
-    match shard.parameters:
-        case CodebookShard() as options:
-            return _run_codebook(shard, options, store)
-        case PoseShard() as options:
-            return _run_poses(shard, options, store)
-    raise TypeError(f"no shard of this stage: {shard.parameters}")
-
-
-def _run_poses(shard: Shard, options: PoseShard, store: Store) -> ArtifactRef:
+    options = shard.options(PoseShard)
     ref = shard.ref("poses")
     rows = {"take": _take_rows, "draw": _draw_rows, "variant": _variant_rows}[options.origin](options, store, ref)
     positions, unitquat = rows.pop("positions"), rows.pop("body22_unitquat")
@@ -241,39 +198,6 @@ def _run_poses(shard: Shard, options: PoseShard, store: Store) -> ArtifactRef:
         value=len(positions),
     )
     return commit(shard, store, tables={"projections": columns}, facts=facts, verdict=verdict)
-
-
-def _run_codebook(shard: Shard, options: CodebookShard, store: Store) -> ArtifactRef:
-    """Cluster the projections of all takes; members are numbered over the takes in the order of the plan."""
-    parts: list[Manifest] = []
-    for key in shard.after:
-        manifest = store.find("projections", key)
-        if manifest is None:
-            raise InputError("a part of the projection database is not in the store; run the whole stage")
-        parts.append(manifest)
-    tables = [store.read(part.ref, "projections", columns=["op14_m", "is_sequence_start"]) for part in parts]
-    database = Database(
-        np.concatenate([np.asarray(table["op14_m"]) for table in tables]),
-        np.concatenate([np.asarray(table["is_sequence_start"]) for table in tables]),
-        num_yaws=options.num_yaws,
-        rate_hz=options.rate_hz,
-    )
-    settings = PublishedSettings(num_clusters=options.num_clusters)
-    book = build_codebook(database, stream(shard.seed, "projections", "codebook"), settings)
-    columns = {
-        "cluster": np.arange(len(book.members)),
-        "representative_m": book.representatives_m,
-        "members": list(book.members),
-    }
-    facts = {
-        "kind": "codebook",
-        "takes": merge_takes(*parts),
-        "num_clusters": len(book.members),
-        "part_keys": [part.ref.key for part in parts],
-    }
-    sources = [source for part in parts for source in part.sources]
-    verdict = Verdict(Level.PASS, figure="clusters", value=len(book.members))
-    return commit(shard, store, tables={"codebook": columns}, facts=facts, sources=sources, verdict=verdict)
 
 
 def read_views(parts: Sequence[Manifest]) -> ViewsOfPoses:
@@ -435,7 +359,7 @@ STAGE = Stage(
     name="projections",
     version=VERSION,
     reads=("poses", "draws", "variants"),
-    writes=("projections", "codebook"),
+    writes=("projections",),
     parameters=ProjectionsParameters,
     plan=plan,
     run_shard=run_shard,

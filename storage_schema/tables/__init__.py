@@ -15,7 +15,7 @@ from storage_schema.tables.products import (
     VARIANTS,
     VERDICTS,
 )
-from storage_schema.tables.reconstruction import CODEBOOK, MOTIONS, PROJECTIONS
+from storage_schema.tables.reconstruction import MOTIONS, PROJECTIONS
 from storage_schema.tables.sampling import (
     CHAIN_INFO,
     CHAIN_STATES,
@@ -49,7 +49,6 @@ TABLES: dict[str, Table] = {
         LIFTED_PAIRS,
         IN_BETWEENS,
         PROJECTIONS,
-        CODEBOOK,
         MOTIONS,
         VARIANTS,
         VARIANT_QUALITY,

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pyarrow as pa
-
 from storage_schema.columns import Table, array, boolean, float64, integer, text
 from storage_schema.tables.common import FRAME, PERSON, PERSON_ID, SEQUENCE_ID, TAKE_ID, TIME_S, positions, unitquats
 
-__all__ = ["CODEBOOK", "MOTIONS", "PROJECTIONS"]
+__all__ = ["MOTIONS", "PROJECTIONS"]
 
 PROJECTIONS = Table(
     name="projections",
@@ -43,23 +41,6 @@ PROJECTIONS = Table(
             unit="m",
             joints="op14",
         ),
-    ),
-)
-
-CODEBOOK = Table(
-    name="codebook",
-    meaning="One row per cluster of projections, for the published search.",
-    sorted_by=("cluster",),
-    columns=(
-        integer("cluster", "Index of the cluster"),
-        array(
-            "representative_m",
-            "2D representative, mid-hip at the origin",
-            axes={"joint": 14, "xy": 2},
-            unit="m",
-            joints="op14",
-        ),
-        array("members", "Projection numbers in the cluster", dtype=pa.int64()),
     ),
 )
 

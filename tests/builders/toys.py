@@ -222,11 +222,12 @@ def run_aside(shard: Shard, store: Store) -> ArtifactRef:
     note_and_obey(shard)
     size = shard.options(AsideParameters).size
     columns = {
-        "cluster": np.arange(size),
-        "representative_m": np.zeros((size, 14, 2)),
-        "members": [np.arange(i, dtype=np.int64) for i in range(size)],
+        "sequence_id": ["one"] * size,
+        **{name: np.arange(size) for name in ("frame", "person_id", "partner_id", "first_frame", "last_frame")},
+        "method": ["draws"] * size,
+        "pair17_m": np.zeros((size, 2, 17, 3)),
     }
-    return commit(shard, store, tables={"codebook": columns}, facts={"takes": []})
+    return commit(shard, store, tables={"in_betweens": columns}, facts={"takes": []})
 
 
 TOYS = Graph(
@@ -248,7 +249,15 @@ TOYS = Graph(
             early=(EarlyPlan(plan_bend, each=("training_log",)),),
         ),
         Stage(
-            "aside", 1, (), ("codebook",), AsideParameters, plan_aside, run_aside, "stands alone", "a size (aside.size)"
+            "aside",
+            1,
+            (),
+            ("in_betweens",),
+            AsideParameters,
+            plan_aside,
+            run_aside,
+            "stands alone",
+            "a size (aside.size)",
         ),
     )
 )

@@ -56,8 +56,8 @@ SECTIONS = {
     "Left out, and why",
     "Sources and licences",
 }
-FILLED = set(TABLES) - {"pose_prior", "codebook", "objects", "model_states"}
-"""The study has no object, no codebook, and no model that is trained in several segments."""
+FILLED = set(TABLES) - {"pose_prior", "objects", "model_states"}
+"""The study has no object, and no model that is trained in several segments."""
 RATE_HZ = 12.0
 
 

@@ -149,7 +149,7 @@ def test_other_numbers_of_rows_and_other_attachments_are_said() -> None:
 
 
 def test_whole_numbers_far_apart_are_beyond_without_a_warning() -> None:
-    one = random_columns("codebook", 1)
-    one["members"] = [np.array([2**40])]
-    (found,) = compared("codebook", one, {**one, "members": [np.array([1])]})
-    assert (found.column, found.is_beyond) == ("members", True)
+    one = random_columns("models", 1)
+    one["array_shape"] = [np.array([2**31 - 1])]
+    (found,) = compared("models", one, {**one, "array_shape": [np.array([1])]})
+    assert (found.column, found.is_beyond) == ("array_shape", True)

@@ -195,9 +195,9 @@ def test_export_writes_arrays_lines_and_credits(built: tuple[str, str], tmp_path
     arrays = np.load(tmp_path / "models.npz")
     assert arrays["values_offsets"].tolist() == [0, 5, 10, 15, 20, 25, 30]
     assert arrays["split"].tolist() == ["t0"] * 3 + ["t1"] * 3
-    assert call("export", "codebook:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
-    lines = (tmp_path / "codebook.csv").read_text().splitlines()
-    assert lines[0].startswith("cluster,representative_m.head.x,representative_m.head.y,representative_m.neck.x")
+    assert call("export", "in_betweens:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
+    lines = (tmp_path / "in_betweens.csv").read_text().splitlines()
+    assert "last_frame,pair17_m.0.pelvis.x,pair17_m.0.pelvis.y,pair17_m.0.pelvis.z,pair17_m.0.spine.x" in lines[0]
     assert len(lines) == 5
     assert call("export", "training_log:toy", "--store", built[1], "--format", "csv", "--out", str(tmp_path)) == 0
     assert "licence: CC0-1.0" in (tmp_path / "CREDITS.txt").read_text()

@@ -11,7 +11,7 @@ from pydantic import Field
 from pasdedeux.evaluation.reconstruction import reconstruction_player
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.evaluation.verdicts import Yardstick
-from pasdedeux.experiments.published_search import Codebook
+from pasdedeux.experiments.published_search import Codebook, build_codebook
 from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
@@ -58,9 +58,6 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
         parts = [part for part in inputs.of("projections") if take_id not in part.facts["takes"]]
         if not (take.facts["is_held_out"] and parts):
             continue
-        keys = {part.ref.key for part in parts}
-        # A codebook is of use with exactly the parts it numbers.
-        books = [book for book in inputs.of("codebook") if set(book.facts["part_keys"]) == keys]
         shards += [
             PARALLEL_VIEWS.shard(
                 inputs,
@@ -68,7 +65,6 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
                 settings.part(TakeParameters, take_id=take_id, condition=number),
                 take=[take],
                 parts=parts,
-                codebook=books,
             )
             for number in range(len(CONDITIONS))
         ]
@@ -78,13 +74,13 @@ def _plan(inputs: StageInputs, settings: UnseenViewsSettings) -> list[Shard]:
 def _run(shard: Shard, store: Store) -> TopicResult:
     """Score one take in one condition."""
     options = shard.options(TakeParameters)
-    searcher, codebook, rate_hz = _database(shard, store)
+    searcher, codebook = _database(shard, store)
     condition = CONDITIONS[options.condition]
     tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
     scores: list[Score] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
-    for person, motion in enumerate(_people(shard, store, rate_hz)):
+    for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
         scores += unseen_view_scores(searcher, motion, condition, tried, draw)
@@ -101,22 +97,18 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     return TopicResult(scores=scores, pictures=pictures, captions=captions, notes=[note])
 
 
-def _database(shard: Shard, store: Store) -> tuple[Searcher, Codebook | None, float]:
-    """Return the database of the shard's parts, in the order of the codebook where there is one, and its rate."""
-    parts, books = shard.refs("parts"), shard.refs("codebook")
+def _database(shard: Shard, store: Store) -> tuple[Searcher, Codebook]:
+    """Return the database of the shard's parts and the clusters of the published search in it."""
+    parts = shard.refs("parts")
     used = [store.manifest(part).facts for part in parts]
     take_id = shard.options(TakeParameters).take_id
     refuse_overlap("the projection database", [name for one in used for name in one["takes"]], [take_id])
-    codebook = None
-    if books:
-        by_key = {part.key: part for part in parts}
-        parts = tuple(by_key[key] for key in store.manifest(books[0]).facts["part_keys"])
-        table = store.read(books[0], "codebook")
-        codebook = Codebook(np.asarray(table["representative_m"]), tuple(np.asarray(one) for one in table["members"]))
     database, _, _ = read_database(store, parts)
     # To compare with the paper, parallel rays see the database too, whatever the study's camera.
     database = replace(database, camera=OrthographicCamera())
-    return Searcher.of(database), codebook, database.rate_hz
+    # The same clusters in every condition.
+    codebook = build_codebook(database, stream(shard.seed, "evaluation", PARALLEL_VIEWS.name, "codebook"))
+    return Searcher.of(database), codebook
 
 
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
@@ -154,7 +146,7 @@ PARALLEL_VIEWS = Topic(
     "method, and how far reconstructions from two views differ (root rotation removed), as in the paper on such "
     "databases. `_clean` is the method with the clean-up after it; `live` leaves frame by frame, six frames after its "
     "image.",
-    reads=("poses", "projections", "codebook"),
+    reads=("poses", "projections"),
     plan=_plan,
     run=_run,
     metrics=("error_*", "jitter", "foot_slide", "recall_at_*", "two_views_differ"),

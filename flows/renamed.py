@@ -50,6 +50,8 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.max_invalid_angles": "one value serves every stage now: it is called physical_prior.max_invalid_angles",
     "chains.length_tolerance": "one value serves every stage now: it is called physical_prior.length_tolerance",
     "evaluation.has_unseen_view_sweeps": "noise and missing joints are scored at one level each: leave it out",
+    "ingest.*.swap_persons": "files and subjects come in the order of the people: name them in that order",
+    "projections.*cluster*": "the topic parallel_views makes the 500 clusters of the published search: leave it out",
     "evaluation.num_crowd_views": "the topic detector scores who is taken for whom: leave it out",
     "evaluation.has_left_out_clips": "the held-out takes say what it said: leave it out",
     **dict.fromkeys(
@@ -59,8 +61,6 @@ RENAMED_KEYS: dict[str, str] = {
             "ingest.virtual_video.yaw_range_deg",
             "ingest.virtual_video.pitch_range_deg",
             "priors.max_frames_per_take",
-            "projections.*_cluster_change",
-            "projections.num_cluster*",
             "seeds.max_annotations",
             "seeds.max_frames_per_take",
             "views.contact_distance_m",

@@ -19,7 +19,6 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     jitter_m,
     root_centred_error_m,
     root_removed_error_m,
-    scale_free_error_m,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
 from pasdedeux.experiments.published_search import Codebook, search_published
@@ -35,7 +34,6 @@ from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
     Method,
-    Reconstruction,
     ReconstructionOptions,
     Searcher,
     match_track,
@@ -51,7 +49,6 @@ __all__ = [
     "CONDITIONS",
     "LIVE",
     "Condition",
-    "Tried",
     "UnseenMotion",
     "ViewedMotion",
     "best_candidates",
@@ -128,23 +125,6 @@ class UnseenMotion:
 
 
 @dataclass(frozen=True)
-class Tried:
-    """What a motion is reconstructed by.
-
-    Args:
-        methods: Which methods.
-        codebook: Clusters of the database: the published search and the window rule make `as_published` then.
-        has_clean_up: Every method gives one more motion, cleaned up; the mark gives none.
-        has_live: The live chain gives its motion too.
-    """
-
-    methods: Sequence[Method] = tuple(Method)
-    codebook: Codebook | None = None
-    has_clean_up: bool = False
-    has_live: bool = False
-
-
-@dataclass(frozen=True)
 class ViewedMotion:
     """A motion as a camera sees it.
 
@@ -189,37 +169,36 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
     return np.asarray(best)
 
 
-def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, tried: Tried) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return a motion (frame, 14, 3) in camera axes by method, and the recall of the published search where it is made.
+def reconstruct_seen(
+    searcher: Searcher, seen: ViewedMotion, codebook: Codebook | None = None
+) -> tuple[dict[str, Array], dict[str, float]]:
+    """Return a motion (frame, 14, 3) in camera axes by method, and the recall of the published search.
 
-    The database of the searcher has not seen the motion.
+    The database of the searcher has not seen the motion.  Without its clusters only the methods are tried: neither the
+    published search and its window rule, nor the live chain, nor the clean-up after each.
     """
     camera = searcher.database.camera
     track = seen.track
     found = match_track(searcher, track, _KNOWN_BODY)
-    made: dict[str, Reconstruction] = {
-        method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in tried.methods
-    }
-    recalls: dict[str, float] = {}
-    if tried.codebook is not None:
-        published = search_published(searcher.database, tried.codebook, found.query_m, found.weights)
-        made[AS_PUBLISHED] = reconstruct_track(
-            searcher, track, Method.WINDOW, _KNOWN_BODY, matches=replace(found, neighbours=published, yaw_steps=None)
-        )
-        exact = searcher.index.search(
-            retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=_KNOWN_BODY.num_candidates
-        )
-        recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
-    motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
+    made = {method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in Method}
+    mark = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
+    if codebook is None:
+        return {**mark, **{name: one.positions_m for name, one in made.items()}}, {}
+    published = search_published(searcher.database, codebook, found.query_m, found.weights)
+    made[AS_PUBLISHED] = reconstruct_track(
+        searcher, track, Method.WINDOW, _KNOWN_BODY, matches=replace(found, neighbours=published, yaw_steps=None)
+    )
+    exact = searcher.index.search(
+        retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=_KNOWN_BODY.num_candidates
+    )
+    recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
+    motions = mark
     for name, one in made.items():
         motions[name] = one.positions_m
-        if tried.has_clean_up:
-            (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
-            motions[name + CLEAN] = cleaned.positions_m
-    if tried.has_live:
-        motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
-        if tried.has_clean_up:
-            motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)
+        (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
+        motions[name + CLEAN] = cleaned.positions_m
+    motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
+    motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)
     return motions, recalls
 
 
@@ -242,13 +221,27 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
 
 
 def unseen_view_scores(
-    searcher: Searcher, motion: UnseenMotion, condition: Condition, tried: Tried, stream: Stream
+    searcher: Searcher, motion: UnseenMotion, condition: Condition, codebook: Codebook, stream: Stream
 ) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
     The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
     """
-    figures, motions = _measure(searcher, motion, condition, tried, stream)
+    figures: dict[tuple[str, str], list[float]] = {}
+    motions: dict[str, list[Array]] = {}
+    for view, yaw in enumerate(motion.yaws_deg):
+        seen = see(motion, condition, yaw, stream(view))
+        made, recalls = reconstruct_seen(searcher, seen, codebook)
+        for method, positions in made.items():
+            motions.setdefault(method, []).append(positions)
+            slide_hz = motion.rate_hz if method != BEST_MARK else None
+            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
+                figures.setdefault((metric, method), []).append(value)
+        for metric in ("jitter", "foot_slide"):
+            value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
+            figures.setdefault((metric, "truth"), []).append(value)
+        for metric, value in recalls.items():
+            figures.setdefault((metric, AS_PUBLISHED), []).append(value)
     item, count = motion.item, len(motion.world_m)
     scores = []
     for (metric, method), values in figures.items():
@@ -268,37 +261,13 @@ def unseen_view_scores(
     return scores
 
 
-def _measure(
-    searcher: Searcher, motion: UnseenMotion, condition: Condition, tried: Tried, stream: Stream
-) -> tuple[dict[tuple[str, str], list[float]], dict[str, list[Array]]]:
-    """Return the figures of each view by metric and method, and the motions of each view by method."""
-    figures: dict[tuple[str, str], list[float]] = {}
-    motions: dict[str, list[Array]] = {}
-    for view, yaw in enumerate(motion.yaws_deg):
-        seen = see(motion, condition, yaw, stream(view))
-        made, recalls = reconstruct_seen(searcher, seen, tried)
-        for method, positions in made.items():
-            motions.setdefault(method, []).append(positions)
-            slide_hz = motion.rate_hz if method != BEST_MARK else None
-            for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
-                figures.setdefault((metric, method), []).append(value)
-        for metric in ("jitter", "foot_slide"):
-            value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
-            figures.setdefault((metric, "truth"), []).append(value)
-        for metric, value in recalls.items():
-            figures.setdefault((metric, AS_PUBLISHED), []).append(value)
-    return figures, motions
-
-
 def _figures(found: Array, truth: Array, *, rate_hz: float | None) -> dict[str, float]:
     """Return errors of a motion, and how far its feet slide where a rate is given (its trajectory must be known)."""
-    is_known = np.isfinite(found).all(axis=(1, 2))
-    known = found[is_known]
+    known = found[np.isfinite(found).all(axis=(1, 2))]
     centred = known - mid_hip(known)[:, None]
     figures = {
         "error_root_kept": _mean(root_centred_error_m(found, truth)),
         "error_root_removed": _mean(root_removed_error_m(found, truth)),
-        "error_scale_free": _mean(scale_free_error_m(known, truth[is_known])),
         "jitter": jitter_m(centred),
     }
     return figures if rate_hz is None else {**figures, "foot_slide": foot_slide_m(found, truth, rate_hz=rate_hz)}

@@ -15,7 +15,6 @@ from pasdedeux.experiments import unseen_views
 from pasdedeux.experiments.published_search import PublishedSettings, build_codebook
 from pasdedeux.experiments.unseen_views import (
     Condition,
-    Tried,
     UnseenMotion,
     ViewedMotion,
     best_candidates,
@@ -61,10 +60,9 @@ def before_a_pinhole(world: np.ndarray) -> ViewedMotion:
 def test_every_method_is_scored_from_every_view_and_the_fit_beats_the_nearest(searcher: Searcher) -> None:
     few = PublishedSettings(num_clusters=40, num_landmarks=80)
     codebook = build_codebook(searcher.database, np.random.default_rng(0), few)
-    tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
     for condition in (Condition("clean"), Condition("noisy", noise=0.03)):
         scores = unseen_view_scores(
-            searcher, moved(walk(40, seed=11), 0.0, 75.0), condition, tried, np.random.default_rng
+            searcher, moved(walk(40, seed=11), 0.0, 75.0), condition, codebook, np.random.default_rng
         )
         assert all(np.isfinite(score.value) for score in scores)
         found = {(s.metric, s.method, s.item): s.value for s in scores}
@@ -122,7 +120,7 @@ def test_the_fit_is_never_worse_than_retrieval_where_the_image_is_poor(
     world = walk(80, seed=12)
     for yaw in (0.0, 75.0):
         seen = see(world, condition, yaw_deg=yaw, seed=[1, int(yaw)])
-        made, _ = reconstruct_seen(searcher, seen, Tried())
+        made, _ = reconstruct_seen(searcher, seen)
         errors = {method: root_centred_error_m(made[method], seen.truth_m).mean() for method in Method}
         assert errors[Method.FIT] <= errors[Method.NEAREST]
         # Half a centimetre: the fit may lose on one draw of the noise what retrieval won by luck.

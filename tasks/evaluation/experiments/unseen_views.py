@@ -15,7 +15,6 @@ from pasdedeux.experiments.published_search import Codebook, build_codebook
 from pasdedeux.experiments.unseen_views import (
     CONDITIONS,
     Condition,
-    Tried,
     UnseenMotion,
     reconstruct_seen,
     see,
@@ -76,14 +75,13 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     options = shard.options(TakeParameters)
     searcher, codebook = _database(shard, store)
     condition = CONDITIONS[options.condition]
-    tried = Tried(codebook=codebook, has_clean_up=True, has_live=True)
     scores: list[Score] = []
     pictures: dict[str, bytes] = {}
     captions: dict[str, str] = {}
     for person, motion in enumerate(_people(shard, store, searcher.database.rate_hz)):
         labels = ("evaluation", PARALLEL_VIEWS.name, options.take_id, person, options.condition)
         draw = partial(stream, shard.seed, *labels)
-        scores += unseen_view_scores(searcher, motion, condition, tried, draw)
+        scores += unseen_view_scores(searcher, motion, condition, codebook, draw)
         if options.condition == 0:
             name = f"{PARALLEL_VIEWS.name}-{motion.item.replace(' ', '-')}.player.json"
             pictures[name] = _clip(searcher, motion, condition, draw(0))
@@ -130,7 +128,7 @@ def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
 def _clip(searcher: Searcher, motion: UnseenMotion, condition: Condition, rng: np.random.Generator) -> bytes:
     start = replace(motion, world_m=motion.world_m[: round(4.0 * motion.rate_hz)])
     seen = see(start, condition, motion.yaws_deg[0], rng)
-    made, _ = reconstruct_seen(searcher, seen, Tried((Method.FIT,)))
+    made, _ = reconstruct_seen(searcher, seen)
     return reconstruction_player(
         made[Method.FIT.value][:, None],
         rate_hz=motion.rate_hz,

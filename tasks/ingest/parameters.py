@@ -104,7 +104,6 @@ class CommonOptions(Parameters):
     frames: tuple[int, int] | None = Field(
         default=None, description="Source frames taken: first, and one past the last"
     )
-    swap_persons: bool = Field(default=False, description="Make the last file person A, and so on")
     on_unequal: Literal["refuse", "trim"] = Field(
         default="refuse", description="What to do with files of unequal length"
     )

@@ -145,7 +145,7 @@ def test_no_path_is_in_a_key(tmp_path: Path, pair: tuple[Path, Path]) -> None:
     assert planned(takes=[{"id": "d", "files": copies}])[0].key != keys[0][0]
 
 
-def test_scales_ranges_order_and_placement_are_overridden_per_take_and_person(
+def test_scales_ranges_and_placement_are_overridden_per_take_and_person(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
     store = Store(tmp_path / "store")
@@ -153,12 +153,11 @@ def test_scales_ranges_order_and_placement_are_overridden_per_take_and_person(
         takes=[
             {
                 "id": "d",
-                "files": list(pair),
+                "files": list(pair)[::-1],
                 "rate_hz": 30.0,
                 "frames": [10, 30],
-                "swap_persons": True,
                 "floor": "keep",
-                "persons": [{"metres_per_unit": 0.02}, {"metres_per_unit": 0.01, "translation_m": [0, 3, 0]}],
+                "persons": [{"metres_per_unit": 0.01, "translation_m": [0, 3, 0]}, {"metres_per_unit": 0.02}],
             }
         ],
         virtual_video={"num_videos": 0, "num_random_views": 0},

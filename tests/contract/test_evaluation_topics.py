@@ -20,17 +20,15 @@ from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.reconstruction.reconstruct import Method
 from storage_schema import Manifest, Store
-from tasks import ingest, projections, reconstruction, training
+from tasks import ingest, reconstruction, training
 from tasks.evaluation import STAGE, TOPICS, evaluation_stage
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, Stage, StageInputs, verdict_of
 from tests.builders.pages import Page, in_browser
 from tests.builders.real_study import SMALL, BuiltStudy
-from tests.builders.walking_takes import put_take
 
 pytestmark = pytest.mark.slow
 
-WALKER = "walker"
 EVERYTHING = {
     "num_truth_pairs": 8,
     "num_completed_pairs": 1,
@@ -48,7 +46,6 @@ EVERYTHING = {
 def inputs_of(store: Store, stage: Stage) -> StageInputs:
     """Return what the stages before left in a store, by table."""
     made = [one for one in store.artifacts() if one.ref.stage != stage.name]
-    made = [one for one in made if one.partition != WALKER or "projections" in one.tables]
     made.sort(key=lambda manifest: (manifest.ref.stage, manifest.partition, manifest.name))
     return StageInputs({table: [one for one in made if table in one.tables] for table in stage.reads}, seed=3)
 
@@ -67,12 +64,7 @@ def page_of(store: Store, made: Sequence[Manifest]) -> str:
 @pytest.fixture(scope="module")
 def evaluated(small: BuiltStudy, tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, list[Manifest], str]:
     """Return the small study's store with every topic scored in it, what was made, and the page."""
-    # Two takes of the database: one can be left out only where another is there.
     store = Store(small.copy_store(tmp_path_factory.mktemp("topics")))
-    # A database from which the only other take can be left out.
-    takes = StageInputs({"poses": [put_take(store, WALKER, rate_hz=12.0)]}, seed=3)
-    for shard in projections.plan(takes, projections.ProjectionsParameters(pitches_deg=(0.0, 20.0), heights_m=())):
-        projections.run_shard(shard, store)
     _detect(store)
     _learn_to_draw(store)
     _dance_again(store)
@@ -107,7 +99,7 @@ def _detect(store: Store) -> None:
     section = tomllib.loads(SMALL)["ingest"] | {"virtual_video": {"num_random_views": 12, "detector": {}}}
     planned = ingest.plan(StageInputs({}, seed=3), ingest.IngestParameters.model_validate(section))
     (seen,) = (ingest.run_shard(one, store) for one in planned if (one.partition, one.name) == ("hug", "detector"))
-    database = [one for one in store.artifacts("projections") if one.partition != WALKER]
+    database = list(store.artifacts("projections"))
     inputs = StageInputs({"annotations": [store.manifest(seen)], "projections": database}, seed=3)
     for shard in reconstruction.plan(inputs, reconstruction.ReconstructionParameters(methods=(Method.NEAREST,))):
         reconstruction.run_shard(shard, store)

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 38
+VERSION = 39
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -47,7 +47,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     learned = [one for one in learned if views_of([one], inputs)]
     if not draws or not learned:
         return []
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
+    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] >= 2]
     every = [*learned, *held_out]
     views = [views_of([one], inputs)[0] for one in every]
     return [TOPIC.shard(inputs, "images", annotations=every, views=views, draws=draws, takes=takes)]

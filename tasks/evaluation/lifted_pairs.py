@@ -66,8 +66,6 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
         manifest for manifest in inputs.of("annotations") if manifest.ref.key in known and manifest.facts["is_virtual"]
     ]
     found = []
-    if lifted and takes and annotations:
-        found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
     sources = {ref for manifest in lifted for ref in manifest.inputs}
     shown = [one for one in inputs.of("annotations") if one.ref in sources and views_of([one], inputs)]
@@ -78,6 +76,8 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
         found.append(
             TOPIC.shard(inputs, "nearest", lifted=lifted, annotations=every, views=views, known=learned, draws=draws)
         )
+    if lifted and takes and annotations:
+        found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
     if settings.num_completed_pairs and draws and takes:
         found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=takes, draws=draws))
     return found

@@ -86,6 +86,7 @@ def panel_figure(panels: Sequence[CurvePanel], *, title: str, x_label: str) -> b
     for axis, panel in zip(axes, panels, strict=False):
         axis.set_xscale("log")
         _draw_panel(axis, panel, x_label)
+        axis.minorticks_off()  # over less than a decade their names would overlap
     if panels and panels[0].curves:
         axes[0].legend(fontsize=6)
     return figure_svg(figure, title=title)

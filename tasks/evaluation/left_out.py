@@ -181,5 +181,9 @@ TOPIC = Topic(
     plan=_plan,
     run=_run,
     metrics=("left_out_d_I", "left_out_d_I_*"),
-    yardsticks=(Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", (PRIOR_ONLY,)),),
+    yardsticks=(
+        Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", (PRIOR_ONLY,)),
+        # Where nobody sampled the prior alone, as of 2D poses of one's own.
+        Yardstick("left_out_d_I_mean", "distance of left-out images to the nearest draw", (_NEAREST,)),
+    ),
 )

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 39
+VERSION = 40
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -197,6 +197,11 @@ class Plan:
         return all(stage.is_fresh for stage in self.stages if stage.is_selected)
 
     @property
+    def manifests(self) -> tuple[Manifest, ...]:
+        """Return the artifacts that are there, stage by stage."""
+        return tuple(manifest for stage in self.stages for manifest in stage.manifests)
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Return what is missing for the stages that are asked for and made nothing, a sentence each."""
         return tuple(text for stage in self.stages if (text := what_is_missing(stage, stage.manifests)))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from flows.planning import PlanError
@@ -15,10 +16,21 @@ from flows.records import ENVIRONMENT_FILE, STUDY_FILE, run_record
 from storage_schema import ArtifactRef, Manifest, Store, list_runs, open_run
 from storage_schema.datasets import open_dataset
 
-__all__ = ["Place", "Recorded", "artifacts_by_place", "environment_changes", "read_environment", "read_recorded"]
+__all__ = [
+    "Place",
+    "Recorded",
+    "artifacts_by_place",
+    "environment_changes",
+    "portable_files",
+    "read_environment",
+    "read_recorded",
+]
 
 Place = tuple[str, str, str]
 """Where an artifact stands in a study: stage, partition, shard."""
+
+_PATH = re.compile(r'"(/[^"|\n]+)')
+"""A path as JSON has it, also one that a table has cut short."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +138,26 @@ def environment_changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[
         only = [" ".join(sorted(mine - other)) for mine, other in (features, features[::-1])]
         changes["processor.features"] = (only[0], only[1])
     return changes
+
+
+def portable_files(folder: Path) -> dict[str, bytes]:
+    """Return the files that go with a dataset as they travel, by name: a path has as many last parts as tell it apart.
+
+    Where this machine keeps its files is nobody's business, and means nothing elsewhere: there the study reads the same
+    names from the folder in which it is built.
+    """
+    texts = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir() if path.name != "dataset.json"}
+    paths = {one: PurePosixPath(one).parts[1:] for one in _PATH.findall(texts.get(STUDY_FILE, ""))}
+    tails = dict(paths)
+    for path, parts in paths.items():
+        others = [other for one, other in paths.items() if one != path]
+        lengths = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
+        tails[path] = parts[-next(lengths, len(parts)) :]
+
+    def shortened(found: re.Match[str]) -> str:
+        return '"' + "/".join(tails.get(found[1], PurePosixPath(found[1]).parts[-1:]))
+
+    return {name: _PATH.sub(shortened, text).encode() for name, text in sorted(texts.items())}
 
 
 def _made(store: Store, run_id: str) -> list[ArtifactRef]:

@@ -6,7 +6,7 @@ import gc
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -77,10 +77,18 @@ def uncollected() -> Iterator[None]:
 
 
 @uncollected()
-def last_manifests(store: Store, last: LatestRun) -> dict[str, list[Manifest]]:
-    """Return what the last run made and what is still there of it, by stage."""
+def last_manifests(store: Store, last: LatestRun, seen: Iterable[Manifest] = ()) -> dict[str, list[Manifest]]:
+    """Return what the last run made and is still there of it, by stage; what was `seen` is not looked for again."""
+    known = {one.ref.key: one for one in seen}
+
+    def look(stage: str, record: ShardRecord) -> Manifest | None:
+        one = known.get(record.key)
+        if one is not None and one.ref.content_digest == record.content_digest:
+            return one
+        return store.find(stage, record.key)
+
     return {
-        stage: [found for record in records if (found := store.find(stage, record.key)) is not None]
+        stage: [found for record in records if (found := look(stage, record)) is not None]
         for stage, records in last.stages.items()
     }
 

@@ -111,7 +111,7 @@ class Manifest:
     @property
     def num_bytes(self) -> int:
         """Bytes of all data files."""
-        return sum(entry.bytes for entry in self.data_files.values())
+        return sum(part.bytes for part in self.tables.values()) + sum(one.bytes for one in self.attachments.values())
 
     def to_json(self) -> str:
         """Return the text of the manifest file."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict
@@ -145,8 +145,10 @@ class RemoteStore:
             ) from None
 
 
-def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore) -> int:
+def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:
     """Put a dataset, and all that it was computed from, into a bucket; gives the number of artifacts that were new.
+
+    `files` go with it, by name, in place of those in its folder.
 
     Raises:
         DatasetExists: Another dataset has this name and version there.
@@ -156,8 +158,12 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore) -> int:
     manifests = _closure(dataset.refs, store.manifest)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         num_new = sum(pool.map(lambda manifest: _push_artifact(store, manifest, remote), manifests))
-    files = sorted(path for path in dataset.path.iterdir() if path.name != "dataset.json")
-    attachments = {path.name: _push_file(path, remote) for path in files}
+    if files is None:
+        files = {path.name: path.read_bytes() for path in dataset.path.iterdir() if path.name != "dataset.json"}
+    attachments = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())}
+    for name, sha256 in attachments.items():
+        if not remote.has(f"files/{sha256}", len(files[name])):
+            remote.write(f"files/{sha256}", files[name])
     values = {**asdict(dataset), "schema_version": SCHEMA_VERSION, "attachments": attachments}
     del values["path"]
     place = f"datasets/{dataset.label}"
@@ -239,13 +245,11 @@ def _push_artifact(store: Store, manifest: Manifest, remote: RemoteStore) -> boo
     return remote.create(_place(manifest.ref), text)
 
 
-def _push_file(path: Path, remote: RemoteStore, sha256: str | None = None) -> str:
-    found = file_sha256(path)
-    if sha256 not in (None, found):
+def _push_file(path: Path, remote: RemoteStore, sha256: str) -> None:
+    if file_sha256(path) != sha256:
         raise CorruptArtifact(f"{path} is not what its manifest says (`pasdedeux verify`); it is not pushed")
-    if not remote.has(f"files/{found}", path.stat().st_size):
-        remote.write(f"files/{found}", path)
-    return found
+    if not remote.has(f"files/{sha256}", path.stat().st_size):
+        remote.write(f"files/{sha256}", path)
 
 
 def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> bool:

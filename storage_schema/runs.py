@@ -19,6 +19,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import orjson
+
 from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
 from storage_schema.keys import plain_json
@@ -177,11 +179,11 @@ def read_latest(store: Store, study: str) -> LatestRun | None:
     """
     path = _latest_path(store, study)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_bytes()
     except FileNotFoundError:
         return None
     try:
-        values = json.loads(text)
+        values = orjson.loads(text)
         refuse_newer(values["schema_version"], str(path))
         stages = {stage: tuple(_shard(shard) for shard in shards) for stage, shards in values["stages"].items()}
         return LatestRun(study=values["study"], run_id=values["run_id"], stages=stages)

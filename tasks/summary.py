@@ -46,7 +46,7 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     """Return the summary of these artifacts; the same artifacts in any order give the same."""
     found = sorted(manifests, key=lambda one: (one.ref.stage, one.partition, one.name))
     counted = {thing: [one for one in found if thing.table in one.tables] for thing in _THINGS}
-    sources = {Credit(s.name, s.licence, s.credit) for one in found for s in one.sources}
+    sources = {Credit(s.name, s.licence, s.credit) for s in {s for one in found for s in one.sources}}
     return Summary(
         made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),

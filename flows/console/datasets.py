@@ -10,6 +10,7 @@ import typer
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import counted
 from flows.planning import PlanError
+from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
 from storage_schema import ArtifactRef, Dataset, Store, create_dataset, in_use, list_datasets
 from storage_schema.datasets import open_dataset
@@ -101,7 +102,7 @@ def push(
     opened = open_store(store)
     with in_use(opened):
         dataset = open_dataset(opened, label)
-        num_new = push_dataset(opened, dataset, RemoteStore(place))
+        num_new = push_dataset(opened, dataset, RemoteStore(place), portable_files(dataset.path))
     _say_moved(dataset, num_new, f"is in {place}", as_json=as_json)
 
 

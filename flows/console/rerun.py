@@ -24,6 +24,7 @@ from flows.recorded import artifacts_by_place, read_environment, read_recorded
 from flows.records import environment
 from flows.rerunning import compare, environment_lines, refuse_changed_inputs, why_it_differs
 from flows.study import study_from_record
+from pasdedeux.errors import InputError
 from storage_schema import in_use
 
 __all__ = ["app"]
@@ -62,7 +63,10 @@ def rerun(
     with in_use(origin):
         old = read_recorded(origin, name)
         study, graph = study_from_record(old.sections, old.stages, graph_of(context))
-        plan = make_plan(study, graph, origin)
+        try:
+            plan = make_plan(study, graph, origin)
+        except InputError as error:
+            raise PlanError(f"{old.label} cannot be built again in this folder: {error}") from None
         refuse_changed_inputs(old, plan)
         if not as_json:
             pending = [stage.stage.name for stage in plan.stages if stage.is_pending]

@@ -133,7 +133,7 @@ def build_and_report(
     else:
         memory = f", at most {outcome.peak_memory_bytes / GIB:.2f} GB per process" if outcome.peak_memory_bytes else ""
         typer.echo(f"done: {counted(outcome.num_computed, 'shard')} computed in {seconds:.1f} s{memory}")
-    for line in summary_lines(opened, chosen.name):
+    for line in summary_lines(opened, chosen.name, made.manifests if made.is_fresh else ()):
         typer.echo(line)
     if outcome.report is not None:
         typer.echo(f"report: {_shown(outcome.report)}")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from flows.console.app import run_command_line
-from flows.recorded import Recorded, artifacts_by_place, read_recorded
+from flows.recorded import Recorded, artifacts_by_place, portable_files, read_recorded
 from flows.rerunning import compare
 from storage_schema import ArtifactRef, Store, list_runs, read_latest
 from tasks.graph import Graph
@@ -114,6 +114,35 @@ def test_a_version_of_a_dataset_is_built_again_from_its_own_study(
     run_toys(built.root.parent / "toy.toml", built.root, "grow.scale=3.0")
     assert rerun("first@1", built) == 0
     assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
+
+
+def test_a_dataset_that_travels_names_no_path_of_this_machine_and_is_built_again_beside_its_files(
+    built: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["dataset", "create", "first", "--study", "toy", "--stage", "bend", "--store", str(built.root)]
+    assert run_command_line(line, graph=TOYS) == 0
+    folder = built.root / "datasets" / "first@1"
+    (folder / "CHANGES.md").write_text(f'| grow.source | "{tmp_path}/other/source... | "/elsewhere/source.txt" |\n')
+    for name, data in portable_files(folder).items():
+        assert str(tmp_path).encode() not in data
+        (folder / name).write_bytes(data)
+    assert json.loads((folder / "study.json").read_bytes())["grow"]["source"] == "source.txt"
+    assert (folder / "CHANGES.md").read_text() == '| grow.source | "source... | "source.txt" |\n'
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    assert rerun("first@1", built) == 2
+    said = capsys.readouterr().err
+    assert "first@1 cannot be built again in this folder: grow.source: source.txt does not exist" in said
+    monkeypatch.chdir(tmp_path)
+    assert rerun("first@1", built) == 0
+    assert "same bytes: 12 of 12 artifacts" in capsys.readouterr().out
+
+
+def test_paths_that_travel_keep_as_many_parts_as_tell_them_apart(tmp_path: Path) -> None:
+    paths = ["/a/takes/one/2d.json", "/a/takes/two/2d.json", "/b/camera.toml", "/b"]
+    (tmp_path / "study.json").write_text(json.dumps({"ingest": {"files": paths, "rate": "1/s"}}))
+    values = json.loads(portable_files(tmp_path)["study.json"])["ingest"]
+    assert values == {"files": ["one/2d.json", "two/2d.json", "camera.toml", "b"], "rate": "1/s"}
 
 
 def test_what_a_dataset_was_not_computed_from_is_no_difference(

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from pasdedeux.augmentation import (
     AugmentationSettings,
@@ -141,8 +141,20 @@ def known_contacts(take: Manifest) -> tuple[UserContact, ...]:
 
 
 def batch_of(manifest: Manifest) -> BatchParameters:
-    """Return what a batch of variants was told."""
-    return BatchParameters.model_validate(manifest.parameters)
+    """Return what a batch of variants was told; settings of earlier versions that are constants now are passed over.
+
+    Raises:
+        InputError: What it was told is not allowed any more: names the setting.
+    """
+    try:
+        return BatchParameters.model_validate(manifest.parameters, extra="ignore")
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise InputError(
+            f"variants of take '{manifest.partition}' were made by an earlier version and cannot be read: "
+            f"augmentation.{name}: {first['msg']}; run the study again"
+        ) from None
 
 
 def planned_variations(manifest: Manifest) -> list[Variation]:

@@ -20,7 +20,7 @@ from pasdedeux.evaluation.verdicts import Yardstick
 from pasdedeux.interaction.contacts import stated_contacts
 from pasdedeux.skeletons import BODY22
 from storage_schema import ArtifactRef, Store, TableData
-from tasks.augmentation import BatchParameters, known_contacts, read_take
+from tasks.augmentation import batch_of, known_contacts, read_take
 from tasks.evaluation.topic import Topic, TopicResult
 from tasks.stage import Parameters, Shard, StageInputs
 
@@ -63,7 +63,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     if not has_contacts:
         notes.append(f"{take_id}: nothing is in contact in the source, so contact drift is not known.")
     source = read_take(store, take).source
-    solved = BatchParameters.model_validate(store.manifest(parts[0]).parameters)
+    solved = batch_of(store.manifest(parts[0]))
     held = tuple(contact for contact in solved.contacts if contact.weight > 0 and not contact.is_of_floor)
     contacts = source.contacts(solved.touch_m, solved.contacts)
     if held:

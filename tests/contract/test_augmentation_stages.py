@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -150,6 +151,14 @@ def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) ->
     strict = {"jerk_ratio": (0.0, 0.0)}
     (other,) = augment(store, [put_take(store, "pair")], scales=(0.8, 1.2), frame_limits=strict)
     assert set(store.read(other.ref, "variant_frames")["verdict"]) == {"fail"}
+
+
+def test_batches_of_earlier_versions_are_read_and_what_is_no_longer_allowed_is_one_sentence(store: Store) -> None:
+    (made,) = augment(store, [put_take(store, "pair")], scales=(0.8,))
+    told = {**made.parameters, "mesh_smoothing_s": 0.25, "weights": {**made.parameters["weights"], "gone": 1.0}}
+    assert augmentation.batch_of(replace(made, parameters=told)) == augmentation.batch_of(made)
+    with pytest.raises(InputError, match=r"variants of take 'pair' were made by an earlier version.*solver.*'bulk'"):
+        augmentation.batch_of(replace(made, parameters={**told, "solver": "descent"}))
 
 
 def test_contacts_stated_in_the_study_replace_those_found(store: Store) -> None:

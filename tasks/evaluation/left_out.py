@@ -164,7 +164,7 @@ def _map(
         nearest.setdefault(str(store.manifest(ref).facts["density"]), []).extend(found)
     try:
         return annotation_map_figure(
-            np.stack([one.image_m for one in _spread(used, _NUM_MAPPED)]),
+            np.array([one.image_m for one in _spread(used, _NUM_MAPPED)]),
             {name: np.stack(images) for name, images in sorted(nearest.items()) if images},
             np.array([one.image_m for one in _spread(left_out, _NUM_LEFT_OUT_MAPPED)]),
         )

@@ -49,13 +49,13 @@ def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[s
 def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:
     """Return the take behind an annotated pair of virtual video, and both people as captured (2, joint, 3), metres.
 
-    None where it is not known: no virtual video, or somebody who is not of the take.
+    None where it is not known: no virtual video, a take that is not among those read, or somebody who is not of it.
     """
-    found = frames.get((place.sequence_id, place.frame))
-    if found is None or not 0 <= place.person_id < place.partner_id < takes[found[0]].shape[1]:
+    take_id, frame = frames.get((place.sequence_id, place.frame), ("", 0))
+    take = takes.get(take_id)
+    if take is None or not 0 <= place.person_id < place.partner_id < take.shape[1]:
         return None
-    take_id, frame = found
-    return take_id, takes[take_id][frame][[place.person_id, place.partner_id]]
+    return take_id, take[frame][[place.person_id, place.partner_id]]
 
 
 def read_take_frames(store: Store, refs: Iterable[ArtifactRef], *, keys_only: bool = False) -> TakeFrames:

@@ -183,10 +183,11 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
     """Return which draw was lifted from which annotation, by sequence, frame and person A."""
     found: dict[tuple[str, int, int], int] = {}
     for ref in refs:
-        if "seeds" in store.manifest(ref).tables:
+        reference = f"seeds@{ref.key[:16]}"
+        if reference in draws.refs:  # neither draws of chains nor seeds of which none has grown
             names = ["sequence_id", "sequence_frame", "sequence_person_id"]
             table = store.read(ref, "seeds", columns=names)
-            rows = np.flatnonzero(draws.artifacts == draws.refs.index(f"seeds@{ref.key[:16]}"))
+            rows = np.flatnonzero(draws.artifacts == draws.refs.index(reference))
             for draw, sequence, *numbers in zip(rows.tolist(), *(table[name] for name in names), strict=True):
                 if sequence is not None:
                     found[str(sequence), int(numbers[0]), int(numbers[1])] = draw

@@ -63,6 +63,18 @@ def test_a_lifted_pair_names_the_draw_it_came_from(grown: Any) -> None:
     assert table["draw"][baseline] is None
 
 
+def test_seeds_of_which_none_grew_stand_beside_others(grown: Any) -> None:
+    store, given = grown
+    (one,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
+    table = store.read(one.ref, "seeds")
+    none = put(store, "seeds", "none", {"seeds": {name: table[name][:0] for name in table.column_names}}, one.facts)
+    both = StageInputs({**given.manifests, "seeds": [*given.of("seeds"), none]}, seed=1)
+    alone, beside = (
+        store.read(lift(store, some, max_frames=2)["one-views"].ref, "lifted_pairs") for some in (given, both)
+    )
+    np.testing.assert_array_equal(beside["pair17_m"], alone["pair17_m"])
+
+
 def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:
     store, given = grown
     table = store.read(lift(store, given, num_completing=5)["one-views"].ref, "lifted_pairs")

@@ -25,6 +25,8 @@ from pasdedeux.evaluation.lifted_pairs import (
 )
 from pasdedeux.evaluation.scores import Score
 from pasdedeux.kinematics.rotations import normalise, yaw_rotmat
+from tasks.annotated_pairs import Place
+from tasks.evaluation.truth import true_pair
 
 PAIRS = random_pairs(np.random.default_rng(0), 40, spread_rad=0.2)
 
@@ -46,6 +48,16 @@ def test_a_person_slid_in_depth_shows_between_people_only() -> None:
     np.testing.assert_allclose(errors["lifted_person_error"], 0.0, atol=1e-9)
     np.testing.assert_allclose(errors["relative_depth_error"], 0.4, atol=1e-9)
     np.testing.assert_allclose(errors["lifted_pair_error"], 0.2, atol=1e-9)
+
+
+def test_the_true_pair_is_of_the_take_and_nobody_knows_it_where_the_take_or_a_person_is_not_there() -> None:
+    frames, takes = {("view", 7): ("duet", 3), ("other", 7): ("trio", 3)}, {"duet": PAIRS}
+    found = true_pair(Place("view", 7, 0, 1), frames, takes)
+    assert found is not None
+    assert found[0] == "duet"
+    np.testing.assert_array_equal(found[1], PAIRS[3])
+    unknown = (Place("other", 7, 0, 1), Place("view", 8, 0, 1), Place("view", 7, 0, 2), Place("view", 7, -1, 1))
+    assert [true_pair(place, frames, takes) for place in unknown] == [None] * 4
 
 
 def test_a_turned_pair_has_the_right_shape() -> None:

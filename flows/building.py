@@ -15,7 +15,7 @@ from flows.planning import Plan, StagePlan, State, plan_stage, stage_inputs
 from flows.records import read_last_run, record_stage
 from flows.scheduling import Schedule, stages_behind
 from pasdedeux.errors import InputError
-from storage_schema import Manifest, MissingArtifact
+from storage_schema import Manifest
 from storage_schema.store import SHARD_S
 from tasks.shards import Pool, ShardDone, ShardError, Stopped, joined
 from tasks.stage import EarlyPlan, Shard, Stage, StageInputs
@@ -222,12 +222,7 @@ class Build:
 
     def _keep(self, done: ShardDone) -> None:
         """Take a committed shard to those that may be read."""
-        manifest = self._run.store.find(done.ref.stage, done.ref.key)
-        if manifest is None:
-            raise MissingArtifact(
-                f"stage {done.ref.stage} left no artifact for {done.shard.partition} {done.shard.name}"
-            )
-        self._tell(manifest)
+        self._tell(self._run.store.manifest(done.ref))
         self._run.listener.shard_done(done)
 
     def _tell(self, manifest: Manifest) -> None:

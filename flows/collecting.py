@@ -91,7 +91,7 @@ def collect(store: Store, since: datetime) -> Collection:
     """
     with in_use(store, alone=True):
         for run in describe_runs(store):
-            if run["status"] == "running":
+            if run["status"] == "running" and store.mirror is None:  # who builds in a bucket holds its lease
                 raise StoreInUseError(
                     f"run {run['run_id']} is in progress on {run['host']}, and nothing is removed beside it; let it "
                     "end, or stop it: it goes on later (if it died there, remove its folder in runs/)"

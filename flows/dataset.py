@@ -149,7 +149,7 @@ def _show_assets(run: Run, outcome: Outcome, published: Published | None) -> Non
         made[f"pasdedeux://{version.name}/versions/{version.version}"] = {"digest": version.digest}
     if not made:
         return
-    properties = AssetProperties(url=run.store.root.as_uri())
+    properties = AssetProperties(url=str(run.store) if run.store.mirror is not None else run.store.root.as_uri())
     assets = [Asset(key=key, properties=properties) for key in made]
 
     @materialize(*assets, by="pasdedeux", name="assets", cache_policy=NO_CACHE, persist_result=False)
@@ -279,8 +279,8 @@ def _prefect_server(run: Run) -> Iterator[Callable[[], AbstractContextManager[ob
 @contextmanager
 def _pool(run: Run, settings: ClusterSettings) -> Iterator[Pool]:
     """Return who computes shards for this block."""
-    root = str(run.store.root)
-    Path(root).mkdir(parents=True, exist_ok=True)
+    root = str(run.store)
+    run.store.root.mkdir(parents=True, exist_ok=True)
     if not settings.is_shared and settings.num_workers == 0:
         os.environ.update(worker_environment())
         yield HerePool(root)

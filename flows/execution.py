@@ -66,7 +66,7 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     has_report = any("scores" in stage.stage.writes and stage.is_selected for stage in plan.stages)
     report = report_folder(run.store, last.run_id) if last is not None else None
     if last is None or not is_on_record or (has_report and report is None):
-        return execute(run, begin(run, plan), plan, HerePool(str(run.store.root)))
+        return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)
 

@@ -82,7 +82,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
     runs = [folder.run_id for folder in list_runs(store)]
     if name not in runs:
         last = f"; the last are {', '.join(runs[-3:])}" if runs else ""
-        raise PlanError(f"there is no run '{name}' in the store {store.root}{last} (`pasdedeux status`)")
+        raise PlanError(f"there is no run '{name}' in the store {store}{last} (`pasdedeux status`)")
     status = run_record(store, name).get("status", "not on record")
     if status != "finished":
         raise PlanError(

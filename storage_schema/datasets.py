@@ -131,7 +131,7 @@ def open_dataset(store: Store, label: str) -> Dataset:
     named = [path for path in _folders(store) if label in (path.name, path.name.rpartition("@")[0])]
     if not named:
         there = ", ".join(path.name for path in _folders(store)) or "none"
-        raise UnknownReference(f"there is no dataset '{label}' in the store {store.root}; there are: {there}")
+        raise UnknownReference(f"there is no dataset '{label}' in the store {store}; there are: {there}")
     return _read(named[-1])
 
 
@@ -156,6 +156,8 @@ def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]
         write_file(staging.path / _FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
         sync_folder(staging.path)
         make_folder(dataset.path.parent)
+        if store.mirror is not None and not store.mirror.add_dataset(staging.path, dataset.label):
+            return False
         try:
             staging.path.rename(dataset.path)
         except OSError:

@@ -78,6 +78,8 @@ def remove_unneeded(store: Store, sweep: Sweep) -> None:
     """Remove what goes; killed at any moment this leaves a whole store, and the same call again finishes it."""
     store.remove_folders(store.folder(*stored.place) for stored in sweep.going)
     store.clear_leftovers()
+    if store.mirror is not None:
+        store.mirror.sweep()
 
 
 def folder_bytes(folder: Path) -> int:
@@ -104,4 +106,7 @@ def _all(store: Store) -> Iterator[Stored]:
             except CorruptArtifact as error:
                 if isinstance(error.__cause__, OSError):
                     raise
-            yield Stored(place, folder_bytes(folder), made_at, inputs, is_damaged)
+            num_bytes = folder_bytes(folder)
+            if store.mirror is not None and not is_damaged:
+                num_bytes = manifest.num_bytes + len(manifest.to_json())
+            yield Stored(place, num_bytes, made_at, inputs, is_damaged)

@@ -137,8 +137,10 @@ def table_files(reference: Reference | str, store: Store | str | Path | None = N
 
 
 def default_store(root: str | Path | None = None) -> Store:
-    """Return the store in this folder; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
-    return Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
+    """Return the store in this folder, as it is now; None is `$PASDEDEUX_STORE`, else the folder `store` here."""
+    store = Store(root if root is not None else os.environ.get("PASDEDEUX_STORE", "store"))
+    store.refresh()
+    return store
 
 
 def _opened(reference: Reference | str, store: Store | str | Path | None) -> tuple[Store, Reference, list[ArtifactRef]]:
@@ -178,7 +180,7 @@ def _by_key(reference: Reference, store: Store) -> ArtifactRef:
     if valid:
         there = ", ".join(sorted({table for manifest in valid for table in manifest.tables}))
         raise UnknownReference(f"'{reference.table}@{prefix}': the artifact holds no such table; it holds: {there}")
-    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store.root} has such a key")
+    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store} has such a key")
 
 
 def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
@@ -186,7 +188,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
     if latest is None:
         there = ", ".join(latest_studies(store)) or "none"
         raise UnknownReference(
-            f"study '{reference.study}' has not run in the store {store.root}; studies that have: {there}"
+            f"study '{reference.study}' has not run in the store {store}; studies that have: {there}"
         )
     refs = [ref for stage in latest.stages for ref in latest.refs(stage, reference.partition)]
     if not refs:
@@ -201,7 +203,7 @@ def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:
         if ref not in whole and (ref.stage in stages or not stages):
             raise MissingArtifact(
                 f"artifact {ref.stage}@{ref.key[:12]} of study '{reference.study}' {_what_is_wrong(ref, store)} "
-                f"{store.root}; run the study again"
+                f"{store}; run the study again"
             )
     return list(whole)
 

@@ -4,30 +4,23 @@ Below `s3://bucket/prefix`: `files/<sha256>` is a data file or an attachment, `a
 manifest of an artifact, `datasets/<name>@<version>` the list.  Files go before the manifest that names them, manifests
 before the list, and lists and manifests are only written where there is none (conditional writes): what can be seen is
 whole, whoever else pushes, and a push that was cut off goes on where it ended.
-
-Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
-them is in what is written or said.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict
-from datetime import timedelta
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from obstore.exceptions import AlreadyExistsError, BaseError
-from obstore.store import S3Store
-
+from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
-from storage_schema.durable import HashingFile, sync_folder, write_errors, write_file
-from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
+from storage_schema.durable import sync_folder, write_errors, write_file
+from storage_schema.errors import CorruptArtifact, DatasetExists, UnknownReference
 from storage_schema.keys import content_digest, file_sha256
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
 from storage_schema.runs import in_use
@@ -36,113 +29,6 @@ from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = ["RemoteError", "RemoteStore", "pull_dataset", "push_dataset"]
-
-_URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
-_ADDRESS = re.compile(r"https?://\S+")
-_AT_ONCE = 8
-"""Requests in flight."""
-_MAX_RETRIES = 6
-_TIMEOUT = timedelta(seconds=60)
-"""Longest time for one answer; a slower one is asked for again."""
-
-T = TypeVar("T")
-
-
-class RemoteError(StorageError):
-    """Storage elsewhere refuses or does not answer; says what was wanted, and never who asked."""
-
-
-class RemoteStore:
-    """Files in a bucket, below a prefix.
-
-    Args:
-        url: `s3://bucket/prefix`.
-        timeout: Longest time for one answer.
-
-    Raises:
-        BadName: The address has another form.
-    """
-
-    def __init__(self, url: str, *, timeout: timedelta = _TIMEOUT) -> None:
-        match = _URL.fullmatch(url.rstrip("/"))
-        if match is None:
-            raise BadName(
-                f"'{url}' is no place for datasets: s3://BUCKET/PREFIX is meant, credentials in the environment"
-            )
-        self.url = url.rstrip("/")
-        self._store = S3Store(
-            match["bucket"],
-            prefix=match["prefix"] or None,
-            client_options={
-                "allow_http": True,
-                "timeout": timeout,
-                "connect_timeout": min(timeout, timedelta(seconds=10)),
-            },
-            retry_config={"max_retries": _MAX_RETRIES, "retry_timeout": 10 * timeout},
-        )
-
-    def read(self, path: str) -> bytes:
-        """Return a file; FileNotFoundError where there is none."""
-        return self._asked(f"read {path}", lambda: bytes(self._store.get(path).bytes()))
-
-    def has(self, path: str, size: int) -> bool:
-        """Tell whether a file of this size is there."""
-        try:
-            return bool(self._asked(f"look for {path}", lambda: self._store.head(path)["size"]) == size)
-        except FileNotFoundError:
-            return False
-
-    def write(self, path: str, data: bytes | Path) -> None:
-        """Put a file whose name follows from its content: it does not matter who was first."""
-        self._asked(f"write {path}", lambda: self._store.put(path, data))
-
-    def create(self, path: str, data: bytes) -> bool:
-        """Put a new file; false where there is one already, which stays."""
-        try:
-            self._asked(f"write {path}", lambda: self._store.put(path, data, mode="create"))
-        except FileExistsError:
-            return False
-        return True
-
-    def names(self, folder: str) -> list[str]:
-        """Return the names of the files in a folder, sorted."""
-        found = self._asked(f"list {folder}", lambda: [one for part in self._store.list(f"{folder}/") for one in part])
-        return sorted(one["path"].rpartition("/")[2] for one in found)
-
-    def fetch(self, path: str, target: Path) -> str:
-        """Stream a file to a new one here; gives its sha256."""
-
-        def stream() -> str:
-            target.unlink(missing_ok=True)
-            with HashingFile(target) as file:
-                for chunk in self._store.get(path):
-                    file.write(bytes(chunk))
-            return file.sha256
-
-        return self._asked(f"read {path}", stream)
-
-    def read_whole(self, sha256: str) -> bytes:
-        """Return the file of this digest; CorruptArtifact where its bytes have another."""
-        data = self.read(f"files/{sha256}")
-        if hashlib.sha256(data).hexdigest() != sha256:
-            raise self.corrupt(sha256)
-        return data
-
-    def corrupt(self, sha256: str) -> CorruptArtifact:
-        """Return the error of a file whose bytes have another digest."""
-        return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
-
-    def _asked(self, what: str, ask: Callable[[], T]) -> T:
-        try:
-            return ask()
-        except AlreadyExistsError:
-            raise FileExistsError(f"{self.url}/{what}") from None
-        except BaseError as error:
-            # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
-            reason = _ADDRESS.sub("the server", str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": "))
-            raise RemoteError(
-                f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on"
-            ) from None
 
 
 def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Mapping[str, bytes] | None = None) -> int:
@@ -156,7 +42,7 @@ def push_dataset(store: Store, dataset: Dataset, remote: RemoteStore, files: Map
         RemoteError: The bucket refuses or does not answer; the same call goes on.
     """
     manifests = _closure(dataset.refs, store.manifest)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
         num_new = sum(pool.map(lambda manifest: _push_artifact(store, manifest, remote), manifests))
     if files is None:
         files = {path.name: path.read_bytes() for path in dataset.path.iterdir() if path.name != "dataset.json"}
@@ -194,7 +80,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
         raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
     known = open_dataset(store, label) if dataset.path.is_dir() else None
     if known is not None and known.digest != dataset.digest:
-        raise DatasetExists(f"the store {store.root} has another {dataset.label} already, which never changes")
+        raise DatasetExists(f"the store {store} has another {dataset.label} already, which never changes")
     store.prepare()
 
     def manifest_of(ref: ArtifactRef) -> Manifest:
@@ -208,7 +94,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
     with in_use(store):  # what has come is needed by nothing before the list is there
         manifests = _closure(dataset.refs, manifest_of)
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
+        with ThreadPoolExecutor(AT_ONCE) as pool:
             num_new = sum(pool.map(lambda manifest: _pull_artifact(remote, manifest, store), manifests))
         if known is None:
             add_dataset(store, dataset, {name: remote.read_whole(sha256) for name, sha256 in attachments.items()})
@@ -218,7 +104,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]) -> Sequence[Manifest]:
     """Return the manifests of these artifacts and of all that they were computed from."""
     found: dict[ArtifactRef, Manifest] = {}
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(AT_ONCE) as pool:
         waiting = list(dict.fromkeys(refs))
         while waiting:
             found |= zip(waiting, pool.map(manifest_of, waiting), strict=True)
@@ -239,9 +125,8 @@ def _push_artifact(store: Store, manifest: Manifest, remote: RemoteStore) -> boo
     text = manifest.to_json().encode()
     if remote.has(_place(manifest.ref), len(text)):
         return False
-    folder = store.folder(manifest.ref.stage, manifest.ref.key)
     for name, entry in manifest.data_files.items():
-        _push_file(folder / name, remote, entry.sha256)
+        _push_file(store.data_file(manifest.ref, name, entry), remote, entry.sha256)
     return remote.create(_place(manifest.ref), text)
 
 
@@ -259,7 +144,7 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
         return False
     if there is not None:
         raise CorruptArtifact(
-            f"the store {store.root} has other bytes for artifact {ref.stage}@{ref.key[:12]}; pull into another store"
+            f"the store {store} has other bytes for artifact {ref.stage}@{ref.key[:12]}; pull into another store"
         )
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, entry in manifest.data_files.items():

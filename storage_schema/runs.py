@@ -152,7 +152,7 @@ def open_run(store: Store, run_id: str) -> RunFolder:
     """
     path = store.root / "runs" / _checked(run_id)
     if run_id == "latest" or not path.is_dir():
-        raise MissingArtifact(f"there is no run '{run_id}' in the store {store.root}")
+        raise MissingArtifact(f"there is no run '{run_id}' in the store {store}")
     return RunFolder(run_id, path)
 
 
@@ -215,19 +215,20 @@ def in_use(store: Store, *, alone: bool = False) -> Iterator[None]:
     """Keep what is in the store from being removed in this block; `alone`: nobody else may plan or build meanwhile.
 
     Who uses a store waits until the one who has it alone is done; who wants it alone does not wait.  A store
-    that is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.
+    that is not there yet, or that cannot be locked (read-only, a file system without locks), is used without.  One in
+    S3-compatible storage is everybody's alone, and is as it is now when the block begins.
 
     Raises:
         StorageError: Somebody uses the store that is wanted alone.
     """
     with ExitStack() as held:
         try:
-            if (store.root / STORE_FILE).is_file():
+            if store.mirror is not None:
+                held.enter_context(store.mirror.lease())
+            elif (store.root / STORE_FILE).is_file():
                 held.enter_context(_in_line(store.root / "runs" / "in_use", fcntl.LOCK_SH if not alone else _AT_ONCE))
         except BlockingIOError:
-            raise StorageError(
-                f"a run plans or builds in the store {store.root}; try again when it has ended"
-            ) from None
+            raise StorageError(f"a run plans or builds in the store {store}; try again when it has ended") from None
         except OSError:
             if alone:
                 raise

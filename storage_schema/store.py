@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import time
 import uuid
@@ -66,7 +67,7 @@ class Store(StoreReader):
     """Finds, reads and commits the artifacts under one folder.  Picklable: it is only the folder's path.
 
     Args:
-        root: Folder of the store; made when something is first written.
+        root: Folder of the store, or `s3://BUCKET/PREFIX`; made when something is first written.
     """
 
     _begun_s: tuple[float, float] | None = None
@@ -164,7 +165,7 @@ class Store(StoreReader):
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
         with write_errors(self.root):
-            self.remove_folder(self.folder(ref.stage, ref.key))
+            self.remove_folders([self.folder(ref.stage, ref.key)])
 
     def prepare(self) -> None:
         """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
@@ -174,9 +175,20 @@ class Store(StoreReader):
             make_folder(self.root)
             if not (self.root / STORE_FILE).is_file():
                 text = json.dumps({"schema_version": SCHEMA_VERSION}) + "\n"
+                if self.mirror is not None:
+                    self.mirror.remote.create(f"records/{STORE_FILE}", text.encode())
                 replace_file(self.root / STORE_FILE, text.encode(), staging_root=self.staging_root)
         self.check_version()
         self.clear_leftovers()
+
+    def can_write(self) -> bool:
+        """Tell whether this process, a worker, can write to the store, which is there."""
+        if self.mirror is None:
+            return os.access(self.root, os.W_OK)
+        with suppress(StorageError, FileNotFoundError):
+            self.mirror.remote.changed_at("lease")
+            return True
+        return False
 
     def clear_leftovers(self) -> None:
         """Remove what dead processes left half written; a process that is slow to die is left for the next time."""
@@ -191,17 +203,19 @@ class Store(StoreReader):
     def put_in_place(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
         """Rename the staged folder to its place; returns the artifact that is there in the end."""
         target = self.folder(ref.stage, ref.key)
+        if self.mirror is not None:
+            kept = self.mirror.commit(staged, ref, lambda found: not self.outdated_tables(found))
+            if kept != ref:
+                self._say_other_bytes(ref, kept)
+                return kept
         make_folder(target.parent)
         while True:
-            found = self.find(ref.stage, ref.key)
+            found = self.find(ref.stage, ref.key) if self.mirror is None else None
             if found is not None:
                 if found.ref != ref:
-                    _log.warning(
-                        "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
-                        *(ref.stage, ref.key[:12], ref.content_digest[:12], found.ref.content_digest[:12]),
-                    )
+                    self._say_other_bytes(ref, found.ref)
                 return found.ref
-            self.remove_folder(target)
+            self._remove_here([target])
             try:
                 staged.rename(target)
             except OSError:
@@ -212,13 +226,23 @@ class Store(StoreReader):
             sync_folder(target.parent)
             return ref
 
-    def remove_folder(self, target: Path) -> None:
-        """Remove a folder of the store, if it is there; it vanishes in one rename, so nobody sees it half removed."""
-        if target.exists():
-            self.remove_folders([target])
-
     def remove_folders(self, targets: Iterable[Path]) -> None:
         """Remove folders of the store in this order, each in one rename; those that are not there are left out."""
+        targets = list(targets)
+        if self.mirror is not None:
+            self.mirror.withdraw(targets)
+        self._remove_here(targets)
+
+    @staticmethod
+    def _say_other_bytes(ref: ArtifactRef, kept: ArtifactRef) -> None:
+        _log.warning(
+            "artifact %s@%s was computed a second time with other bytes (%s, kept is %s)",
+            *(ref.stage, ref.key[:12], ref.content_digest[:12], kept.content_digest[:12]),
+        )
+
+    def _remove_here(self, targets: Sequence[Path]) -> None:
+        if not any(target.exists() for target in targets):
+            return
         parents = set()
         with closing(StagingFolder(self.staging_root)) as staging:
             for target in targets:

@@ -1,20 +1,27 @@
-"""Finding and reading: what a program may do with a store that it must not change."""
+"""Finding and reading: what a program may do with a store that it must not change.
+
+A store in S3-compatible storage is read through a folder of this machine, its mirror: artifacts come when asked for.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from storage_schema.arrow import schema_digest
 from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest, refuse_newer
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest, refuse_newer
 from storage_schema.parquet_files import iter_table, read_table
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
+
+if TYPE_CHECKING:
+    from storage_schema.mirror import Mirror
 
 __all__ = ["RESERVED_NAMES", "STORE_FILE", "StoreReader"]
 
@@ -24,21 +31,33 @@ RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
 _BLOCK_BYTES = 1 << 14
 
 
+_S3 = re.compile(r"s3:/*(.*)")
+"""An address in S3-compatible storage, also as a path says it, with one stroke."""
+
+
 class StoreReader:
-    """Finds and reads the artifacts under one folder.
+    """Finds and reads the artifacts under one folder; as text it is where the store lies.
 
     Args:
-        root: Folder of the store.
+        root: Folder of the store, or `s3://BUCKET/PREFIX`.
     """
 
     def __init__(self, root: str | Path) -> None:
-        self.root = Path(root).absolute()
+        self.mirror: Mirror | None = None
+        if there := _S3.fullmatch(str(root)):
+            from storage_schema.mirror import open_mirror  # here: a client that stores in folders need not load
+
+            self.mirror = open_mirror(f"s3://{there[1]}")
+        self.root = self.mirror.root if self.mirror is not None else Path(root).absolute()
         self._is_checked = False
         # Texts, where a plan asks for 100,000 artifacts: paths take longer to make than files to open.
         self._prefix, self._said = f"{self.root}/", f"{self.root}/{STORE_FILE}"
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({str(self.root)!r})"
+        return f"{type(self).__name__}({str(self)!r})"
+
+    def __str__(self) -> str:
+        return self.mirror.url if self.mirror is not None else str(self.root)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, type(self)) and self.root == other.root
@@ -47,7 +66,16 @@ class StoreReader:
         return hash(self.root)
 
     def __reduce__(self) -> tuple[type[Self], tuple[str]]:
-        return type(self), (str(self.root),)
+        return type(self), (str(self),)
+
+    def refresh(self) -> None:
+        """Look at what the store holds now, where it does not lie here.
+
+        Raises:
+            RemoteError: It does not answer.
+        """
+        if self.mirror is not None:
+            self.mirror.refresh()
 
     @property
     def staging_root(self) -> Path:
@@ -67,6 +95,8 @@ class StoreReader:
             NewerSchema: The store was written by a newer program.
         """
         self.check_version()
+        if self.mirror is not None and not self.mirror.is_current:
+            self.mirror.bring(stage, key)
         try:
             manifest = self.load(stage, key)
         except (MissingArtifact, CorruptArtifact):
@@ -82,6 +112,8 @@ class StoreReader:
             NewerSchema: The store was written by a newer program.
         """
         self.check_version()
+        if self.mirror is not None:
+            self.mirror.bring(ref.stage, ref.key, known=ref)
         manifest = self.load(ref.stage, ref.key)
         if manifest.ref != ref:
             raise CorruptArtifact(
@@ -133,7 +165,7 @@ class StoreReader:
         if name not in manifest.attachments:
             there = ", ".join(manifest.attachments) or "none"
             raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} has no attachment '{name}'; it has: {there}")
-        path = self.folder(ref.stage, ref.key) / name
+        path = self.data_file(ref, name, manifest.attachments[name])
         if not path.is_file():
             raise CorruptArtifact(f"{path} is missing though its manifest names it")
         return path.read_bytes()
@@ -150,7 +182,7 @@ class StoreReader:
         try:
             text = _bytes_of(path)
         except (FileNotFoundError, NotADirectoryError):
-            raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self.root}") from None
+            raise MissingArtifact(f"artifact {stage}@{key[:12]} is not in the store {self}") from None
         except OSError as error:
             raise CorruptArtifact(f"{path} cannot be read: {error}") from error
         manifest = Manifest.from_json(text, where=path)
@@ -164,6 +196,8 @@ class StoreReader:
         """Tell whether every file is there with the right size, and every table has the declared columns."""
         if self.outdated_tables(manifest):
             return False
+        if self.mirror is not None:
+            return True  # its manifest came last
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
         try:
             for name, part in manifest.tables.items():
@@ -188,7 +222,15 @@ class StoreReader:
         if table not in manifest.tables or table not in TABLES:
             there = ", ".join(manifest.tables) or "none"
             raise MissingArtifact(f"artifact {ref.stage}@{ref.key[:12]} holds no table '{table}'; it holds: {there}")
-        return self.folder(ref.stage, ref.key) / f"{table}.parquet"
+        name = f"{table}.parquet"
+        return self.data_file(ref, name, manifest.data_files[name])
+
+    def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
+        """Return the path of a data file of an artifact, which comes now where the store does not lie here."""
+        path = self.folder(ref.stage, ref.key) / name
+        if self.mirror is not None:
+            self.mirror.bring_part(path, entry)
+        return path
 
     def check_version(self) -> None:
         """Refuse what this program cannot read; looked up once per object.
@@ -208,7 +250,7 @@ class StoreReader:
             raise NotAStore(f"{self.root} is not a store: it is a file, not a folder") from None
         except (ValueError, KeyError, TypeError) as error:
             raise NotAStore(f"{self.root} is not a store: {STORE_FILE} cannot be read ({error})") from error
-        refuse_newer(found, f"the store {self.root}")
+        refuse_newer(found, f"the store {self}")
         self._is_checked = True
 
 

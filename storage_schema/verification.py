@@ -76,16 +76,16 @@ def verify(store: Store) -> Verification:
             continue
         num_files += len(manifest.data_files)
         num_bytes += manifest.num_bytes
-        problems.extend(_check(folder, manifest))
+        problems.extend(_check(store, folder, manifest))
     problems.extend(_check_datasets(store))
     return Verification(len(folders), num_files, num_bytes, tuple(problems))
 
 
-def _check(folder: Path, manifest: Manifest) -> Iterator[Problem]:
+def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
     stage, key = manifest.ref.stage, manifest.ref.key
     recorded = {name: entry.sha256 for name, entry in manifest.data_files.items()}
     for name, sha256 in recorded.items():
-        problem = _check_file(folder / name, sha256)
+        problem = _check_file(store, folder / name, sha256)
         if problem is not None:
             yield Problem(problem[0], stage, key, name, problem[1])
     for path in sorted(folder.iterdir()):
@@ -97,9 +97,9 @@ def _check(folder: Path, manifest: Manifest) -> Iterator[Problem]:
         yield Problem(ProblemKind.CHANGED, stage, key, MANIFEST_NAME, detail)
 
 
-def _check_file(path: Path, sha256: str) -> tuple[ProblemKind, str] | None:
+def _check_file(store: Store, path: Path, sha256: str) -> tuple[ProblemKind, str] | None:
     try:
-        found = file_sha256(path)
+        found = file_sha256(path) if store.mirror is None else store.mirror.part_sha256(sha256)
     except FileNotFoundError:
         return ProblemKind.MISSING, "the manifest names it"
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +36,9 @@ StudyArgument = Annotated[str, typer.Argument(help="Name of a study that ships, 
 SettingOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key of the study; may be given again.")
 ]
-StoreOption = Annotated[Path, typer.Option("--store", metavar="DIR", help="Folder of the store.")]
+StoreOption = Annotated[
+    Path, typer.Option("--store", metavar="DIR", help="Folder of the store, or s3://BUCKET/PREFIX.")
+]
 WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", min=0, help="Local worker processes; one per core when not given, 0 for none but this."),
@@ -77,8 +80,14 @@ def graph_of(context: typer.Context) -> Graph:
 
 
 def open_store(folder: Path) -> Store:
-    """Return the store in a folder, which need not be there yet; NewerSchema or NotAStore where it cannot be one."""
+    """Return the store in a folder, or in a bucket as it is now, which need not be there yet.
+
+    Raises:
+        NewerSchema, NotAStore: It cannot be one.
+        RemoteError: The bucket does not answer.
+    """
     store = Store(folder)
+    store.refresh()
     store.check_version()
     return store
 
@@ -90,7 +99,7 @@ def next_command(*words: str, store: Path, settings: Sequence[str] | None = None
     "pasdedeux run duets --store 'my store' --set chains.num_chains=4"
     """
     told = [part for setting in settings or () for part in ("--set", setting)]
-    at = [] if store == Path("store") else ["--store", str(store)]
+    at = [] if store == Path("store") else ["--store", re.sub("^s3:/(?=[^/])", "s3://", str(store))]
     return shlex.join(["pasdedeux", *words, *at, *told])
 
 

@@ -113,8 +113,9 @@ def pull(
     """Get a dataset from S3-compatible storage."""
     from storage_schema.remote import RemoteStore, pull_dataset
 
-    dataset, num_new = pull_dataset(RemoteStore(place), label, open_store(store))
-    _say_moved(dataset, num_new, f"is in {store}", as_json=as_json)
+    opened = open_store(store)
+    dataset, num_new = pull_dataset(RemoteStore(place), label, opened)
+    _say_moved(dataset, num_new, f"is in {store if opened.mirror is None else opened}", as_json=as_json)
 
 
 def _say_moved(dataset: Dataset, num_new: int, words: str, *, as_json: bool) -> None:
@@ -128,15 +129,13 @@ def _built(store: Store, study: str, stages: list[str]) -> tuple[list[ArtifactRe
     """Return the artifacts of a study's last run, and what goes with them: the study, the machine, the dataset card."""
     last = read_last_run(store, study)
     if last is None:
-        raise PlanError(f"study '{study}' was not built in the store {store.root} yet; run it first")
+        raise PlanError(f"study '{study}' was not built in the store {store} yet; run it first")
     unknown = [stage for stage in stages if stage not in last.stages]
     if unknown:
         raise PlanError(f"study '{study}' has no stage '{unknown[0]}'; it has: {', '.join(last.stages)}")
     reason = mixture(store, last, stages or list(last.stages))
     if reason:
-        raise PlanError(
-            f"study '{study}' is a mixture of runs in the store {store.root}: {reason}; run it to its end first"
-        )
+        raise PlanError(f"study '{study}' is a mixture of runs in the store {store}: {reason}; run it to its end first")
     refs = [ref for stage in last.stages if not stages or stage in stages for ref in last.refs(stage)]
     run = store.root / "runs" / last.run_id
     files = [run / STUDY_FILE, run / ENVIRONMENT_FILE, run / "report" / "card.md"]

@@ -61,7 +61,8 @@ def deploy(
     cluster_settings(workers, scheduler=scheduler, cluster=cluster, oversubscribe=oversubscribe)
     graph = graph_of(context)
     chosen, known = load_study(study, graph, settings=settings or ())
-    make_plan(chosen, known, open_store(store))
+    opened = open_store(store)
+    make_plan(chosen, known, opened)
     if cron is not None and every is not None:
         raise PlanError("--cron and --every are two schedules; give one of them")
     telemetry_off()
@@ -87,7 +88,7 @@ def deploy(
     path = Path(study)
     parameters = {
         "study": str(path.resolve()) if path.is_file() else study,
-        "store": str(store.resolve()),
+        "store": str(store.resolve() if opened.mirror is None else opened),
         "settings": list(settings or ()),
         "workers": workers,
         "oversubscribe": oversubscribe,

@@ -43,8 +43,8 @@ def gc(
 ) -> None:
     """Remove what nothing needs."""
     opened = open_store(store)
-    if not store.is_dir():
-        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
+    if not opened.root.is_dir():
+        raise UnknownReference(f"there is no store in {opened}; --store names the folder of one")
     since = datetime.now(UTC) - timedelta(days=days)
     found = find_garbage(opened, since) if is_dry else collect(opened, since)
     if as_json:

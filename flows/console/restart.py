@@ -105,9 +105,9 @@ def _study_of(store: Store, chosen: DrawSeed) -> tuple[str, dict[str, Any]]:
         if sections:
             return study, sections
     draw = f"draws@{chosen.key[:12]}#{chosen.row}"
-    command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(store.root))
+    command = next_command("export", draw, "--format", "json", "--out", "seeds", store=Path(str(store)))
     raise PlanError(
-        f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store.root}: "
+        f"draws@{chosen.key[:12]} belongs to no study that is on record in the store {store}: "
         f"its settings are not known.  Export it ({command}) and name the file in a study under seeds.files"
     )
 

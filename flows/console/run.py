@@ -233,7 +233,7 @@ def _refuse_full_disk(store: Store) -> None:
     """Refuse to begin where next to nothing can be written."""
     free = free_bytes(store.root)
     if free < MIN_FREE_BYTES:
-        raise PlanError(f"the disk of the store {store.root} has {free / 1e6:.0f} MB left; free some space first")
+        raise PlanError(f"the disk of {store.root} has {free / 1e6:.0f} MB left; free some space first")
 
 
 def _shown(path: Path) -> str:

@@ -35,7 +35,7 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
         print_json(described)
         return
     if not described["studies"]:
-        typer.echo(f"store {store}: no study was built in it yet")
+        typer.echo(f"store {opened}: no study was built in it yet")
     for study in described["studies"]:
         typer.echo(f"study {study['study']}, last run {study['run_id']}")
         rows = [
@@ -53,8 +53,8 @@ def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
 def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Read every file of the store again."""
     opened = open_store(store)
-    if not store.is_dir():
-        raise UnknownReference(f"there is no store in {store}; --store names the folder of one")
+    if not opened.root.is_dir():
+        raise UnknownReference(f"there is no store in {opened}; --store names the folder of one")
     found = verify_store(opened)
     if as_json:
         print_json({"is_ok": found.is_ok, **asdict(found), "problems": [str(problem) for problem in found.problems]})
@@ -85,4 +85,4 @@ def _describe(
                 }
             )
         studies.append({"study": last.study, "run_id": last.run_id, "stages": stages})
-    return {"store": str(store.root), "studies": studies, "runs": describe_runs(store)}
+    return {"store": str(store), "studies": studies, "runs": describe_runs(store)}

@@ -16,6 +16,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from storage_schema import Store
 from storage_schema.provenance import code_version, package_versions, source_digest
 from tasks.shards.errors import ClusterError, in_one_line
 from tasks.shards.profiles import ClusterProfile, await_workers, started
@@ -325,7 +326,8 @@ def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> No
 
 
 def _no_store(worker: str, store_root: str) -> ClusterError:
-    return ClusterError(f"worker {worker} cannot write to the store {store_root}; it must be on a shared file system")
+    needs = "it must reach the bucket" if store_root.startswith("s3://") else "it must be on a shared file system"
+    return ClusterError(f"worker {worker} cannot write to the store {store_root}; {needs}")
 
 
 def _peak_memory_bytes() -> int:
@@ -334,4 +336,4 @@ def _peak_memory_bytes() -> int:
 
 
 def _can_write(store_root: str) -> bool:
-    return os.access(store_root, os.W_OK)
+    return Store(store_root).can_write()

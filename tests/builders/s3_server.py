@@ -31,7 +31,8 @@ class _Quiet(WSGIRequestHandler):
 class S3Server:
     """A server with one bucket; `fault` is asked with method and path before each answer, and names what goes wrong.
 
-    "error" answers 503, "slow" waits, "cut" hangs up after half of the answer, "gone" before any of it.
+    "error" answers 503, "slow" waits, "cut" hangs up after half of the answer, "lost" before
+    any of it, "gone" before the work too.
     """
 
     port: int
@@ -59,6 +60,9 @@ def _with_faults(app: Answer, server: S3Server) -> Answer:
         if fault == "slow":
             time.sleep(server.slow_s)
         body = b"".join(app(environ, start_response))
+        if fault == "lost":
+            environ["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
+            return []
         if fault == "cut":
             return _cut(body, environ["werkzeug.socket"])
         return [body]

@@ -60,7 +60,7 @@ def build_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the command line build in this process, without Prefect and Dask."""
     monkeypatch.setattr(
         "flows.console.run._build",
-        lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, HerePool(str(run.store.root))),
+        lambda run, plan, *_, **__: execute(run, begin(run, plan), plan, HerePool(str(run.store))),
     )
 
 

@@ -1,0 +1,169 @@
+"""Files in S3-compatible storage: asked for again where an answer fails or is slow, written once where names are taken.
+
+Address and credentials come from the environment alone (`AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, ...), and nothing of
+them is in what is written or said.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterable
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
+from obstore.store import S3Store
+
+from storage_schema.durable import HashingFile
+from storage_schema.errors import BadName, CorruptArtifact, StorageError
+
+if TYPE_CHECKING:
+    from obstore import ObjectMeta
+
+__all__ = ["AT_ONCE", "RemoteError", "RemoteStore"]
+
+_URL = re.compile(r"s3://(?P<bucket>[A-Za-z0-9][A-Za-z0-9.-]*)(/(?P<prefix>[^?#]*))?")
+_ADDRESS = re.compile(r"https?://\S+")
+AT_ONCE = 8
+"""Requests in flight."""
+_MAX_RETRIES = 6
+_TIMEOUT = timedelta(seconds=60)
+"""Longest time for one answer; a slower one is asked for again."""
+
+T = TypeVar("T")
+
+
+class RemoteError(StorageError):
+    """Storage elsewhere refuses or does not answer; says what was wanted, and never who asked."""
+
+
+class RemoteStore:
+    """Files in a bucket, below a prefix.
+
+    Args:
+        url: `s3://bucket/prefix`.
+        timeout: Longest time for one answer.
+
+    Raises:
+        BadName: The address has another form.
+    """
+
+    def __init__(self, url: str, *, timeout: timedelta = _TIMEOUT) -> None:
+        match = _URL.fullmatch(url.rstrip("/"))
+        if match is None:
+            raise BadName(
+                f"'{url}' is no place in storage: s3://BUCKET/PREFIX is meant, credentials in the environment"
+            )
+        self.url = url.rstrip("/")
+        self._store = S3Store(
+            match["bucket"],
+            prefix=match["prefix"] or None,
+            client_options={
+                "allow_http": True,
+                "timeout": timeout,
+                "connect_timeout": min(timeout, timedelta(seconds=10)),
+            },
+            retry_config={"max_retries": _MAX_RETRIES, "retry_timeout": 10 * timeout},
+        )
+
+    def read(self, path: str) -> bytes:
+        """Return a file; FileNotFoundError where there is none."""
+        return self._asked(f"read {path}", lambda: bytes(self._store.get(path).bytes()))
+
+    def changed_at(self, path: str) -> datetime:
+        """Return when a file was written, by the server's clock; FileNotFoundError where there is none."""
+        return self._asked(f"look for {path}", lambda: self._store.head(path)["last_modified"])
+
+    def has(self, path: str, size: int) -> bool:
+        """Tell whether a file of this size is there."""
+        try:
+            return bool(self._asked(f"look for {path}", lambda: self._store.head(path)["size"]) == size)
+        except FileNotFoundError:
+            return False
+
+    def write(self, path: str, data: bytes | Path) -> None:
+        """Put a file whose name follows from its content: it does not matter who was first."""
+        self._asked(f"write {path}", lambda: self._store.put(path, data))
+
+    def create(self, path: str, data: bytes) -> bool:
+        """Put a new file; false where there is one already, which stays."""
+        try:
+            self._asked(f"write {path}", lambda: self._store.put(path, data, mode="create"))
+        except FileExistsError:
+            return False
+        return True
+
+    def read_tagged(self, path: str) -> tuple[bytes, str]:
+        """Return a file and the tag of this content of it; FileNotFoundError where there is none."""
+
+        def ask() -> tuple[bytes, str]:
+            found = self._store.get(path)
+            return bytes(found.bytes()), str(found.meta["e_tag"])
+
+        return self._asked(f"read {path}", ask)
+
+    def replace(self, path: str, data: bytes, tag: str) -> str | None:
+        """Put a file in the place of the one with this tag; gives the new tag, None where that is another by now.
+
+        That other one may be this: an answer that was lost is asked for again.
+        """
+        try:
+            return str(self._asked(f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}))["e_tag"])
+        except PreconditionError:
+            return None
+
+    def delete(self, paths: Iterable[str]) -> None:
+        """Remove files; those that are not there are as good."""
+        self._asked("remove files", lambda: self._store.delete(list(paths)))
+
+    def entries(self, folder: str) -> list[ObjectMeta]:
+        """Return what is in a folder and below: path, size, tag, time of the last change."""
+        return self._asked(f"list {folder}", lambda: [one for part in self._store.list(f"{folder}/") for one in part])
+
+    def names(self, folder: str) -> list[str]:
+        """Return the names of the files in a folder, sorted."""
+        return sorted(one["path"].rpartition("/")[2] for one in self.entries(folder))
+
+    def fetch(self, path: str, target: Path) -> str:
+        """Stream a file to a new one here; gives its sha256."""
+
+        def stream() -> str:
+            target.unlink(missing_ok=True)
+            with HashingFile(target) as file:
+                for chunk in self._store.get(path):
+                    file.write(bytes(chunk))
+            return file.sha256
+
+        return self._asked(f"read {path}", stream)
+
+    def read_whole(self, sha256: str) -> bytes:
+        """Return the file of this digest; CorruptArtifact where its bytes have another."""
+        data = self.read(f"files/{sha256}")
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise self.corrupt(sha256)
+        return data
+
+    def corrupt(self, sha256: str) -> CorruptArtifact:
+        """Return the error of a file whose bytes have another digest."""
+        return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
+
+    def _asked(self, what: str, ask: Callable[[], T]) -> T:
+        for left in reversed(range(_MAX_RETRIES)):
+            try:
+                return ask()
+            except AlreadyExistsError:
+                raise FileExistsError(f"{self.url}/{what}") from None
+            except PreconditionError:
+                raise
+            except BaseError as error:
+                # A list that was cut off is the one thing that the client does not ask for again.
+                if left == 0 or "response body" not in str(error):
+                    raise self._refused(what, error) from None
+        raise AssertionError
+
+    def _refused(self, what: str, error: BaseError) -> RemoteError:
+        # The rest of the message is the server's answer: that may name keys, as its address may, and helps nobody.
+        reason = _ADDRESS.sub("the server", str(error).partition("<?xml")[0].partition("\n")[0].rstrip(": "))
+        return RemoteError(f"{self.url}: cannot {what} ({reason}); what is there is whole, the same command goes on")

@@ -1,0 +1,444 @@
+"""A store in S3-compatible storage, worked on through a folder of this machine: the mirror.
+
+Below `s3://bucket/prefix`: `parts/<sha256>` is a data file, `manifests/<stage>/<key>` what an artifact says of itself,
+`records/...` what lies under the same name in a store's folder (`runs/`, `store.json`), `datasets/<name>@<version>` a
+dataset's folder as a tar file, `lease` who builds.  Parts go before the manifest that names them, and a manifest is
+only written where there is none: what can be seen is whole.  The mirror has the layout of every store, with manifests
+and records as they were when it was refreshed, and data files since they were first read; it can be removed whenever
+nothing runs.  Workers on other machines have mirrors of their own.
+
+A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
+`LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import io
+import json
+import os
+import platform
+import shutil
+import tarfile
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from datetime import timedelta
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
+from storage_schema.durable import make_folder, write_errors
+from storage_schema.errors import CorruptArtifact, StorageError
+from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest
+from storage_schema.staging import StagingFolder, replace_file
+
+if TYPE_CHECKING:
+    from obstore import ObjectMeta
+
+__all__ = ["LEASE_S", "Mirror", "open_mirror"]
+
+LEASE_S = 60.0
+"""A lease that was not renewed for so long belongs to nobody."""
+_BEAT_S = 4.0
+_WATCH_S = 0.5
+_YOUNG = timedelta(hours=1)
+"""A part of this age may belong to an artifact whose manifest is still to come."""
+
+
+class Mirror:
+    """The remote side of a store, and its folder here.
+
+    Args:
+        url: `s3://bucket/prefix`; address and credentials come from the environment.
+        root: Folder of the mirror.
+    """
+
+    def __init__(self, url: str, root: Path) -> None:
+        self.remote = RemoteStore(url)
+        self.url, self.root = self.remote.url, root
+        self.is_current = False
+        """Whether this process has refreshed it: workers do not, and ask for each manifest that they look for."""
+        self._num_holding = 0
+        self._holder = _Holder()
+        self._pushing = threading.Lock()
+        self._pushed: dict[Path, tuple[int, int]] = {}
+
+    def refresh(self) -> None:
+        """Bring manifests and records up to date; beside a run of this machine nothing is done: the mirror is.
+
+        Raises:
+            RemoteError: The bucket refuses or does not answer.
+        """
+        with self._locked(fcntl.LOCK_SH | fcntl.LOCK_NB) as is_alone:
+            if is_alone and not self._num_holding:
+                self._refresh()
+        self.is_current = True
+
+    def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
+        """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here."""
+        folder = self._folder(stage, key)
+        if known is not None and self._ref_here(folder) == known:
+            return
+        try:
+            self._put_manifest(folder, self.remote.read(f"manifests/{stage}/{key}"))
+        except FileNotFoundError:
+            with suppress(FileNotFoundError):
+                self._forget(folder / MANIFEST_NAME)
+
+    def bring_part(self, path: Path, entry: FileEntry) -> None:
+        """Have a data file of an artifact here.
+
+        Raises:
+            CorruptArtifact: It is not there, or not what its name says; its manifest is taken back.
+        """
+        if path.is_file() and path.stat().st_size == entry.bytes:
+            return
+        with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
+            try:
+                if self.remote.fetch(f"parts/{entry.sha256}", staging.path / path.name) != entry.sha256:
+                    raise FileNotFoundError
+            except FileNotFoundError:
+                with suppress(RemoteError):  # who may only read leaves that to others
+                    self.withdraw([path.parent])
+                raise CorruptArtifact(
+                    f"{self.url}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
+                    f"{path.parts[-4]}@{path.parent.name[:12]} again"
+                ) from None
+            make_folder(path.parent)
+            (staging.path / path.name).replace(path)
+
+    def part_sha256(self, sha256: str) -> str:
+        """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
+        with closing(StagingFolder(self.root / "tmp")) as staging:
+            return self.remote.fetch(f"parts/{sha256}", staging.path / sha256)
+
+    def commit(self, staged: Path, ref: ArtifactRef, is_valid: Callable[[Manifest], bool]) -> ArtifactRef:
+        """Put an artifact into the bucket, its manifest last; gives the one that is there in the end.
+
+        One that is there and not valid, or whose manifest is none, is replaced.
+        """
+        text = (staged / MANIFEST_NAME).read_bytes()
+        files = Manifest.from_json(text, where=str(staged)).data_files
+        parts = {entry.sha256: staged / name for name, entry in files.items()}
+        _at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
+        place = f"manifests/{ref.stage}/{ref.key}"
+        while not self.remote.create(place, text):
+            with suppress(FileNotFoundError, CorruptArtifact):
+                there = Manifest.from_json(self.remote.read(place), where=f"{self.url}/{place}")
+                if is_valid(there):
+                    return there.ref
+            self.remote.delete([place])
+        return ref
+
+    def add_dataset(self, folder: Path, label: str) -> bool:
+        """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
+        packed = io.BytesIO()
+        with tarfile.open(fileobj=packed, mode="w") as file:
+            file.add(folder, arcname=".")
+        place, data = f"datasets/{label}", packed.getvalue()
+        if self.remote.create(place, data) or self.remote.read(place) == data:  # or it was we, and the answer was lost
+            return True
+        self._bring_datasets()
+        return False
+
+    def withdraw(self, targets: Iterable[Path]) -> None:
+        """Take back what the folders of artifacts and runs stand for."""
+        places = []
+        for target in targets:
+            name = self._name(target)
+            if name.startswith("runs/"):
+                places += [one["path"] for one in self.remote.entries(f"records/{name}")]
+            else:
+                places.append(f"manifests/{target.parent.parent.name}/{target.name}")
+        if places:
+            self.remote.delete(places)
+
+    def sweep(self, *, younger: timedelta = _YOUNG) -> None:
+        """Remove parts that no manifest names; the youngest stay, as a lost worker may still be writing."""
+        self._check_held()
+        parts = self.remote.entries("parts")
+        named: set[str] = set()
+        for path in self.root.glob(f"*/??/*/{MANIFEST_NAME}"):
+            manifest = Manifest.from_json(path.read_bytes(), where=str(path))
+            named.update(entry.sha256 for entry in manifest.data_files.values())
+        before = self.remote.changed_at("lease") - younger
+        old = [one["path"] for one in parts if one["last_modified"] <= before]
+        if going := [path for path in old if path.rpartition("/")[2] not in named]:
+            self.remote.delete(going)
+
+    @contextmanager
+    def lease(self) -> Iterator[None]:
+        """Be the only one that builds in the store for this block; records of runs reach the bucket meanwhile.
+
+        Raises:
+            StorageError: Another run has the lease.
+            RemoteError: The bucket refuses or does not answer.
+        """
+        if self._num_holding:
+            self._num_holding += 1
+            try:
+                yield
+            finally:
+                self._num_holding -= 1
+            return
+        self._holder = _Holder()
+        self._take()
+        ended = threading.Event()
+        for do in (self._renewed, self._push_records):
+            threading.Thread(target=_each_beat, args=(do, ended), name="pasdedeux-lease", daemon=True).start()
+        try:
+            with self._locked(fcntl.LOCK_EX):
+                try:
+                    self._refresh()
+                    self.is_current, self._num_holding = True, 1
+                    yield
+                except BaseException:
+                    with suppress(StorageError, FileNotFoundError):
+                        self._give_back()
+                    raise
+                else:
+                    self._give_back()
+        finally:
+            ended.set()
+            self._num_holding = 0
+
+    def _take(self) -> None:
+        first_tag, since = "", time.monotonic()
+        while True:
+            try:
+                there, tag = self.remote.read_tagged("lease")
+            except FileNotFoundError:
+                self.remote.create("lease", self._holder.as_bytes())
+                continue
+            said = json.loads(there)
+            if said["holder"] == self._holder.name:
+                self._holder.tag = tag
+                return
+            is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
+            if not said["holder"] or is_unchanged or (said["host"] == platform.node() and not _is_alive(said["pid"])):
+                self.remote.replace("lease", self._holder.as_bytes(), tag)
+                continue
+            if first_tag not in ("", tag):
+                raise StorageError(
+                    f"a run plans or builds in the store {self.url} (process {said['pid']} on {said['host']}); "
+                    "try again when it has ended"
+                )
+            if not first_tag:
+                first_tag, since = tag, time.monotonic()
+            time.sleep(_WATCH_S)
+
+    def _renewed(self, *, released: bool = False) -> bool:
+        """Tell whether the lease is still held; now it is for longer, or given up."""
+        holder = self._holder
+        with holder.lock:
+            for _ in range(2):
+                if holder.is_over:
+                    break
+                holder.count += 1
+                tag = self.remote.replace("lease", holder.as_bytes(released=released), holder.tag)
+                if tag is not None:
+                    holder.tag, holder.is_over = tag, released
+                    return True
+                there, holder.tag = self.remote.read_tagged("lease")
+                holder.is_over = json.loads(there)["holder"] != holder.name
+            return False
+
+    def _check_held(self) -> None:
+        if not self._renewed():
+            raise StorageError(
+                f"another run has taken over the store {self.url}, as the lease of this one was not renewed for "
+                f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
+            )
+
+    def _give_back(self) -> None:
+        self._check_held()
+        self._push_records()
+        self._renewed(released=True)
+
+    def _push_records(self) -> None:
+        """Put what runs have left since the last time into the bucket; nothing before the mirror has been refreshed."""
+
+        def push(path: Path) -> None:
+            state = _state(path)
+            with suppress(FileNotFoundError):  # removed meanwhile
+                self.remote.write(f"records/{self._name(path)}", path.read_bytes())
+                self._pushed[path] = state
+
+        with self._pushing:
+            if self._num_holding and not self._holder.is_over:
+                files = (path for path in (self.root / "runs").rglob("[!.]*") if path.is_file())
+                _at_once(push, [path for path in files if self._pushed.get(path) != _state(path)])
+
+    def _refresh(self) -> None:
+        began = time.time()
+        manifests = {
+            self._folder(stage, key) / MANIFEST_NAME: entry
+            for entry in self.remote.entries("manifests")
+            for _, stage, key in [entry["path"].split("/", 2)]
+        }
+        records = {self.root / entry["path"].partition("/")[2]: entry for entry in self.remote.entries("records")}
+        wanted = {**manifests, **records}
+        _at_once(lambda one: self._bring_file(*one), [one for one in wanted.items() if not _is_same(*one)])
+        here = [*self.root.glob(f"*/??/*/{MANIFEST_NAME}")]
+        here += [path for path in (self.root / "runs").rglob("*") if path.is_file()]
+        for path in here:
+            with suppress(FileNotFoundError):
+                # What is newer was written by another process of this machine, after the list was made.
+                if path not in wanted and not path.name.startswith(".") and path.stat().st_mtime < began:
+                    self._forget(path)
+        self._bring_datasets()
+        self._pushed |= {path: _state(path) for path in records}
+
+    def _bring_file(self, path: Path, entry: ObjectMeta) -> None:
+        try:
+            data = self.remote.read(entry["path"])
+        except FileNotFoundError:
+            return  # removed since it was listed
+        with write_errors(self.root):
+            if path.name == MANIFEST_NAME:
+                self._put_manifest(path.parent, data)
+            else:
+                replace_file(path, data, staging_root=self.root / "tmp")
+            os.utime(path, ns=(_mark(entry), _mark(entry)))
+
+    def _bring_datasets(self) -> None:
+        entries = self.remote.entries("datasets")
+        names = {entry["path"].rpartition("/")[2] for entry in entries}
+        for folder in (self.root / "datasets").glob("*@*"):
+            if folder.name not in names:
+                shutil.rmtree(folder, ignore_errors=True)
+        for entry in entries:
+            folder = self.root / entry["path"]
+            if _state(folder)[0] == _mark(entry):
+                continue
+            with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
+                with tarfile.open(fileobj=io.BytesIO(self.remote.read(entry["path"]))) as file:
+                    file.extractall(staging.path / "new", filter="data")
+                os.utime(staging.path / "new", ns=(_mark(entry), _mark(entry)))
+                make_folder(folder.parent)
+                with suppress(FileNotFoundError):
+                    folder.rename(staging.path / "old")
+                (staging.path / "new").rename(folder)
+
+    def _put_manifest(self, folder: Path, data: bytes) -> None:
+        path = folder / MANIFEST_NAME
+        with suppress(CorruptArtifact):
+            if self._ref_here(folder) not in (None, Manifest.from_json(data, where=self.url).ref):
+                self._forget(path)
+        replace_file(path, data, staging_root=self.root / "tmp")
+
+    @staticmethod
+    def _ref_here(folder: Path) -> ArtifactRef | None:
+        path = folder / MANIFEST_NAME
+        with suppress(FileNotFoundError, CorruptArtifact):
+            return Manifest.from_json(path.read_bytes(), where=str(path)).ref
+        return None
+
+    def _forget(self, path: Path) -> None:
+        """Drop what is here of something that the bucket has not."""
+        if path.name == MANIFEST_NAME:
+            with closing(StagingFolder(self.root / "tmp")) as staging:
+                path.parent.rename(staging.path / path.parent.name)
+        else:
+            path.unlink()
+            with suppress(OSError):  # until one is not empty
+                for folder in path.parents:
+                    folder.rmdir()
+
+    def _folder(self, stage: str, key: str) -> Path:
+        return self.root / stage / key[:2] / key
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self.root).as_posix()
+
+    @contextmanager
+    def _locked(self, how: int) -> Iterator[bool]:
+        """Hold the folder against other processes of this machine; false where it cannot be had at once."""
+        make_folder(self.root.parent)
+        handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, how)
+            except BlockingIOError:
+                yield False
+            else:
+                yield True
+        finally:
+            os.close(handle)
+
+
+class _Holder:
+    """Who builds: what a lease says, and the tag by which it is renewed."""
+
+    def __init__(self) -> None:
+        self.name, self.tag, self.count, self.is_over = uuid.uuid4().hex, "", 0, False
+        self.lock = threading.Lock()
+
+    def as_bytes(self, *, released: bool = False) -> bytes:
+        values = {"holder": "" if released else self.name, "host": platform.node(), "pid": os.getpid()}
+        return json.dumps({**values, "renewed": self.count}).encode()
+
+
+@cache
+def _opened(url: str, endpoint: str, cache_folder: str) -> Mirror:
+    name = hashlib.sha256(f"{endpoint}\n{url}".encode()).hexdigest()[:16]
+    return Mirror(url, Path(cache_folder) / "stores" / name)
+
+
+def open_mirror(url: str) -> Mirror:
+    """Return the mirror of a store in this process, in `$PASDEDEUX_CACHE` or the user's cache folder."""
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux"
+    endpoint, folder = os.environ.get("AWS_ENDPOINT_URL", ""), os.environ.get("PASDEDEUX_CACHE") or str(user)
+    return _opened(url.rstrip("/"), endpoint, str(Path(folder).absolute()))
+
+
+def _each_beat(do: Callable[[], object], ended: threading.Event) -> None:
+    """Do something again and again until the block has ended; while the bucket does not answer, try the next time."""
+    while not ended.wait(_BEAT_S):
+        with suppress(RemoteError, FileNotFoundError):
+            do()
+
+
+def _at_once(do: Callable[[Any], object], each: Iterable[Any]) -> None:
+    """Do something with each, some at the same time; what the first that fails raises is raised."""
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        list(pool.map(do, each))
+
+
+def _state(path: Path) -> tuple[int, int]:
+    try:
+        stat = path.stat()
+    except FileNotFoundError:
+        return 0, 0
+    return stat.st_mtime_ns, stat.st_size
+
+
+def _mark(entry: ObjectMeta) -> int:
+    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below."""
+    tag = int(hashlib.sha256(str(entry["e_tag"]).encode()).hexdigest()[:12], 16) % 10**9
+    return int(entry["last_modified"].timestamp()) * 10**9 + tag
+
+
+def _is_same(path: Path, entry: ObjectMeta) -> bool:
+    """Tell whether a file here is what the bucket lists; for small files the tag is their md5 nearly everywhere."""
+    mtime_ns, size = _state(path)
+    if size != entry["size"]:
+        return False
+    if mtime_ns == _mark(entry):
+        return True
+    with suppress(FileNotFoundError):
+        is_same = hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest() == str(entry["e_tag"]).strip('"')
+        if is_same:
+            os.utime(path, ns=(_mark(entry), _mark(entry)))
+        return is_same
+    return False
+
+
+def _is_alive(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists() or not Path("/proc").exists()

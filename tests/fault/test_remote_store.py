@@ -1,0 +1,340 @@
+"""A store in a bucket on loopback: runs end with the bytes of a local one, whatever fails, waits, hangs up or dies."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from flows.collecting import collect
+from flows.console.app import run_command_line
+from flows.outcomes import Outcome
+from flows.planning import Selection
+from storage_schema import (
+    ArtifactRef,
+    StorageError,
+    Store,
+    create_dataset,
+    in_use,
+    list_datasets,
+    list_runs,
+    open_table,
+    verify,
+)
+from storage_schema.bucket import RemoteStore
+from storage_schema.errors import DatasetExists
+from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
+from tests.builders.s3_server import SECRET, S3Server, s3_server
+from tests.builders.storage_rows import commit_rows
+from tests.builders.toy_runs import Outside, build_here, digests, run_toys, wait_until, write_study
+from tests.builders.toys import TOYS
+
+EVERYTHING = 14
+_BUILD = """
+import sys
+from pathlib import Path
+from storage_schema import Store, in_use
+from tests.builders.toy_runs import run_toys
+with in_use(Store(sys.argv[2])):
+    run_toys(Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[S3Server]:
+    with s3_server(monkeypatch) as found:
+        monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / "cache"))
+        yield found
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run_toys(write_study(folder), folder / "store")
+    return digests(folder / "store")
+
+
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], None]:
+    """Go to another machine: nothing is here of what was there."""
+    number = itertools.count()
+    return lambda: monkeypatch.setenv("PASDEDEUX_CACHE", str(tmp_path / f"cache-{next(number)}"))
+
+
+def run_there(folder: Path, place: str, *settings: str, selection: Selection | None = None) -> Outcome:
+    """Build the toys in a bucket, in this process."""
+    with in_use(Store(place)):
+        return run_toys(write_study(folder), Path(place), *settings, selection=selection)
+
+
+def digests_there(place: str) -> dict[str, list[str]]:
+    Store(place).refresh()
+    return digests(Path(place))
+
+
+def test_every_command_works_on_a_bucket_and_another_machine_sees_the_same(
+    server: S3Server,
+    elsewhere: Callable[[], None],
+    undisturbed: dict[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    build_here(monkeypatch)
+    study = str(write_study(tmp_path))
+
+    def call(*arguments: str) -> str:
+        assert run_command_line([*arguments, "--store", server.place], graph=TOYS) == 0
+        said = capsys.readouterr()
+        assert SECRET not in said.out + said.err
+        return said.out
+
+    assert f"--store {server.place}" in call("plan", study)
+    assert "done: 14 shards computed" in call("run", study)
+    assert digests_there(server.place) == undisturbed
+    elsewhere()
+    assert "everything is fresh, nothing to do" in call("run", study)
+    assert ": finished" in call("status")
+    assert "0" in call("show", "scores:toy")
+    assert "toys@1 made: 14 artifacts" in call("dataset", "create", "toys", "--study", "toy")
+    assert "done: 12 shards computed" in call("run", study, "--set", "grow.scale=2")
+    elsewhere()
+    assert "toys@1  14 artifacts" in call("dataset", "list")
+    assert "26 artifacts, 27 files" in call("verify")
+    assert len(open_table("training_log:toy", server.place)) == len(open_table("training_log:toys@1", server.place))
+    written = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    remote = RemoteStore(server.place)
+    written += [remote.read(one["path"]) for folder in ("records", "manifests") for one in remote.entries(folder)]
+    assert not any(SECRET.encode() in data for data in [*written, remote.read("lease")])
+
+
+def test_what_nothing_needs_goes_from_the_bucket_too(
+    server: S3Server, elsewhere: Callable[[], None], tmp_path: Path
+) -> None:
+    run_there(tmp_path, server.place, "grow.num_takes=3")
+    run_there(tmp_path, server.place)
+    store, remote = Store(server.place), RemoteStore(server.place)
+    assert len(list_runs(store)) == 2
+    collect(store, datetime.now(UTC) + timedelta(days=1))
+    assert (len(remote.entries("manifests")), len(list_runs(store))) == (EVERYTHING, 1)
+    assert len(remote.entries("parts")) > EVERYTHING, "the youngest stay"
+    with in_use(store):
+        assert store.mirror is not None
+        store.mirror.sweep(younger=timedelta(0))
+    named = {file.sha256 for one in store.artifacts() for file in one.data_files.values()}
+    assert {one["path"] for one in remote.entries("parts")} == {f"parts/{sha256}" for sha256 in named}
+    assert verify(store).is_ok
+    elsewhere()
+    there = Store(server.place)
+    there.refresh()
+    assert (len(list(there.artifacts())), len(list_runs(there))) == (EVERYTHING, 1)
+    assert verify(there).is_ok
+
+
+@pytest.mark.parametrize("fault", ["error", "slow", "cut", "lost"])
+def test_faults_of_the_server_cost_time_and_nothing_else(
+    server: S3Server,
+    elsewhere: Callable[[], None],
+    undisturbed: dict[str, list[str]],
+    tmp_path: Path,
+    fault: str,
+) -> None:
+    counter, lock = itertools.count(), threading.Lock()
+
+    def now_and_then(method: str, path: str) -> str:
+        with lock:
+            number = next(counter)
+        return fault if number in (5, 60) or (fault != "slow" and number % 7 == 5) else ""
+
+    def patient() -> None:
+        mirror = Store(server.place).mirror
+        assert mirror is not None
+        mirror.remote = RemoteStore(server.place, timeout=timedelta(seconds=2.5 if fault == "slow" else 30.0))
+
+    server.fault, server.slow_s = now_and_then, 3.5
+    patient()
+    run_there(tmp_path, server.place)
+    store = Store(server.place)
+    assert create_dataset(store, "toys", [one.ref for one in store.artifacts()]).version == "1"
+    elsewhere()
+    patient()
+    assert run_there(tmp_path, server.place).num_computed == 0
+    assert digests_there(server.place) == undisturbed
+    assert verify(Store(server.place)).is_ok
+    assert next(counter) > 60, "there were faults on both ways"
+
+
+def test_a_second_run_is_refused_and_a_killed_one_is_finished_on_another_machine(
+    server: S3Server, elsewhere: Callable[[], None], undisturbed: dict[str, list[str]], tmp_path: Path
+) -> None:
+    gates = tmp_path / "gates"
+    gates.mkdir()
+    (gates / "hold-grow-t1-s1").touch()
+    command = [sys.executable, "-c", _BUILD, str(write_study(tmp_path)), server.place]
+    first = subprocess.Popen(command, cwd=Path(__file__).parents[2], env={**os.environ, "TOY_FOLDER": str(gates)})
+    try:
+        ran = gates / "ran.txt"
+        wait_until(lambda: ran.exists() and "grow-t1-s1" in ran.read_text(), "a shard in work")
+        elsewhere()
+        with pytest.raises(StorageError, match=rf"^a run plans or builds in the store {server.place} \(process "):
+            run_there(tmp_path, server.place)
+    finally:
+        first.kill()
+        first.wait()
+    done = len(RemoteStore(server.place).entries("manifests"))
+    assert 0 < done < EVERYTHING
+    assert run_there(tmp_path, server.place).num_computed == EVERYTHING - done
+    assert digests_there(server.place) == undisturbed
+    assert verify(Store(server.place)).is_ok
+
+
+def test_workers_with_an_empty_mirror_fetch_what_they_read_and_push_what_they_make(
+    server: S3Server,
+    elsewhere: Callable[[], None],
+    undisturbed: dict[str, list[str]],
+    tmp_path: Path,
+) -> None:
+    run_there(tmp_path, server.place, selection=Selection(until="grow"))
+    elsewhere()
+    with Outside(tmp_path) as outside:
+        elsewhere()
+        with (
+            in_use(Store(server.place)),
+            connect(ClusterSettings(scheduler=outside.address), store_root=server.place) as client,
+        ):
+            pool = ClusterPool(client, server.place, is_shared=True)
+            outcome = run_toys(write_study(tmp_path), Path(server.place), pool=pool)
+    assert outcome.num_computed == EVERYTHING - 6
+    assert digests_there(server.place) == undisturbed
+    assert outcome.report is not None
+    mirrors = [Store(server.place).root, *(tmp_path / "cache-0" / "stores").glob("*/")]
+    assert len({path.parent for path in mirrors}) == 2
+    assert all(any(root.glob("bend/*/*/models.parquet")) for root in mirrors[1:])
+
+
+@contextmanager
+def somebody_builds(place: str, *, renewed: bool = False) -> Iterator[None]:
+    """Leave the lease of a run on another machine, which may be alive."""
+    remote, number, ended = RemoteStore(place), itertools.count(), threading.Event()
+
+    def say() -> None:
+        values = {"holder": "somebody", "host": "elsewhere", "pid": 1, "renewed": next(number)}
+        remote.write("lease", json.dumps(values).encode())
+
+    def renew() -> None:
+        while not ended.wait(0.2):
+            say()
+
+    say()
+    thread = threading.Thread(target=renew)
+    if renewed:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        if renewed:
+            thread.join()
+
+
+def test_a_lease_is_taken_over_only_when_it_is_not_renewed(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.mirror.LEASE_S", 1.2)
+    with (
+        somebody_builds(server.place, renewed=True),
+        pytest.raises(StorageError, match=r"\(process 1 on elsewhere\); try again when it has ended$"),
+        in_use(Store(server.place)),
+    ):
+        pass
+    with somebody_builds(server.place), in_use(Store(server.place)):
+        there = json.loads(RemoteStore(server.place).read("lease"))
+    assert (there["holder"] != "somebody", there["pid"]) == (True, os.getpid())
+
+
+def test_a_run_whose_lease_was_taken_says_so_and_leaves_the_records_of_the_other(
+    server: S3Server, tmp_path: Path
+) -> None:
+    def lose_it() -> None:
+        with in_use(Store(server.place)):
+            run_toys(write_study(tmp_path), Path(server.place))
+            with somebody_builds(server.place):
+                pass
+
+    with pytest.raises(StorageError, match=r"another run has taken over the store s3://.*the same command goes on"):
+        lose_it()
+    remote = RemoteStore(server.place)
+    assert not [one for one in remote.entries("records") if "/runs/latest/" in one["path"]]
+    assert len(remote.entries("manifests")) == EVERYTHING
+
+
+def test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run(
+    server: S3Server, elsewhere: Callable[[], None], undisturbed: dict[str, list[str]], tmp_path: Path
+) -> None:
+    run_there(tmp_path, server.place, selection=Selection(until="grow"))
+    store, remote = Store(server.place), RemoteStore(server.place)
+    lost, changed = [one for one in store.artifacts("grow") if one.name == "s2"]
+    (part,) = {entry.sha256 for entry in lost.data_files.values()}
+    remote.delete([f"parts/{part}"])
+    (part,) = {entry.sha256 for entry in changed.data_files.values()}
+    remote.write(f"parts/{part}", b"something else")
+    assert [problem.kind.value for problem in verify(store).problems] == ["missing", "changed"]
+    elsewhere()
+    with pytest.raises(ShardError, match=r"is gone or damaged; a run computes its artifact grow@\w{12} again"):
+        run_there(tmp_path, server.place)
+    run_there(tmp_path, server.place)
+    assert digests_there(server.place) == undisturbed
+    assert verify(Store(server.place)).is_ok
+
+
+def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:
+    ref = commit_rows(Store(server.place), name="one")
+    elsewhere()
+    other = Store(server.place)
+    again = commit_rows(other, name="one")
+    assert again == ref
+    assert other.manifest(ref).ref == ref
+    Store(server.place).discard(ref)
+    assert RemoteStore(server.place).entries("manifests") == []
+
+
+def test_a_dataset_has_its_name_once(server: S3Server, elsewhere: Callable[[], None]) -> None:
+    store = Store(server.place)
+    store.refresh()
+    first = create_dataset(store, "toys", [commit_rows(store, name="one")], attachments={"card.md": b"# Card"})
+    elsewhere()
+    other = Store(server.place)
+    second = create_dataset(other, "toys", [commit_rows(other, name="two")])
+    assert (first.version, second.version) == ("1", "2")
+    with pytest.raises(DatasetExists):
+        create_dataset(other, "toys", list(first.refs), version="1")
+    assert [one.label for one in list_datasets(other)] == ["toys@1", "toys@2"]
+    assert (list_datasets(other)[0].path / "card.md").read_bytes() == b"# Card"
+
+
+def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_any_work(
+    server: S3Server, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build_here(monkeypatch)
+    study = str(write_study(tmp_path))
+    assert run_command_line(["run", study, "--store", "s3://nowhere/store"], graph=TOYS) == 1
+    assert "error: s3://nowhere/store: cannot list manifests" in capsys.readouterr().err
+    assert run_command_line(["run", study, "--store", "s3://"], graph=TOYS) == 2
+    assert "s3://BUCKET/PREFIX is meant" in capsys.readouterr().err
+    server.fault = lambda method, path: "gone"
+    assert run_command_line(["run", study, "--store", server.place], graph=TOYS) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"error: {server.place}: cannot list manifests")
+    assert SECRET not in said
+
+
+def test_an_artifact_that_is_not_there_is_said_with_the_store(server: S3Server) -> None:
+    with pytest.raises(StorageError, match=rf"is not in the store {server.place}"):
+        Store(server.place).manifest(ArtifactRef("poses", "0" * 64, "1" * 64))

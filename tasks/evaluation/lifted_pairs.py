@@ -192,8 +192,9 @@ def _nearest(shard: Shard, store: Store) -> TopicResult:
     caption = (
         "Some lifted pairs with the error of a joint to expect, and where four of five such errors are; each beside "
         "the other annotations and the draws most like it, nearest first, and their distance d_I: of an annotation to "
-        "the pair seen from where that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Better: "
-        "all look alike; far neighbours say that nothing like it is known."
+        "the pair seen from where that was taken, of a draw to the pair's image (Yin et al. 2018, fig. 11). Not "
+        "annotations of the same moment; but the nearest draw may have been lifted from that very image. Better: all "
+        "look alike; far neighbours say that nothing like it is known."
     )
     return TopicResult(scores, {"nearest.svg": nearest_figure(examples)}, {"nearest.svg": caption})
 

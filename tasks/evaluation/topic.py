@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 40
+VERSION = 41
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -10,8 +10,9 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
@@ -29,6 +30,8 @@ _ADDRESS = re.compile(r"https?://\S+")
 AT_ONCE = 8
 """Requests in flight."""
 _MAX_RETRIES = 6
+_DELETED_AT_ONCE = 1000
+"""Files in one request: more are several requests, which end in any order."""
 _TIMEOUT = timedelta(seconds=60)
 """Longest time for one answer; a slower one is asked for again."""
 
@@ -85,12 +88,12 @@ class RemoteStore:
 
     def write(self, path: str, data: bytes | Path) -> None:
         """Put a file whose name follows from its content: it does not matter who was first."""
-        self._asked(f"write {path}", lambda: self._store.put(path, data))
+        self._put(path, data)
 
     def create(self, path: str, data: bytes) -> bool:
         """Put a new file; false where there is one already, which stays."""
         try:
-            self._asked(f"write {path}", lambda: self._store.put(path, data, mode="create"))
+            self._put(path, data, mode="create")
         except FileExistsError:
             return False
         return True
@@ -111,12 +114,14 @@ class RemoteStore:
         """
         try:
             return str(self._asked(f"write {path}", lambda: self._store.put(path, data, mode={"e_tag": tag}))["e_tag"])
-        except PreconditionError:
+        except (PreconditionError, FileNotFoundError):
             return None
 
     def delete(self, paths: Iterable[str]) -> None:
-        """Remove files; those that are not there are as good."""
-        self._asked("remove files", lambda: self._store.delete(list(paths)))
+        """Remove files, in this order by the thousand; those that are not there are as good."""
+        waiting = list(paths)
+        for first in range(0, len(waiting), _DELETED_AT_ONCE):
+            self._asked("remove files", partial(self._store.delete, waiting[first : first + _DELETED_AT_ONCE]))
 
     def entries(self, folder: str) -> list[ObjectMeta]:
         """Return what is in a folder and below: path, size, tag, time of the last change."""
@@ -149,12 +154,20 @@ class RemoteStore:
         """Return the error of a file whose bytes have another digest."""
         return CorruptArtifact(f"{self.url}/files/{sha256} does not hold what its name says")
 
+    def _put(self, path: str, data: bytes | Path, mode: Literal["overwrite", "create"] = "overwrite") -> None:
+        try:
+            self._asked(f"write {path}", lambda: self._store.put(path, data, mode=mode))
+        except FileNotFoundError:
+            raise RemoteError(f"{self.url}: cannot write {path}: there is no such bucket") from None
+
     def _asked(self, what: str, ask: Callable[[], T]) -> T:
         for left in reversed(range(_MAX_RETRIES)):
             try:
                 return ask()
             except AlreadyExistsError:
-                raise FileExistsError(f"{self.url}/{what}") from None
+                raise FileExistsError(f"{self.url}: cannot {what}: it is there") from None
+            except (FileNotFoundError, ValueError):  # also a name that none can have; the client's own says the address
+                raise FileNotFoundError(f"{self.url}: cannot {what}: it is not there") from None
             except PreconditionError:
                 raise
             except BaseError as error:

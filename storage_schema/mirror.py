@@ -19,6 +19,7 @@ import io
 import json
 import os
 import platform
+import re
 import shutil
 import tarfile
 import threading
@@ -37,6 +38,7 @@ from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, StorageError
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest
 from storage_schema.staging import StagingFolder, replace_file
+from storage_schema.store_reader import RESERVED_NAMES
 
 if TYPE_CHECKING:
     from obstore import ObjectMeta
@@ -47,6 +49,10 @@ LEASE_S = 60.0
 """A lease that was not renewed for so long belongs to nobody."""
 _BEAT_S = 4.0
 _WATCH_S = 0.5
+_MANIFEST = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
+_RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
+_DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
+"""What has a place in a mirror; whatever else is put into the bucket is left alone."""
 _YOUNG = timedelta(hours=1)
 """A part of this age may belong to an artifact whose manifest is still to come."""
 
@@ -82,6 +88,7 @@ class Mirror:
 
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
         """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here."""
+        self._refuse_lost()
         folder = self._folder(stage, key)
         if known is not None and self._ref_here(folder) == known:
             return
@@ -104,8 +111,11 @@ class Mirror:
                 if self.remote.fetch(f"parts/{entry.sha256}", staging.path / path.name) != entry.sha256:
                     raise FileNotFoundError
             except FileNotFoundError:
-                with suppress(RemoteError):  # who may only read leaves that to others
-                    self.withdraw([path.parent])
+                with suppress(RemoteError, FileNotFoundError, CorruptArtifact):  # who may only read leaves it to others
+                    place = f"manifests/{path.parts[-4]}/{path.parent.name}"
+                    there = Manifest.from_json(self.remote.read(place), where=f"{self.url}/{place}")
+                    if entry in there.data_files.values():  # else it was computed again since
+                        self.remote.delete([place])
                 raise CorruptArtifact(
                     f"{self.url}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
                     f"{path.parts[-4]}@{path.parent.name[:12]} again"
@@ -116,13 +126,14 @@ class Mirror:
     def part_sha256(self, sha256: str) -> str:
         """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
         with closing(StagingFolder(self.root / "tmp")) as staging:
-            return self.remote.fetch(f"parts/{sha256}", staging.path / sha256)
+            return self.remote.fetch(f"parts/{sha256}", staging.path / "part")
 
     def commit(self, staged: Path, ref: ArtifactRef, is_valid: Callable[[Manifest], bool]) -> ArtifactRef:
         """Put an artifact into the bucket, its manifest last; gives the one that is there in the end.
 
         One that is there and not valid, or whose manifest is none, is replaced.
         """
+        self._refuse_lost()
         text = (staged / MANIFEST_NAME).read_bytes()
         files = Manifest.from_json(text, where=str(staged)).data_files
         parts = {entry.sha256: staged / name for name, entry in files.items()}
@@ -140,7 +151,7 @@ class Mirror:
         """Put a dataset into the bucket; false where its name is taken, and the one that has it is here then."""
         packed = io.BytesIO()
         with tarfile.open(fileobj=packed, mode="w") as file:
-            file.add(folder, arcname=".")
+            file.add(folder, arcname=".", filter=_anonymous)
         place, data = f"datasets/{label}", packed.getvalue()
         if self.remote.create(place, data) or self.remote.read(place) == data:  # or it was we, and the answer was lost
             return True
@@ -216,12 +227,12 @@ class Mirror:
             except FileNotFoundError:
                 self.remote.create("lease", self._holder.as_bytes())
                 continue
-            said = json.loads(there)
+            said = _said(there)
             if said["holder"] == self._holder.name:
                 self._holder.tag = tag
                 return
             is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
-            if not said["holder"] or is_unchanged or (said["host"] == platform.node() and not _is_alive(said["pid"])):
+            if not said["holder"] or is_unchanged or _is_dead_here(said):
                 self.remote.replace("lease", self._holder.as_bytes(), tag)
                 continue
             if first_tag not in ("", tag):
@@ -245,16 +256,27 @@ class Mirror:
                 if tag is not None:
                     holder.tag, holder.is_over = tag, released
                     return True
-                there, holder.tag = self.remote.read_tagged("lease")
-                holder.is_over = json.loads(there)["holder"] != holder.name
+                try:
+                    there, holder.tag = self.remote.read_tagged("lease")
+                    holder.is_over = _said(there)["holder"] != holder.name
+                except FileNotFoundError:
+                    holder.is_over = True
             return False
 
     def _check_held(self) -> None:
         if not self._renewed():
-            raise StorageError(
-                f"another run has taken over the store {self.url}, as the lease of this one was not renewed for "
-                f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
-            )
+            raise self._lost()
+
+    def _refuse_lost(self) -> None:
+        """End a run whose lease was lost, as soon as it reads or commits something."""
+        if self._num_holding and self._holder.is_over:
+            raise self._lost()
+
+    def _lost(self) -> StorageError:
+        return StorageError(
+            f"another run has taken over the store {self.url}, as the lease of this one was not renewed for "
+            f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
+        )
 
     def _give_back(self) -> None:
         self._check_held()
@@ -273,16 +295,22 @@ class Mirror:
         with self._pushing:
             if self._num_holding and not self._holder.is_over:
                 files = (path for path in (self.root / "runs").rglob("[!.]*") if path.is_file())
-                _at_once(push, [path for path in files if self._pushed.get(path) != _state(path)])
+                changed = [path for path in files if self._pushed.get(path) != _state(path)]
+                if changed and self._renewed():  # who slept for long may not know that another builds now
+                    _at_once(push, changed)
 
     def _refresh(self) -> None:
         began = time.time()
         manifests = {
-            self._folder(stage, key) / MANIFEST_NAME: entry
+            self._folder(found[1], found[2]) / MANIFEST_NAME: entry
             for entry in self.remote.entries("manifests")
-            for _, stage, key in [entry["path"].split("/", 2)]
+            if (found := _MANIFEST.fullmatch(entry["path"])) and found[1] not in RESERVED_NAMES
         }
-        records = {self.root / entry["path"].partition("/")[2]: entry for entry in self.remote.entries("records")}
+        records = {
+            self.root / found[1]: entry
+            for entry in self.remote.entries("records")
+            if (found := _RECORD.fullmatch(entry["path"]))
+        }
         wanted = {**manifests, **records}
         _at_once(lambda one: self._bring_file(*one), [one for one in wanted.items() if not _is_same(*one)])
         here = [*self.root.glob(f"*/??/*/{MANIFEST_NAME}")]
@@ -305,10 +333,11 @@ class Mirror:
                 self._put_manifest(path.parent, data)
             else:
                 replace_file(path, data, staging_root=self.root / "tmp")
-            os.utime(path, ns=(_mark(entry), _mark(entry)))
+            with suppress(FileNotFoundError):  # dropped by another process
+                os.utime(path, ns=(_mark(entry), _mark(entry)))
 
     def _bring_datasets(self) -> None:
-        entries = self.remote.entries("datasets")
+        entries = [entry for entry in self.remote.entries("datasets") if _DATASET.fullmatch(entry["path"])]
         names = {entry["path"].rpartition("/")[2] for entry in entries}
         for folder in (self.root / "datasets").glob("*@*"):
             if folder.name not in names:
@@ -318,17 +347,26 @@ class Mirror:
             if _state(folder)[0] == _mark(entry):
                 continue
             with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
-                with tarfile.open(fileobj=io.BytesIO(self.remote.read(entry["path"]))) as file:
-                    file.extractall(staging.path / "new", filter="data")
+                try:
+                    with tarfile.open(fileobj=io.BytesIO(self.remote.read(entry["path"]))) as file:
+                        file.extractall(staging.path / "new", filter="data")
+                except FileNotFoundError:
+                    continue  # removed since it was listed
+                except tarfile.TarError:
+                    raise CorruptArtifact(f"{self.url}/{entry['path']} is not a dataset: it is no tar file") from None
                 os.utime(staging.path / "new", ns=(_mark(entry), _mark(entry)))
                 make_folder(folder.parent)
                 with suppress(FileNotFoundError):
                     folder.rename(staging.path / "old")
-                (staging.path / "new").rename(folder)
+                try:
+                    (staging.path / "new").rename(folder)
+                except OSError:  # another process of this machine was first
+                    if not folder.is_dir():
+                        raise
 
     def _put_manifest(self, folder: Path, data: bytes) -> None:
         path = folder / MANIFEST_NAME
-        with suppress(CorruptArtifact):
+        with suppress(CorruptArtifact, FileNotFoundError):
             if self._ref_here(folder) not in (None, Manifest.from_json(data, where=self.url).ref):
                 self._forget(path)
         replace_file(path, data, staging_root=self.root / "tmp")
@@ -360,8 +398,9 @@ class Mirror:
     @contextmanager
     def _locked(self, how: int) -> Iterator[bool]:
         """Hold the folder against other processes of this machine; false where it cannot be had at once."""
-        make_folder(self.root.parent)
-        handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
+        with write_errors(self.root):
+            make_folder(self.root.parent)
+            handle = os.open(self.root.with_suffix(".lock"), os.O_CREAT | os.O_RDWR, 0o644)
         try:
             try:
                 fcntl.flock(handle, how)
@@ -382,6 +421,7 @@ class _Holder:
 
     def as_bytes(self, *, released: bool = False) -> bytes:
         values = {"holder": "" if released else self.name, "host": platform.node(), "pid": os.getpid()}
+        values |= {"system": _system()}
         return json.dumps({**values, "renewed": self.count}).encode()
 
 
@@ -440,5 +480,28 @@ def _is_same(path: Path, entry: ObjectMeta) -> bool:
     return False
 
 
-def _is_alive(pid: int) -> bool:
-    return Path(f"/proc/{pid}").exists() or not Path("/proc").exists()
+def _said(lease: bytes) -> dict[str, Any]:
+    """Return what a lease says; one that cannot be read is somebody's, and old when it does not change."""
+    said = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
+    with suppress(ValueError, TypeError):
+        said |= json.loads(lease)
+    return said
+
+
+def _is_dead_here(said: dict[str, Any]) -> bool:
+    """Tell whether a lease's process was one of this system and has ended."""
+    return said["system"] == _system() != "" and not Path(f"/proc/{said['pid']}").exists()
+
+
+@cache
+def _system() -> str:
+    """Return what numbers processes here: containers of one host name may have others under the same numbers."""
+    try:
+        return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {Path('/proc/self/ns/pid').readlink()}"
+    except OSError:
+        return ""
+
+
+def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:
+    """Return a member of a tar file without who made it where and when."""
+    return file.replace(mtime=0, uid=0, gid=0, uname="", gname="")

@@ -221,11 +221,13 @@ def in_use(store: Store, *, alone: bool = False) -> Iterator[None]:
     Raises:
         StorageError: Somebody uses the store that is wanted alone.
     """
+    if store.mirror is not None:
+        with store.mirror.lease():
+            yield
+        return
     with ExitStack() as held:
         try:
-            if store.mirror is not None:
-                held.enter_context(store.mirror.lease())
-            elif (store.root / STORE_FILE).is_file():
+            if (store.root / STORE_FILE).is_file():
                 held.enter_context(_in_line(store.root / "runs" / "in_use", fcntl.LOCK_SH if not alone else _AT_ONCE))
         except BlockingIOError:
             raise StorageError(f"a run plans or builds in the store {store}; try again when it has ended") from None

@@ -226,7 +226,15 @@ class StoreReader:
         return self.data_file(ref, name, manifest.data_files[name])
 
     def data_file(self, ref: ArtifactRef, name: str, entry: FileEntry) -> Path:
-        """Return the path of a data file of an artifact, which comes now where the store does not lie here."""
+        """Return the path of a data file of an artifact, which comes now where the store does not lie here.
+
+        Raises:
+            CorruptArtifact: It is gone or damaged, or its name would lead out of the artifact's folder.
+        """
+        if "/" in name or name.startswith("."):
+            raise CorruptArtifact(
+                f"artifact {ref.stage}@{ref.key[:12]} names a file '{name}' that is not in its folder"
+            )
         path = self.folder(ref.stage, ref.key) / name
         if self.mirror is not None:
             self.mirror.bring_part(path, entry)

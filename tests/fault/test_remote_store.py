@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import os
 import subprocess
 import sys
+import tarfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -275,6 +277,94 @@ def test_a_run_whose_lease_was_taken_says_so_and_leaves_the_records_of_the_other
     assert len(remote.entries("manifests")) == EVERYTHING
 
 
+def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage_schema.mirror._BEAT_S", 0.05)
+    store, remote = Store(server.place), RemoteStore(server.place)
+
+    def go_on() -> None:
+        with in_use(store):
+            commit_rows(store, name="one")
+            with somebody_builds(server.place):
+                mirror = store.mirror
+                assert mirror is not None
+                wait_until(lambda: mirror._holder.is_over, "the lease to be missed")
+            commit_rows(store, name="two")
+
+    with pytest.raises(StorageError, match="another run has taken over the store"):
+        go_on()
+    assert len(remote.entries("manifests")) == 1
+    remote.delete(["lease"])
+    with pytest.raises(StorageError, match="another run has taken over the store"), in_use(store):
+        remote.delete(["lease"])
+
+
+def test_a_lease_that_cannot_be_read_is_somebodys_until_it_does_not_change(
+    server: S3Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage_schema.mirror.LEASE_S", 0.6)
+    remote = RemoteStore(server.place)
+    remote.write("lease", b"[")
+    with in_use(Store(server.place)):
+        assert json.loads(remote.read("lease"))["pid"] == os.getpid()
+
+
+def test_what_else_is_in_the_bucket_stays_there_and_names_lead_nowhere(
+    server: S3Server, elsewhere: Callable[[], None], tmp_path: Path
+) -> None:
+    store, remote = Store(server.place), RemoteStore(server.place)
+    ref = commit_rows(store, name="one")
+    text = store.folder(ref.stage, ref.key).joinpath("manifest.json").read_bytes()
+    for place in (
+        "manifests/x",
+        f"manifests/runs/{ref.key}",
+        f"manifests/rows/{ref.key}/b",
+        "records/rows/aa/b",
+        "datasets/a",
+    ):
+        remote.write(place, text)
+    mine = tmp_path / "mine"
+    mine.write_text("whole")
+    values = json.loads(text)
+    ((name, entry),) = values["tables"].items()
+    values["tables"] = {f"../../../../{name}": {**entry, "sha256": str(mine)}}
+    remote.write(f"manifests/{ref.stage}/{ref.key}", json.dumps(values).encode())
+    elsewhere()
+    store = Store(server.place)
+    store.refresh()
+    here = {path.relative_to(store.root).parts[0] for path in store.root.rglob("*") if path.is_file()}
+    assert here == {ref.stage, "store.json"}
+    (manifest,) = [store.load(ref.stage, ref.key)]
+    with pytest.raises(StorageError, match="that is not in its folder"):
+        store.data_file(manifest.ref, *next(iter(manifest.data_files.items())))
+    assert not verify(store).is_ok
+    assert mine.read_text() == "whole"
+    remote.write("datasets/a@1", b"no tar")
+    with pytest.raises(StorageError, match=r"/datasets/a@1 is not a dataset"):
+        store.refresh()
+
+
+def test_who_reads_what_was_computed_again_since_takes_nothing_back(
+    server: S3Server, elsewhere: Callable[[], None]
+) -> None:
+    store, remote = Store(server.place), RemoteStore(server.place)
+    ref = commit_rows(store, name="one")
+    place = f"manifests/{ref.stage}/{ref.key}"
+    elsewhere()
+    late = Store(server.place)
+    late.refresh()
+    values = json.loads(remote.read(place))
+    (part,) = [entry["sha256"] for entry in values["tables"].values()]
+    for entry in values["tables"].values():
+        entry["sha256"] = "f" * 64
+    remote.write(place, json.dumps(values).encode())
+    remote.delete([f"parts/{part}"])
+    with pytest.raises(StorageError, match="is gone or damaged"):
+        late.read(ref, next(iter(values["tables"])))
+    assert json.loads(remote.read(place)) == values
+
+
 def test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run(
     server: S3Server, elsewhere: Callable[[], None], undisturbed: dict[str, list[str]], tmp_path: Path
 ) -> None:
@@ -317,6 +407,8 @@ def test_a_dataset_has_its_name_once(server: S3Server, elsewhere: Callable[[], N
         create_dataset(other, "toys", list(first.refs), version="1")
     assert [one.label for one in list_datasets(other)] == ["toys@1", "toys@2"]
     assert (list_datasets(other)[0].path / "card.md").read_bytes() == b"# Card"
+    with tarfile.open(fileobj=io.BytesIO(RemoteStore(server.place).read("datasets/toys@1"))) as file:
+        assert {(one.uname, one.uid, one.mtime) for one in file} == {("", 0, 0)}, "not who made it, where and when"
 
 
 def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_any_work(
@@ -326,6 +418,11 @@ def test_a_bucket_that_does_not_answer_or_is_not_there_is_one_sentence_before_an
     study = str(write_study(tmp_path))
     assert run_command_line(["run", study, "--store", "s3://nowhere/store"], graph=TOYS) == 1
     assert "error: s3://nowhere/store: cannot list manifests" in capsys.readouterr().err
+    with (
+        pytest.raises(StorageError, match="cannot write lease: there is no such bucket"),
+        in_use(Store("s3://nowhere/a")),
+    ):
+        pass
     assert run_command_line(["run", study, "--store", "s3://"], graph=TOYS) == 2
     assert "s3://BUCKET/PREFIX is meant" in capsys.readouterr().err
     server.fault = lambda method, path: "gone"

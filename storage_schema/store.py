@@ -7,6 +7,7 @@ in one rename after everything in it has reached the disk, so an artifact is who
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
@@ -212,21 +213,21 @@ class Store(StoreReader):
                 return kept
         make_folder(target.parent)
         while True:
+            try:
+                staged.rename(target)
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                    raise
+            else:
+                sync_folder(target.parent)
+                return ref
+            # Something is there: it goes only after it was seen not to be valid, never for not having been there yet.
             found = self.find(ref.stage, ref.key) if self.mirror is None else None
             if found is not None:
                 if found.ref != ref:
                     self._say_other_bytes(ref, found.ref)
                 return found.ref
             self._remove_here([target])
-            try:
-                staged.rename(target)
-            except OSError:
-                if not target.exists():
-                    raise
-                # Another process was first: look at what it wrote.
-                continue
-            sync_folder(target.parent)
-            return ref
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
         """Remove folders of the store in this order, each in one rename; those that are not there are left out."""

@@ -40,7 +40,7 @@ STAGES = {
     "training",
     "evaluation",
 }
-TOPICS = {"takes", "views", "chains", "coverage", "lifting", "reconstruction", "augmentation", "models"}
+TOPICS = {"takes", "views", "chains", "coverage", "left_out", "lifting", "reconstruction", "augmentation", "models"}
 SECTIONS = {
     "What was built",
     "Is it good?",
@@ -49,6 +49,7 @@ SECTIONS = {
     "Views",
     "Chains",
     "Coverage",
+    "Images left out",
     "Lifting",
     "Reconstruction",
     "Augmentation",

@@ -256,6 +256,17 @@ def test_an_input_that_is_not_in_the_store_is_refused(store: Store) -> None:
         commit_rows(store, inputs=(ArtifactRef("ingest", KEY, "0" * 64),))
 
 
+def test_a_new_artifact_takes_nothing_away_that_another_process_may_have_put_there(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("something was removed")
+
+    monkeypatch.setattr(Store, "_remove_here", refuse)
+    ref = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
+    assert store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)})) == ref
+
+
 def test_a_second_commit_under_a_key_is_discarded(store: Store, caplog: pytest.LogCaptureFixture) -> None:
     first = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))
     again = store.commit(**about(tables={"scores": random_columns("scores", 3, seed=0)}))

@@ -151,7 +151,7 @@ def test_next_to_no_room_is_refused_before_any_work(
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12 - 10**6, 10**6))
     found = refuse(capsys, write(tmp_path, ONE_TAKE))
-    assert found == f"the disk of the store {tmp_path / 'store'} has 1 MB left; free some space first"
+    assert found == f"the disk of {tmp_path / 'store'} has 1 MB left; free some space first"
 
 
 FILL = """

@@ -116,14 +116,18 @@ class Build:
         """Return what was done for the stages that are whole, in the order of the graph."""
         return tuple(self._outcomes[name] for name in self._first if name in self._outcomes)
 
-    def bring_up_to_date(self) -> None:
+    def bring_up_to_date(self, heed: Callable[[], None]) -> None:
         """Work until nothing is left that can be done.
+
+        Args:
+            heed: Is called now and then, and may raise to end the work.
 
         Raises:
             ShardError, InputError: Something failed.
         """
         self._advance()
         while not self._schedule.is_idle:
+            heed()
             self._schedule.start()
             self._run.listener.progressed(self._progress())
             ended = self._schedule.next()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from types import FrameType
 
 from flows.building import Build, Watch
 from flows.outcomes import Outcome, Run, StageOutcome
@@ -35,7 +38,8 @@ def execute(run: Run, folder: RunFolder, plan: Plan, pool: Pool, watch: Watch | 
     status, peak = "failed", None
     build = Build(run, folder.run_id, plan, pool, watch)
     try:
-        build.bring_up_to_date()
+        with _remembered_ctrl_c() as heed:
+            build.bring_up_to_date(heed)
         status, peak = "finished", pool.peak_memory_bytes() if any(o.num_computed for o in build.outcomes) else None
     except KeyboardInterrupt:
         status = "interrupted"
@@ -69,6 +73,33 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
         return execute(run, begin(run, plan), plan, HerePool(str(run.store)))
     outcomes = tuple(StageOutcome.of(stage, stage.manifests, 0.0) for stage in plan.stages if stage.is_selected)
     return Outcome(last.run_id, outcomes, report)
+
+
+@contextmanager
+def _remembered_ctrl_c() -> Iterator[Callable[[], None]]:
+    """Give a function that raises `KeyboardInterrupt` once Ctrl-C was pressed.
+
+    The one that Python raises itself is lost where it arrives in a finalizer, of Dask's futures for example.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield lambda: None
+        return
+    is_pressed = threading.Event()
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        is_pressed.set()
+        before(number, frame)
+
+    def heed() -> None:
+        if is_pressed.is_set():
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, remember)
+    try:
+        yield heed
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _reporting(run: Run, outcomes: Sequence[StageOutcome]) -> list[ArtifactRef]:

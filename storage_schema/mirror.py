@@ -6,9 +6,6 @@ dataset's folder as a tar file, `lease` who builds.  Parts go before the manifes
 only written where there is none: what can be seen is whole.  The mirror has the layout of every store, with manifests
 and records as they were when it was refreshed, and data files since they were first read; it can be removed whenever
 nothing runs.  Workers on other machines have mirrors of their own.
-
-A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
-`LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.
 """
 
 from __future__ import annotations
@@ -16,15 +13,12 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import io
-import json
 import os
-import platform
 import re
 import shutil
 import tarfile
 import threading
 import time
-import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
@@ -36,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
 from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, StorageError
+from storage_schema.lease import Lease, each_beat
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest
 from storage_schema.staging import StagingFolder, replace_file
 from storage_schema.store_reader import RESERVED_NAMES
@@ -43,12 +38,8 @@ from storage_schema.store_reader import RESERVED_NAMES
 if TYPE_CHECKING:
     from obstore import ObjectMeta
 
-__all__ = ["LEASE_S", "Mirror", "open_mirror"]
+__all__ = ["Mirror", "open_mirror"]
 
-LEASE_S = 60.0
-"""A lease that was not renewed for so long belongs to nobody."""
-_BEAT_S = 4.0
-_WATCH_S = 0.5
 _MANIFEST = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
 _RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 _DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -71,7 +62,7 @@ class Mirror:
         self.is_current = False
         """Whether this process has refreshed it: workers do not, and ask for each manifest that they look for."""
         self._num_holding = 0
-        self._holder = _Holder()
+        self._lease = Lease(self.remote)
         self._pushing = threading.Lock()
         self._pushed: dict[Path, tuple[int, int]] = {}
 
@@ -88,7 +79,7 @@ class Mirror:
 
     def bring(self, stage: str, key: str, *, known: ArtifactRef | None = None) -> None:
         """Get the manifest of an artifact as it is now, if `known` is not here; where there is none, none is here."""
-        self._refuse_lost()
+        self._check_not_lost()
         folder = self._folder(stage, key)
         if known is not None and self._ref_here(folder) == known:
             return
@@ -133,7 +124,7 @@ class Mirror:
 
         One that is there and not valid, or whose manifest is none, is replaced.
         """
-        self._refuse_lost()
+        self._check_not_lost()
         text = (staged / MANIFEST_NAME).read_bytes()
         files = Manifest.from_json(text, where=str(staged)).data_files
         parts = {entry.sha256: staged / name for name, entry in files.items()}
@@ -172,7 +163,7 @@ class Mirror:
 
     def sweep(self, *, younger: timedelta = _YOUNG) -> None:
         """Remove parts that no manifest names; the youngest stay, as a lost worker may still be writing."""
-        self._check_held()
+        self._lease.check()
         parts = self.remote.entries("parts")
         named: set[str] = set()
         for path in self.root.glob(f"*/??/*/{MANIFEST_NAME}"):
@@ -198,11 +189,11 @@ class Mirror:
             finally:
                 self._num_holding -= 1
             return
-        self._holder = _Holder()
-        self._take()
+        self._lease = Lease(self.remote)
+        self._lease.take()
         ended = threading.Event()
-        for do in (self._renewed, self._push_records):
-            threading.Thread(target=_each_beat, args=(do, ended), name="pasdedeux-lease", daemon=True).start()
+        for do in (self._lease.renew, self._push_records):
+            threading.Thread(target=each_beat, args=(do, ended), name="pasdedeux-lease", daemon=True).start()
         try:
             with self._locked(fcntl.LOCK_EX):
                 try:
@@ -219,69 +210,15 @@ class Mirror:
             ended.set()
             self._num_holding = 0
 
-    def _take(self) -> None:
-        first_tag, since = "", time.monotonic()
-        while True:
-            try:
-                there, tag = self.remote.read_tagged("lease")
-            except FileNotFoundError:
-                self.remote.create("lease", self._holder.as_bytes())
-                continue
-            said = _said(there)
-            if said["holder"] == self._holder.name:
-                self._holder.tag = tag
-                return
-            is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
-            if not said["holder"] or is_unchanged or _is_dead_here(said):
-                self.remote.replace("lease", self._holder.as_bytes(), tag)
-                continue
-            if first_tag not in ("", tag):
-                raise StorageError(
-                    f"a run plans or builds in the store {self.url} (process {said['pid']} on {said['host']}); "
-                    "try again when it has ended"
-                )
-            if not first_tag:
-                first_tag, since = tag, time.monotonic()
-            time.sleep(_WATCH_S)
-
-    def _renewed(self, *, released: bool = False) -> bool:
-        """Tell whether the lease is still held; now it is for longer, or given up."""
-        holder = self._holder
-        with holder.lock:
-            for _ in range(2):
-                if holder.is_over:
-                    break
-                holder.count += 1
-                tag = self.remote.replace("lease", holder.as_bytes(released=released), holder.tag)
-                if tag is not None:
-                    holder.tag, holder.is_over = tag, released
-                    return True
-                try:
-                    there, holder.tag = self.remote.read_tagged("lease")
-                    holder.is_over = _said(there)["holder"] != holder.name
-                except FileNotFoundError:
-                    holder.is_over = True
-            return False
-
-    def _check_held(self) -> None:
-        if not self._renewed():
-            raise self._lost()
-
-    def _refuse_lost(self) -> None:
+    def _check_not_lost(self) -> None:
         """End a run whose lease was lost, as soon as it reads or commits something."""
-        if self._num_holding and self._holder.is_over:
-            raise self._lost()
-
-    def _lost(self) -> StorageError:
-        return StorageError(
-            f"another run has taken over the store {self.url}, as the lease of this one was not renewed for "
-            f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
-        )
+        if self._num_holding and self._lease.is_over:
+            raise self._lease.lost()
 
     def _give_back(self) -> None:
-        self._check_held()
+        self._lease.check()
         self._push_records()
-        self._renewed(released=True)
+        self._lease.renew(released=True)
 
     def _push_records(self) -> None:
         """Put what runs have left since the last time into the bucket; nothing before the mirror has been refreshed."""
@@ -293,10 +230,10 @@ class Mirror:
                 self._pushed[path] = state
 
         with self._pushing:
-            if self._num_holding and not self._holder.is_over:
+            if self._num_holding and not self._lease.is_over:
                 files = (path for path in (self.root / "runs").rglob("[!.]*") if path.is_file())
                 changed = [path for path in files if self._pushed.get(path) != _state(path)]
-                if changed and self._renewed():  # who slept for long may not know that another builds now
+                if changed and self._lease.renew():  # who slept for long may not know that another builds now
                     _at_once(push, changed)
 
     def _refresh(self) -> None:
@@ -412,19 +349,6 @@ class Mirror:
             os.close(handle)
 
 
-class _Holder:
-    """Who builds: what a lease says, and the tag by which it is renewed."""
-
-    def __init__(self) -> None:
-        self.name, self.tag, self.count, self.is_over = uuid.uuid4().hex, "", 0, False
-        self.lock = threading.Lock()
-
-    def as_bytes(self, *, released: bool = False) -> bytes:
-        values = {"holder": "" if released else self.name, "host": platform.node(), "pid": os.getpid()}
-        values |= {"system": _system()}
-        return json.dumps({**values, "renewed": self.count}).encode()
-
-
 @cache
 def _opened(url: str, endpoint: str, cache_folder: str) -> Mirror:
     name = hashlib.sha256(f"{endpoint}\n{url}".encode()).hexdigest()[:16]
@@ -436,13 +360,6 @@ def open_mirror(url: str) -> Mirror:
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pasdedeux"
     endpoint, folder = os.environ.get("AWS_ENDPOINT_URL", ""), os.environ.get("PASDEDEUX_CACHE") or str(user)
     return _opened(url.rstrip("/"), endpoint, str(Path(folder).absolute()))
-
-
-def _each_beat(do: Callable[[], object], ended: threading.Event) -> None:
-    """Do something again and again until the block has ended; while the bucket does not answer, try the next time."""
-    while not ended.wait(_BEAT_S):
-        with suppress(RemoteError, FileNotFoundError):
-            do()
 
 
 def _at_once(do: Callable[[Any], object], each: Iterable[Any]) -> None:
@@ -460,9 +377,12 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 def _mark(entry: ObjectMeta) -> int:
-    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below."""
+    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below.
+
+    A day before: what is newer than a list counts as written since, and the bucket's clock may be ahead.
+    """
     tag = int(hashlib.sha256(str(entry["e_tag"]).encode()).hexdigest()[:12], 16) % 10**9
-    return int(entry["last_modified"].timestamp()) * 10**9 + tag
+    return int((entry["last_modified"] - timedelta(days=1)).timestamp()) * 10**9 + tag
 
 
 def _is_same(path: Path, entry: ObjectMeta) -> bool:
@@ -478,28 +398,6 @@ def _is_same(path: Path, entry: ObjectMeta) -> bool:
             os.utime(path, ns=(_mark(entry), _mark(entry)))
         return is_same
     return False
-
-
-def _said(lease: bytes) -> dict[str, Any]:
-    """Return what a lease says; one that cannot be read is somebody's, and old when it does not change."""
-    said = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
-    with suppress(ValueError, TypeError):
-        said |= json.loads(lease)
-    return said
-
-
-def _is_dead_here(said: dict[str, Any]) -> bool:
-    """Tell whether a lease's process was one of this system and has ended."""
-    return said["system"] == _system() != "" and not Path(f"/proc/{said['pid']}").exists()
-
-
-@cache
-def _system() -> str:
-    """Return what numbers processes here: containers of one host name may have others under the same numbers."""
-    try:
-        return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {Path('/proc/self/ns/pid').readlink()}"
-    except OSError:
-        return ""
 
 
 def _anonymous(file: tarfile.TarInfo) -> tarfile.TarInfo:

@@ -249,7 +249,7 @@ def somebody_builds(place: str, *, renewed: bool = False) -> Iterator[None]:
 
 
 def test_a_lease_is_taken_over_only_when_it_is_not_renewed(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("storage_schema.mirror.LEASE_S", 1.2)
+    monkeypatch.setattr("storage_schema.lease.LEASE_S", 1.2)
     with (
         somebody_builds(server.place, renewed=True),
         pytest.raises(StorageError, match=r"\(process 1 on elsewhere\); try again when it has ended$"),
@@ -280,7 +280,7 @@ def test_a_run_whose_lease_was_taken_says_so_and_leaves_the_records_of_the_other
 def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage_schema.mirror._BEAT_S", 0.05)
+    monkeypatch.setattr("storage_schema.lease._BEAT_S", 0.05)
     store, remote = Store(server.place), RemoteStore(server.place)
 
     def go_on() -> None:
@@ -289,7 +289,7 @@ def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
             with somebody_builds(server.place):
                 mirror = store.mirror
                 assert mirror is not None
-                wait_until(lambda: mirror._holder.is_over, "the lease to be missed")
+                wait_until(lambda: mirror._lease.is_over, "the lease to be missed")
             commit_rows(store, name="two")
 
     with pytest.raises(StorageError, match="another run has taken over the store"):
@@ -303,7 +303,7 @@ def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
 def test_a_lease_that_cannot_be_read_is_somebodys_until_it_does_not_change(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage_schema.mirror.LEASE_S", 0.6)
+    monkeypatch.setattr("storage_schema.lease.LEASE_S", 0.6)
     remote = RemoteStore(server.place)
     remote.write("lease", b"[")
     with in_use(Store(server.place)):
@@ -382,6 +382,19 @@ def test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run(
     run_there(tmp_path, server.place)
     assert digests_there(server.place) == undisturbed
     assert verify(Store(server.place)).is_ok
+
+
+def test_what_is_taken_from_the_bucket_goes_from_a_mirror_that_has_only_just_seen_it(
+    server: S3Server, elsewhere: Callable[[], None]
+) -> None:
+    refs = [commit_rows(Store(server.place), name=f"row{number}") for number in range(12)]
+    elsewhere()
+    store = Store(server.place)
+    store.refresh()
+    assert len(list(store.artifacts())) == len(refs)
+    RemoteStore(server.place).delete([f"manifests/{ref.stage}/{ref.key}" for ref in refs])
+    store.refresh()
+    assert list(store.artifacts()) == []
 
 
 def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:

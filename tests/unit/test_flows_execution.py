@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import signal
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
@@ -20,6 +22,7 @@ from flows.execution import begin, execute
 from flows.listener import Listener, Progress
 from flows.outcomes import Outcome, Run
 from flows.planning import Selection, StagePlan, make_plan
+from flows.records import describe_runs
 from flows.scheduling import stages_behind
 from flows.study import load_study
 from pasdedeux.errors import InputError
@@ -69,6 +72,15 @@ class ManyWorkers(HerePool):
 
 def name_of(shard: Shard) -> str:
     return f"{shard.stage} {shard.partition} {shard.name}"
+
+
+class Deaf(HerePool):
+    """Somebody presses Ctrl-C while it waits, and it goes on; so does Python where a finalizer is interrupted."""
+
+    def next(self) -> ShardDone | ShardFailed | None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        return super().next()
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +155,15 @@ def test_what_needs_nothing_of_what_failed_is_there_and_a_second_run_computes_th
         assert set(latest.stages if latest else ()) == whole, "only whole stages are on record"
         assert run_toys(study, store).num_computed == len(everything) - len(possible)
         assert digests(store) == digests(undisturbed)
+
+
+def test_ctrl_c_ends_the_run_also_where_what_it_raises_is_lost(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_toys(write_study(tmp_path), tmp_path / "store", pool=Deaf(str(tmp_path / "store")))
+    store = Store(tmp_path / "store")
+    assert len(list(store.artifacts())) == 1, "what was in work was kept, and nothing begun after it"
+    assert [run["status"] for run in describe_runs(store)] == ["interrupted"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_shard_starts_when_what_it_reads_is_there_and_the_most_urgent_first(tmp_path: Path) -> None:

@@ -1,0 +1,142 @@
+"""Who builds in a store that lies in a bucket: one at a time, named by a file that its holder renews.
+
+A lease is renewed as long as its holder lives.  Nobody's clock is compared with another's: who finds it unchanged for
+`LEASE_S` of watching, or its holder dead on this machine, takes it, on the condition that it still is what was read.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from storage_schema.bucket import RemoteError, RemoteStore
+from storage_schema.errors import StorageError
+
+__all__ = ["Lease", "each_beat"]
+
+LEASE_S = 60.0
+"""A lease that was not renewed for so long belongs to nobody."""
+_BEAT_S = 4.0
+_WATCH_S = 0.5
+
+
+class Lease:
+    """The right of this process to build in a store, once it was taken.
+
+    Args:
+        remote: The bucket.
+    """
+
+    def __init__(self, remote: RemoteStore) -> None:
+        self._remote = remote
+        self._name, self._tag, self._count = uuid.uuid4().hex, "", 0
+        self._lock = threading.Lock()
+        self.is_over = False
+        """Whether it was given up, or lost to another."""
+
+    def take(self) -> None:
+        """Have the lease, or wait to see whether its holder lives.
+
+        Raises:
+            StorageError: Another run has it.
+            RemoteError: The bucket refuses or does not answer.
+        """
+        first_tag, since = "", time.monotonic()
+        while True:
+            try:
+                there, tag = self._remote.read_tagged("lease")
+            except FileNotFoundError:
+                self._remote.create("lease", self._as_bytes())
+                continue
+            said = _said(there)
+            if said["holder"] == self._name:
+                self._tag = tag
+                return
+            is_unchanged = tag == first_tag and time.monotonic() - since > LEASE_S
+            if not said["holder"] or is_unchanged or _is_dead_here(said):
+                self._remote.replace("lease", self._as_bytes(), tag)
+                continue
+            if first_tag not in ("", tag):
+                raise StorageError(
+                    f"a run plans or builds in the store {self._remote.url} (process {said['pid']} on {said['host']}); "
+                    "try again when it has ended"
+                )
+            if not first_tag:
+                first_tag, since = tag, time.monotonic()
+            time.sleep(_WATCH_S)
+
+    def renew(self, *, released: bool = False) -> bool:
+        """Tell whether the lease is still held; now it is for longer, or given up."""
+        with self._lock:
+            for _ in range(2):
+                if self.is_over:
+                    break
+                self._count += 1
+                tag = self._remote.replace("lease", self._as_bytes(released=released), self._tag)
+                if tag is not None:
+                    self._tag, self.is_over = tag, released
+                    return True
+                try:
+                    there, self._tag = self._remote.read_tagged("lease")
+                    self.is_over = _said(there)["holder"] != self._name
+                except FileNotFoundError:
+                    self.is_over = True
+            return False
+
+    def check(self) -> None:
+        """Renew the lease.
+
+        Raises:
+            StorageError: It was lost.
+        """
+        if not self.renew():
+            raise self.lost()
+
+    def lost(self) -> StorageError:
+        """Return what is said when another has it."""
+        return StorageError(
+            f"another run has taken over the store {self._remote.url}, as the lease of this one was not renewed for "
+            f"{LEASE_S:g} s; what was committed is whole, the same command goes on"
+        )
+
+    def _as_bytes(self, *, released: bool = False) -> bytes:
+        values = {"holder": "" if released else self._name, "host": platform.node(), "pid": os.getpid()}
+        return json.dumps({**values, "system": _system(), "renewed": self._count}).encode()
+
+
+def each_beat(do: Callable[[], object], ended: threading.Event) -> None:
+    """Do something again and again until the block has ended; while the bucket does not answer, try the next time."""
+    while not ended.wait(_BEAT_S):
+        with suppress(RemoteError, FileNotFoundError):
+            do()
+
+
+def _said(lease: bytes) -> dict[str, Any]:
+    """Return what a lease says; one that cannot be read is somebody's, and old when it does not change."""
+    said = {"holder": "unknown", "host": "an unknown machine", "pid": "unknown", "system": ""}
+    with suppress(ValueError, TypeError):
+        said |= json.loads(lease)
+    return said
+
+
+def _is_dead_here(said: dict[str, Any]) -> bool:
+    """Tell whether a lease's process was one of this system and has ended."""
+    return said["system"] == _system() != "" and not Path(f"/proc/{said['pid']}").exists()
+
+
+@cache
+def _system() -> str:
+    """Return what numbers processes here: containers of one host name may have others under the same numbers."""
+    try:
+        return f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {Path('/proc/self/ns/pid').readlink()}"
+    except OSError:
+        return ""

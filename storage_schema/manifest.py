@@ -13,9 +13,11 @@ from storage_schema.credits import SourceCredit
 from storage_schema.errors import CorruptArtifact, NewerSchema, StorageError
 from storage_schema.version import SCHEMA_VERSION
 
-__all__ = ["MANIFEST_NAME", "ArtifactRef", "FileEntry", "Manifest", "TableFile"]
+__all__ = ["MANIFEST_NAME", "RESERVED_NAMES", "ArtifactRef", "FileEntry", "Manifest", "TableFile"]
 
 MANIFEST_NAME = "manifest.json"
+RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
+"""Folders of a store that are not stages."""
 
 _SHARED: dict[tuple[tuple[str, str], ...], dict[str, str]] = {}
 """Package versions as manifests have them: one and the same in nearly all, so they are kept once."""

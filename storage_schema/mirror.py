@@ -31,9 +31,8 @@ from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
 from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, StorageError
 from storage_schema.lease import Lease, each_beat
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest
+from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
 from storage_schema.staging import StagingFolder, replace_file
-from storage_schema.store_reader import RESERVED_NAMES
 
 if TYPE_CHECKING:
     from obstore import ObjectMeta

@@ -26,10 +26,10 @@ from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
 from storage_schema.errors import StorageError
 from storage_schema.keys import content_digest, plain_json
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
+from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, Manifest
 from storage_schema.provenance import code_version, package_versions, source_digest
 from storage_schema.staging import StagingFolder, clean_leftovers, replace_file
-from storage_schema.store_reader import RESERVED_NAMES, STORE_FILE, StoreReader
+from storage_schema.store_reader import STORE_FILE, StoreReader
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = ["PROCESSOR_S", "SHARD_S", "ArtifactFields", "Store"]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Self
 
 from storage_schema.arrow import schema_digest
 from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore
-from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, FileEntry, Manifest, refuse_newer
+from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest, refuse_newer
 from storage_schema.parquet_files import iter_table, read_table
 from storage_schema.table_data import TableData
 from storage_schema.tables import TABLES
@@ -23,11 +23,9 @@ from storage_schema.tables import TABLES
 if TYPE_CHECKING:
     from storage_schema.mirror import Mirror
 
-__all__ = ["RESERVED_NAMES", "STORE_FILE", "StoreReader"]
+__all__ = ["STORE_FILE", "StoreReader"]
 
 STORE_FILE = "store.json"
-RESERVED_NAMES = frozenset({"tmp", "runs", "datasets"})
-"""Folders of a store that are not stages."""
 _BLOCK_BYTES = 1 << 14
 
 

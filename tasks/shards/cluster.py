@@ -211,9 +211,9 @@ def _no_ctrl_c_for_children() -> Iterator[None]:
 
 
 def _hush_dask() -> None:
-    """Silence Dask's loggers: what a person needs to know comes as an error of ours."""
+    """Silence the loggers of Dask and its event loop: what a person needs to know comes as an error of ours."""
     for name in list(logging.root.manager.loggerDict):
-        if name.split(".")[0] == "distributed":
+        if name.split(".")[0] in ("distributed", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
-# No example has a deadline: the first one of a kernel compiles it.
-settings.register_profile("pasdedeux", deadline=None)
+# No example has a deadline: the first one of a kernel compiles it.  The same code draws the same examples everywhere;
+# `pytest --hypothesis-profile search` draws others every time.
+settings.register_profile("search", deadline=None)
+settings.register_profile("pasdedeux", deadline=None, derandomize=True)
 settings.load_profile("pasdedeux")
 
 

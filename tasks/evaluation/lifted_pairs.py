@@ -60,7 +60,8 @@ class LiftedPairsSettings(Parameters):
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
+    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] >= 2]
+    couples = [manifest for manifest in takes if manifest.facts["num_persons"] == 2]
     known = {ref.key for manifest in lifted for ref in manifest.inputs}
     annotations = [
         manifest for manifest in inputs.of("annotations") if manifest.ref.key in known and manifest.facts["is_virtual"]
@@ -78,8 +79,8 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
         )
     if lifted and takes and annotations:
         found.append(TOPIC.shard(inputs, "lifted", takes=takes, annotations=annotations, lifted=lifted))
-    if settings.num_completed_pairs and draws and takes:
-        found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=takes, draws=draws))
+    if settings.num_completed_pairs and draws and couples:
+        found.append(TOPIC.shard(inputs, "completed", settings.part(LiftedPairsSettings), takes=couples, draws=draws))
     return found
 
 

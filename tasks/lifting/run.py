@@ -16,7 +16,7 @@ from pasdedeux.completion.expected_error import expected_error
 from pasdedeux.completion.fit import fit_pair, pooled_lengths
 from pasdedeux.completion.in_betweens import fill_between, straight_between
 from pasdedeux.completion.occlusion import complete_pair
-from pasdedeux.completion.retrieval import Retrieval, image_residual, retrieve
+from pasdedeux.completion.retrieval import image_residual, retrieve
 from pasdedeux.sampling.direct_lifting import apparent_bone_lengths, lift_pair
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
@@ -55,7 +55,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     rows: list[Row] = []
     fitted: dict[Place, np.ndarray] = {}
     for place in wanted:
-        found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3]), options)
+        found, fitted[place] = _lift(every[place], draws, index, lifted_from.get(place[:3], ()), options)
         rows += found
     rows += _baselines(shard, store, [every[place] for place in wanted], every)
     between = [row for span in spans for row in _fill(span, fitted, draws)]
@@ -136,9 +136,9 @@ def _row(one: SeenPair, method: str, pair_m: np.ndarray, **more: Any) -> Row:
 
 
 def _lift(
-    one: SeenPair, draws: DrawSet, index: DrawIndex, own: int | None, options: LiftingShard
+    one: SeenPair, draws: DrawSet, index: DrawIndex, own: Sequence[int], options: LiftingShard
 ) -> tuple[list[Row], np.ndarray]:
-    """Return the rows of one annotation, and its last pair in place; `own` is the draw that was lifted from it."""
+    """Return the rows of one annotation, and its last pair in place; `own` are the draws that were lifted from it."""
     found = retrieve(index, one.image_m, one.directions, options)
     known = {
         "draw": draws.reference(int(found.nearest.draw[0])),
@@ -156,32 +156,36 @@ def _lift(
         count = min(options.num_completing, len(draws.pairs_m))
         fitted = complete_pair(incomplete, draws.pairs_m, num_nearest=count, num_ranked=2 * count).fitted_m
         rows.append(_row(one, "completed", fitted, **known))
-    expected = expected_error(one.image_m, _mean_of_others(one, found, index, own, options), fitted)
+    has_own_draw = bool(np.isin(own, found.nearest.draw).any())
+    mean_m = _mean_of_others(one, index, own, options) if has_own_draw else found.mean_m
+    expected = expected_error(one.image_m, mean_m, fitted, has_own_draw=has_own_draw)
     rows[-1] |= dict(zip(_EXPECTED, (expected.value_m, expected.low_m, expected.high_m), strict=True))
     # The mean of all draws, seen from the likeliest view: what the draws alone say of any pair.
     rows.append(_row(one, "mean_pair", index.placed_mean(one.directions[0], one.image_m)))
     return rows, fitted
 
 
-def _mean_of_others(
-    one: SeenPair, found: Retrieval, index: DrawIndex, own: int | None, options: LiftingShard
-) -> np.ndarray:
-    """Return the mean of the nearest draws but the one lifted from this very image, which agrees whatever it is."""
-    if own is None or own not in found.nearest.draw:
-        return found.mean_m
-    more = options.model_copy(update={"num_neighbours": options.num_neighbours + 1})
+def _mean_of_others(one: SeenPair, index: DrawIndex, own: Sequence[int], options: LiftingShard) -> np.ndarray:
+    """Return the mean of the nearest draws but those lifted from this very image, which agree whatever they are.
+
+    The mean of all that are near where there are no others.
+    """
+    more = options.model_copy(update={"num_neighbours": options.num_neighbours + len(own)})
     near = retrieve(index, one.image_m, one.directions, more)
-    is_other = near.nearest.draw != own
-    squared = near.nearest.distance_m[is_other] ** 2
-    if not len(squared):
-        return found.mean_m
+    others = np.flatnonzero(~np.isin(near.nearest.draw, own))[: options.num_neighbours]
+    if not len(others):
+        return near.mean_m
+    squared = near.nearest.distance_m[others] ** 2
     weight = np.exp(-0.5 * (squared - squared[0]) / options.neighbour_deviation_m**2)
-    return np.asarray(np.tensordot(weight / weight.sum(), near.pairs_m[is_other], axes=1))
+    return np.asarray(np.tensordot(weight / weight.sum(), near.pairs_m[others], axes=1))
 
 
-def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], int]:
-    """Return which draw was lifted from which annotation, by sequence, frame and person A."""
-    found: dict[tuple[str, int, int], int] = {}
+def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> dict[tuple[str, int, int], list[int]]:
+    """Return which draws were lifted from which annotation, by sequence, frame and person A.
+
+    Couples that share person A are one here: what was lifted from either is of the same person at the same moment.
+    """
+    found: dict[tuple[str, int, int], list[int]] = {}
     for ref in refs:
         reference = f"seeds@{ref.key[:16]}"
         if reference in draws.refs:  # neither draws of chains nor seeds of which none has grown
@@ -190,7 +194,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
             rows = np.flatnonzero(draws.artifacts == draws.refs.index(reference))
             for draw, sequence, *numbers in zip(rows.tolist(), *(table[name] for name in names), strict=True):
                 if sequence is not None:
-                    found[str(sequence), int(numbers[0]), int(numbers[1])] = draw
+                    found.setdefault((str(sequence), int(numbers[0]), int(numbers[1])), []).append(draw)
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,12 @@ import pytest
 from pasdedeux.verdict import Level
 from storage_schema import Manifest, Store, open_table
 from tasks import lifting
+from tasks.evaluation import STAGE
+from tasks.evaluation.lifted_pairs import TOPIC
 from tasks.lifting import LiftingParameters
 from tasks.stage import StageInputs, verdict_of
-from tests.builders.sampling_store import inputs, put, run, with_seeds
+from tests.builders.sampling_store import inputs, run, with_seeds
+from tests.builders.storage_rows import put, take_rows
 
 __all__ = ["inputs"]  # the fixture
 
@@ -73,6 +77,38 @@ def test_seeds_of_which_none_grew_stand_beside_others(grown: Any) -> None:
         store.read(lift(store, some, max_frames=2)["one-views"].ref, "lifted_pairs") for some in (given, both)
     )
     np.testing.assert_array_equal(beside["pair17_m"], alone["pair17_m"])
+
+
+def test_what_is_expected_of_a_pair_rests_on_no_draw_of_that_person_at_that_moment(grown: Any) -> None:
+    store, given = grown
+    (one,) = (seeds for seeds in given.of("seeds") if seeds.facts["kind"] == "grown_seeds")
+    table = store.read(one.ref, "seeds")
+    rows = [*range(table.num_rows), *np.flatnonzero([name is not None for name in table["sequence_id"]])]
+    columns = {name: [table[name][row] for row in rows] for name in table.column_names}
+    # A second couple with the same person A, lifted so badly that no draw of it is near anything.
+    columns["pair17_m"] = [
+        np.asarray(pair) * (1 if at < table.num_rows else 9) for at, pair in enumerate(columns["pair17_m"])
+    ]
+    columns["seed_index"] = list(range(len(rows)))
+    shared = put(store, "seeds", "shared", {"seeds": columns}, one.facts)
+    beside = StageInputs({**given.manifests, "seeds": [shared]}, seed=1)
+    alone, both = (
+        store.read(lift(store, some, max_frames=5)["one-views"].ref, "lifted_pairs")["expected_error_m"]
+        for some in (given, beside)
+    )
+    np.testing.assert_allclose(both, alone, rtol=1e-6)
+
+
+def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any) -> None:
+    store, given = grown
+    poses, facts = take_rows("trio", 3, 10)
+    trio = put(store, "ingest", "trio", {"poses": poses}, facts)
+    lifted = list(lift(store, given, max_frames=1).values())
+    seen = [replace(one, facts={**one.facts, "is_virtual": True}) for one in given.of("annotations")]
+    tables = {**given.manifests, "annotations": seen, "poses": [trio], "lifted_pairs": lifted}
+    shards = {shard.name: shard for shard in TOPIC.plan(StageInputs(tables, seed=1), STAGE.parameters())}
+    assert shards["lifted"].refs("takes") == (trio.ref,)
+    assert "completed" not in shards
 
 
 def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:

@@ -219,13 +219,17 @@ def test_an_expected_error_is_a_length_and_knows_no_place(scale: float, seed: in
     lifted, mean = PAIRS[rng.integers(len(PAIRS), size=2)]
     image = lifted[..., :2].copy()
     image[rng.random((2, 17)) < 0.3] = np.nan
-    one = expected_error(image, mean, lifted)
+    one = expected_error(image, mean, lifted, has_own_draw=False)
     assert one.low_m < one.value_m < one.high_m
-    moved = expected_error(scale * image + 3.0, scale * mean + 1.0, scale * lifted + 1.0)
+    moved = expected_error(scale * image + 3.0, scale * mean + 1.0, scale * lifted + 1.0, has_own_draw=False)
     assert moved.value_m == pytest.approx(scale * one.value_m)
-    assert expected_error(image, 0.5 * (lifted + mean), lifted).value_m < one.value_m
+    assert expected_error(image, 0.5 * (lifted + mean), lifted, has_own_draw=False).value_m < one.value_m
+    # A draw of the very image makes the pair better than the other draws say.
+    own = expected_error(image, mean, lifted, has_own_draw=True)
+    assert own.value_m < one.value_m
+    assert own.high_m / own.low_m == pytest.approx(one.high_m / one.low_m)
 
 
 def test_an_error_is_to_be_expected_also_of_draws_that_fit_and_nothing_seen_tells_none() -> None:
-    assert 0.02 < expected_error(PAIRS[0, ..., :2], PAIRS[0], PAIRS[0]).value_m < 0.1
-    assert np.isnan(expected_error(np.full((2, 17, 2), np.nan), PAIRS[0], PAIRS[1]).value_m)
+    assert 0.02 < expected_error(PAIRS[0, ..., :2], PAIRS[0], PAIRS[0], has_own_draw=False).value_m < 0.1
+    assert np.isnan(expected_error(np.full((2, 17, 2), np.nan), PAIRS[0], PAIRS[1], has_own_draw=False).value_m)

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from pasdedeux.compiled import compiled
 
 __all__ = [
     "Batch",
@@ -126,7 +127,7 @@ class Memory(NamedTuple):
     products: AnyFloat
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def pull(form: Form, now: Batch) -> None:
     """Leave z - u = 2 z - v in `aim` and b + penalty S^T (z - u - S r) in `offsets`.
 
@@ -201,7 +202,7 @@ def pull(form: Form, now: Batch) -> None:
             row += 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _spread(pairs: Pairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: int) -> None:
     """Add weight B^T a to the right-hand side (point, 3 variant) of a frame."""
     for corner in range(4):
@@ -210,7 +211,7 @@ def _spread(pairs: Pairs, e: int, aims: AnyFloat, row: int, rhs: AnyFloat, t: in
             rhs[t, point, k] += factor * aims[row, k]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def advance(form: Form, now: Batch) -> None:
     """Move v by `change`, relaxation (s - z), s what x gives."""
     first, edges, near, contacts = form.first, form.edges, form.near, form.contacts
@@ -239,7 +240,7 @@ def advance(form: Form, now: Batch) -> None:
             row += 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _combine(pairs: Pairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, row: int) -> None:
     """Leave what x of a frame's points makes of a pair's vector in a row of `vectors`."""
     a, b, c, d = pairs.points[e, 0], pairs.points[e, 1], pairs.points[e, 2], pairs.points[e, 3]
@@ -248,7 +249,7 @@ def _combine(pairs: Pairs, e: int, points: AnyFloat, t: int, vectors: AnyFloat, 
         vectors[row, k] = (p * points[t, a, k] + q * points[t, b, k]) + (r * points[t, c, k] + s * points[t, d, k])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def remember(form: Form, now: Batch, memory: Memory, slot: int, used: int, stride: int) -> None:
     """Put the newest move in `slot`, and compare the changes of every `stride`-th frame."""
     first, contacts = form.first, form.contacts
@@ -297,7 +298,7 @@ def remember(form: Form, now: Batch, memory: Memory, slot: int, used: int, strid
                 products[1, i, t // stride, n] = (pulled[n] + pulled[count + n]) + pulled[2 * count + n]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fade_over_time(values: Array, keep: float) -> None:
     """Sum values (m, T, variant) over frames in place, those a frame further away by `keep` less."""
     size, frames, count = values.shape
@@ -315,7 +316,7 @@ def fade_over_time(values: Array, keep: float) -> None:
                 values[i, t, n] += ahead[t, n]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def mix(
     form: Form, gram: Array, pulls: Array, used: int, stride: int, ridge: float, moves: AnyFloat, state: AnyFloat
 ) -> None:
@@ -350,7 +351,7 @@ def mix(
                 i += 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Array, trace: Array, x: Array) -> None:
     """Leave in `x` (m, variant) the solution of (gram + ridge trace) x = pulls, by Cholesky."""
     count = pulls.shape[1]
@@ -399,7 +400,7 @@ def _solve_shares(gram: Array, pulls: Array, used: int, ridge: float, lower: Arr
             value[n] /= b[n]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def mean_change(values: AnyFloat, first: Indices, num_rows: int) -> Array:
     """Return the mean over frames of the root mean square of a frame's first rows of `values` (row, 3, variant)."""
     count, frames = values.shape[2], len(first) - 1
@@ -416,7 +417,7 @@ def mean_change(values: AnyFloat, first: Indices, num_rows: int) -> Array:
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) -> None:
     """Add sum w B^T B to `matrix` (T, n, n)."""
     frames, num_pairs, size = points.shape
@@ -427,7 +428,7 @@ def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) 
                     matrix[t, points[t, e, i], points[t, e, j]] += weights[t, e] * shares[t, e, i] * shares[t, e, j]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def keep_directions(
     people: Array, parents: Indices, order: Indices, lengths_m: Array, is_aimed: bool, placed: Array
 ) -> None:

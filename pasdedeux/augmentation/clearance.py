@@ -16,10 +16,9 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Girths, Source, girths_of, points_of, widened_m
-from pasdedeux.interaction.contacts import packer, stencil_vectors
+from pasdedeux.interaction.contacts import averaged, packer, stencil_vectors
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.plausibility import capsule_model
 from pasdedeux.skeletons import BODY22
@@ -89,17 +88,12 @@ def find_clearance(
     pairs, weight, is_within = (values[is_near] for values in (pairs, weight, is_within))
     along, gaps, nearness = (values[:, is_near] for values in (along, gaps, nearness))
     sigma = _SMOOTHING_S * source.rate_hz
-    if len(points) > 1:
-        nearness, along = (
-            gaussian_filter1d(values, sigma, axis=0, mode="nearest", truncate=3.0) for values in (nearness, along)
-        )
+    nearness, along = averaged(nearness, sigma), averaged(along, sigma)
     ends = np.stack([parents[pairs[:, 0]], pairs[:, 0], parents[pairs[:, 1]], pairs[:, 1]], axis=-1)
     s, t = along[..., 0], along[..., 1]
     shares = np.stack([1.0 - s, s, t - 1.0, -t], axis=-1)
     vectors = stencil_vectors(np.broadcast_to(ends, shares.shape), shares, points)
-    normals = vectors
-    if len(points) > 1:
-        normals = gaussian_filter1d(vectors, sigma, axis=0, mode="nearest", truncate=3.0)
+    normals = averaged(vectors, sigma)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
     limits = (normals * vectors).sum(axis=-1) - np.maximum(gaps, 0.0)
     is_used = nearness > _SMALLEST_WEIGHT

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+
+from pasdedeux.compiled import compiled
 
 __all__ = ["Factor", "factorise", "solve"]
 
@@ -59,6 +59,8 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
     Raises:
         numpy.linalg.LinAlgError: The matrix is not positive definite.
     """
+    from scipy.linalg.lapack import dpotrf, dpotri  # here: planning need not wait for it
+
     frames, n = matrix.shape[:2]
     blocks, size = (frames + 1) // 2, 2 * n
     inner, outer, halves = np.zeros((blocks, n)), np.zeros((blocks, n)), np.zeros((blocks, 2, n))
@@ -79,16 +81,16 @@ def factorise(matrix: Array, lag1: Array, lag2: Array) -> Factor:
             half[:n] += outer[k - 1, :, None] * inverse[k - 1, n:]
             schur -= half * same[k - 1]
             schur[:, :n] -= half[:, n:] * outer[k - 1]
-        lower, info = scipy.linalg.lapack.dpotrf(schur.T, lower=1, clean=0, overwrite_a=1)
+        lower, info = dpotrf(schur.T, lower=1, clean=0, overwrite_a=1)
         if info == 0:
-            lower, info = scipy.linalg.lapack.dpotri(lower, lower=1, overwrite_c=1)
+            lower, info = dpotri(lower, lower=1, overwrite_c=1)
         if info != 0:
             raise np.linalg.LinAlgError(f"the matrix is not positive definite at frame {2 * k}")
         inverse[k] = np.where(is_lower, lower, lower.T)
     return Factor(inverse=inverse, lag1=outer, lag2=same)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _forward(
     rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
 ) -> None:
@@ -111,7 +113,7 @@ def _forward(
                 work[i, shift + v] = rhs[k, i, axis, v] - c * rhs[k - 1, i, axis, v]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _backward(
     rhs: Array, k: int, axis: int, lag1: Array, lag2: Array, low: int, high: int, work: Array, at: int
 ) -> None:
@@ -129,7 +131,7 @@ def _backward(
                 work[i, shift + v] = c * rhs[k + 1, i, axis, v] + d * rhs[k + 1, i - half, axis, v]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _solve(inverse: Array, lag1: Array, lag2: Array, rhs: Array, axes: Indices) -> None:
     blocks, size, _, count = rhs.shape
     work = np.zeros((size, len(axes) * _COLUMNS), rhs.dtype)

@@ -8,10 +8,9 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import Delaunay, QhullError
 
 from pasdedeux.augmentation.source import Source, points_of
+from pasdedeux.interaction.contacts import averaged
 from pasdedeux.skeletons import BODY22
 
 __all__ = ["InteractionMesh", "build_mesh", "delaunay_edges"]
@@ -53,6 +52,8 @@ def delaunay_edges(points: Array) -> npt.NDArray[np.bool_]:
     Points that lie in a plane have no tetrahedra, and of points that coincide all but one are left out; such sets are
     meshed again after a fixed pseudo-random displacement of a micrometre.
     """
+    from scipy.spatial import Delaunay, QhullError  # here: planning need not wait for it
+
     try:
         mesh = Delaunay(points)
         if len(mesh.coplanar) == 0:
@@ -82,8 +83,8 @@ def build_mesh(source: Source, *, smoothing_s: float = 0.0) -> InteractionMesh:
     for frame in range(len(points)):
         weights[frame] *= delaunay_edges(points[frame]) | is_bone
     weights /= weights.sum(axis=-1, keepdims=True)
-    if smoothing_s > 0 and len(points) > 1:
-        weights = gaussian_filter1d(weights, smoothing_s * source.rate_hz, axis=0, mode="nearest", truncate=3.0)
+    if smoothing_s > 0:
+        weights = averaged(weights, smoothing_s * source.rate_hz)
     return InteractionMesh(weights)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 from typing import Literal
 
@@ -44,8 +44,6 @@ _ANKLES = BODY22.indices(["left_ankle", "right_ankle"])
 _WAIST = BODY22.index("spine1")
 _TOES = BODY22.indices(["left_toe", "right_toe"])
 _WRISTS = BODY22.indices(["left_wrist", "right_wrist"])
-_OWN_TOUCH = np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
-"""Bones with which somebody who is alone may touch himself: forearms, and what is far enough along the body."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,7 @@ class Source:
             rate_hz=self.rate_hz,
             touch_m=touch_m,
             stated=stated,
-            own=_OWN_TOUCH if self.num_people == 1 else None,
+            own=_own_touch() if self.num_people == 1 else None,
             objects=self.objects,
         )
 
@@ -179,6 +177,12 @@ class Source:
         whole = {name: getattr(self, name) for name in ("lengths_m", "floor_m", "rest_heights_m")}
         part.__dict__.update(whole)
         return part
+
+
+@cache
+def _own_touch() -> npt.NDArray[np.int64]:
+    """Return the bones with which somebody alone may touch himself: forearms, and what is far enough along the body."""
+    return np.array([pair for pair in capsule_model(BODY22).within if set(pair) & set(_WRISTS)])
 
 
 def points_of(people: Array) -> Array:

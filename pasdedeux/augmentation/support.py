@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
 
 from pasdedeux.augmentation.source import Source
+from pasdedeux.interaction.contacts import averaged
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.surfaces import fade
 from pasdedeux.skeletons import BODY22
@@ -69,7 +69,4 @@ def _smooth(weights: Array, source: Source, stated: Sequence[UserContact]) -> Ar
         if contact.is_of_floor:
             when = slice(contact.start_frame, contact.stop_frame)
             weights[when, contact.persons[0], BODY22.index(contact.joint_a)] = min(contact.weight, 1.0)
-    if source.num_frames < 2:
-        return weights
-    sigma = _SMOOTHING_S * source.rate_hz
-    return np.asarray(gaussian_filter1d(weights, sigma, axis=0, mode="nearest", truncate=3.0))
+    return averaged(weights, _SMOOTHING_S * source.rate_hz)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 
 __all__ = ["LANES", "fill_residuals", "fill_rigid_residuals", "refill_residuals"]
@@ -20,7 +20,7 @@ Lanes = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def fill_residuals(points: Lanes, tilt: Lanes, direction: Lanes, image: Lanes, joints: Indices, out: Lanes) -> None:
     """Write the squared distance of every draw, seen from one view and turned best in the plane, from an image.
 
@@ -76,7 +76,7 @@ def fill_residuals(points: Lanes, tilt: Lanes, direction: Lanes, image: Lanes, j
             out[block, lane] = squares + centred - two * best
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def refill_residuals(
     points: Lanes, directions: Array, which: Indices, image: Array, joints: Indices, ceiling: float, out: Array
 ) -> None:
@@ -125,7 +125,7 @@ def refill_residuals(
             out[row] = max(total - squares - 2.0 * math.hypot(a, b), 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def fill_rigid_residuals(pairs: Lanes, joints: Indices, fixed: Array, out: Array) -> None:
     """Write the squared distance of every draw from a 3D pair over some joints, after the best proper rigid motion.
 

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import cdist
 
 from pasdedeux.evaluation.scores import FEWEST_UNITS
 
@@ -98,6 +97,8 @@ def density_coverage(real: Array, made: Array) -> tuple[float, float]:
     Density is the mean number of real neighbourhoods that a made one lies in, over 5, about 1 for draws of the same
     distribution; coverage the share of real neighbourhoods with a made one inside.
     """
+    from scipy.spatial.distance import cdist  # here: planning need not wait for it
+
     reach = np.sort(cdist(real, real), axis=1)[:, min(_NEIGHBOURS, len(real) - 1)]
     is_within = cdist(real, made) < reach[:, None]
     return float(is_within.sum(axis=0).mean() / _NEIGHBOURS), float(is_within.any(axis=1).mean())

@@ -6,8 +6,8 @@ import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, select_autoescape
 from markupsafe import Markup
 
 from pasdedeux.evaluation.score_tables import TextTable
@@ -15,6 +15,9 @@ from pasdedeux.evaluation.summary import Summary
 from pasdedeux.evaluation.verdicts import figure_words
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Verdict
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 __all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "fit_rows", "folded", "render_report"]
 
@@ -164,6 +167,8 @@ def _coded(text: str) -> Markup:
 
 @cache
 def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, select_autoescape  # here: planning need not wait for it
+
     environment = Environment(
         loader=PackageLoader("pasdedeux.evaluation"),
         autoescape=select_autoescape(("html",)),

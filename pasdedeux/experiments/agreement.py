@@ -14,10 +14,10 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.kernels import best_turn, turned_squares
 from pasdedeux.kinematics import align_rigid
@@ -171,7 +171,7 @@ def _limbs_of(pairs_m: Array) -> Array:
     return np.ascontiguousarray(vectors.reshape(len(pairs_m), _NUM_LIMBS, 2, 3))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, widths, log_count):  # type: ignore[no-untyped-def]
     """Return the logs of the kernel density of poses and of the two given the pose; `work` is (2 + limbs, other)."""
     num_others, num_points, num_limbs = others.shape[0], others.shape[1], limbs.shape[0]
@@ -194,7 +194,7 @@ def _kernel_logs(centred, offset, limbs, others, offsets, other_limbs, work, wid
     return every - log_count, _log_sum(work[1]) - every, lowest
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _log_sum(logs):  # type: ignore[no-untyped-def]
     highest = logs.max()
     total = 0.0

@@ -17,7 +17,6 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import logsumexp
 
 from pasdedeux.cameras import pair_frame, view_rotmat
 from pasdedeux.errors import InputError
@@ -207,6 +206,8 @@ class TermComparer:
         # So wide that no view is left out as too far behind the best.
         matcher = InteractionLikelihood(self.annotated, self.bank, sigma_l=1.0)
         views = np.array([[*matcher.match(pair).dissimilarity_m, 0.0] for pair in pairs])
+        from scipy.special import logsumexp  # here: planning need not wait for it
+
         shares = self.occupancy.bone_logs(pairs)
         up = pair_frame(pairs).axes[..., 1]
         lowest = np.einsum("npki,ni->npk", pairs[:, :, _ANKLES], up).min(axis=-1)

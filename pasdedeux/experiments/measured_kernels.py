@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.interaction.shape_context import INNER_RADIUS_M, NUM_SECTORS, NUM_SHELLS
 from pasdedeux.projections.tree import select
 from pasdedeux.sampling.kernels import ROUGH_TOLERANCE_M
@@ -28,12 +28,12 @@ _MIN_OF_FIRST = 0.6
 """The best of a view is taken to cost at least so many times what the one with the least rigid residual does."""
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _angle(y, x):  # type: ignore[no-untyped-def]
     return np.uint32(np.int64(np.arctan2(y, x) / (2.0 * np.pi) * _CIRCLE) & 0xFFFFFFFF)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_polar(x, y, shells, angles):  # type: ignore[no-untyped-def]
     """Write the first bin of the shell and the angle of every other joint, seen from each, (n, n - 1)."""
     for i in range(x.shape[0]):
@@ -49,7 +49,7 @@ def _fill_polar(x, y, shells, angles):  # type: ignore[no-untyped-def]
             angles[j, i - 1] = np.uint32(angle + np.uint32(0x80000000))
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _bin_of(shell, angle):  # type: ignore[no-untyped-def]
     """Return the bin: the upper half of angle times sectors, by halves, so that it fits in 32 bits."""
     sectors = np.uint32(NUM_SECTORS)
@@ -57,7 +57,7 @@ def _bin_of(shell, angle):  # type: ignore[no-untyped-def]
     return shell + np.int32(np.uint32((angle >> np.uint32(16)) * sectors + carried) >> np.uint32(16))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def fill_histograms(points, counts):  # type: ignore[no-untyped-def]
     """Count the bins of point sets (set, n, 2) into `counts` (set, n, bin), which is overwritten.
 
@@ -75,7 +75,7 @@ def fill_histograms(points, counts):  # type: ignore[no-untyped-def]
                 counts[row, at, _bin_of(shells[i, j], angles[i, j])] += 1
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _align(x, y, lanes_x, lanes_y, count, dot, cross):  # type: ignore[no-untyped-def]
     """Write s . c and s x c of an image and each candidate, float32, a candidate per lane."""
     for c in range(count):
@@ -88,7 +88,7 @@ def _align(x, y, lanes_x, lanes_y, count, dot, cross):  # type: ignore[no-untype
             cross[c] += sx * py[c] - sy * px[c]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, residual, least, first):  # type: ignore[no-untyped-def]
     """Write for every view what the best turn leaves of each candidate, up to the image's own part, and the least.
 
@@ -121,7 +121,7 @@ def _align_views(images, counts, lanes_x, lanes_y, squares, dots, crosses, resid
         least[view] = np.sqrt(max(square + own[first[view]], 0.0) / x.shape[0])
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _rough_distances(x, y, lanes_x, lanes_y, count, dot, cross, total):  # type: ignore[no-untyped-def]
     """Write the summed joint distance of each candidate after the best turn; float32, a candidate per lane.
 
@@ -149,7 +149,7 @@ def _rough_distances(x, y, lanes_x, lanes_y, count, dot, cross, total):  # type:
             total[c] += np.sqrt(dx * dx + dy * dy)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def best_cartesian(  # type: ignore[no-untyped-def]
     images, counts, slots, points, lanes_x, lanes_y, squares, limit, margin, best, best_slot
 ):
@@ -204,7 +204,7 @@ def best_cartesian(  # type: ignore[no-untyped-def]
         overall = min(overall, best[view])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _turn(x, y, fixed):  # type: ignore[no-untyped-def]
     dot = cross = 0.0
     for k in range(x.shape[0]):
@@ -216,7 +216,7 @@ def _turn(x, y, fixed):  # type: ignore[no-untyped-def]
     return 1.0, 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-untyped-def]
     """Return the sum of a b / (a + b) over the bins, of one joint's turned histogram and a candidate's, in counts.
 
@@ -236,7 +236,7 @@ def _shared(shells, angles, angle, histogram, bins, own):  # type: ignore[no-unt
     return total / 16777216.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _cost(shells, angles, angle, histograms, bound, is_exact, bins, own):  # type: ignore[no-untyped-def]
     """Return the shape-context cost, inf once it is more than `bound` (or, unless exact, will hardly be less)."""
     num_points = shells.shape[0]
@@ -251,7 +251,7 @@ def _cost(shells, angles, angle, histograms, bound, is_exact, bins, own):  # typ
     return cost / num_points
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def best_shape(  # type: ignore[no-untyped-def]
     images, counts, slots, histograms, lanes_x, lanes_y, squares, num_ranked, is_exact, limit, margin, best, best_slot
 ):

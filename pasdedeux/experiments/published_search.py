@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_STATURE_M
 from pasdedeux.projections.search import Neighbours, prepare_query
@@ -189,7 +189,7 @@ def _embed(database: Database, rng: np.random.Generator, settings: PublishedSett
     return np.concatenate(placed)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _distances_to(points: Floats32, landmarks: Floats32) -> Floats32:
     """Return eq. 1 between projections (n, 14, 2) and landmarks (m, 14, 2)."""
     out = np.zeros((points.shape[0], landmarks.shape[0]), dtype=np.float32)

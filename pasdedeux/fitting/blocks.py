@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpotrf
 
 __all__ = ["BlockMatrix", "NotPositiveDefinite", "solve_blocks"]
 
@@ -39,6 +37,9 @@ def solve_blocks(matrix: BlockMatrix, rhs: Array) -> Array:
     Raises:
         NotPositiveDefinite: No Cholesky factor exists.
     """
+    from scipy.linalg.blas import dtrsm  # here: planning need not wait for it
+    from scipy.linalg.lapack import dpotrf
+
     frames, n = rhs.shape
     lower = matrix.diagonal
     panels = np.zeros((frames, 2 * n, n))

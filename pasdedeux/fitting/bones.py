@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.skeletons import Skeleton
 
@@ -144,7 +144,7 @@ class BoneForest:
         return BoneState(roots, _turn(state.directions, tangents, step, shape.parents, shape.starts))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _directions(positions: Array, parents: Indices) -> Array:
     """Return the unit vector of each bone; up for roots and where there is none."""
     directions = np.empty(positions.shape)
@@ -163,7 +163,7 @@ def _directions(positions: Array, parents: Indices) -> Array:
     return directions
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place(
     roots_m: Array, directions: Array, lengths: Array, parents: Indices, order: Indices, roots: Indices
 ) -> Array:
@@ -181,7 +181,7 @@ def _place(
     return positions
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _tangents(directions: Array) -> Array:
     """Return two unit vectors across each direction, the first across x as well, or y where that is too near."""
     tangents = np.empty((*directions.shape, 2))
@@ -197,7 +197,7 @@ def _tangents(directions: Array) -> Array:
     return tangents
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _turn(directions: Array, tangents: Array, step: Array, parents: Indices, starts: Indices) -> Array:
     """Return the directions of bones after a step along their tangents; roots' as they were."""
     turned = directions.copy()

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.fitting.blocks import BlockMatrix, NotPositiveDefinite, solve_blocks
 from pasdedeux.fitting.bones import BoneForest, BoneState
@@ -193,7 +193,7 @@ def _reduce(
     return BlockMatrix(diagonal=diagonal, below=below), gradient
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices, diagonal: Array) -> None:
     _, frames, points, _ = carried.shape
     for t in range(frames):
@@ -212,7 +212,7 @@ def _reduce_within(carried: Array, basis: Array, bending: Array, starts: Indices
                 diagonal[t, i, i] += bending[t, g]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _add_stencils(
     points: Indices,
     shares: Array,
@@ -251,7 +251,7 @@ def _add_stencils(
                     diagonal[t, used[i], used[j]] += value * row[j]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _reduce_between(
     summed: Array, basis: Array, related: Indices, further: Indices, starts: Indices, lag: int, below: Array
 ) -> None:

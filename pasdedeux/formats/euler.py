@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 __all__ = ["euler_from_unitquat", "identity_unitquat", "unitquat_from_euler"]
 
@@ -28,6 +27,8 @@ def unitquat_from_euler(angles_rad: Array, axes: str) -> Array:
     batch = angles_rad.shape[:-1]
     if not axes or 0 in batch:
         return identity_unitquat(*batch)
+    from scipy.spatial.transform import Rotation  # here: planning need not wait for it
+
     return np.asarray(Rotation.from_euler(axes, angles_rad.reshape(-1, len(axes))).as_quat().reshape(*batch, 4))
 
 
@@ -37,5 +38,7 @@ def euler_from_unitquat(unitquat: Array, axes: str) -> Array:
     The middle angle lies within a quarter turn.  Where it is a quarter turn the outer two share one axis: the last one
     is then 0.  `axes` is a permutation of XYZ.
     """
+    from scipy.spatial.transform import Rotation
+
     rotation: Any = Rotation.from_quat(unitquat.reshape(-1, 4))  # its stubs allow spelled-out axes only
     return np.asarray(rotation.as_euler(axes, suppress_warnings=True).reshape(*unitquat.shape[:-1], 3))

@@ -20,15 +20,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
-from scipy.ndimage import gaussian_filter1d
 
+from pasdedeux.compiled import compiled
 from pasdedeux.interaction.known_contacts import UserContact
 from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.interaction.surfaces import fade, nearest_on_bones, parents_of, standing_out
 from pasdedeux.skeletons import Skeleton
 
-__all__ = ["TOUCH_M", "Contacts", "find_contacts", "packer", "stated_contacts", "stencil_vectors"]
+__all__ = ["TOUCH_M", "Contacts", "averaged", "find_contacts", "packer", "stated_contacts", "stencil_vectors"]
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -131,14 +130,14 @@ def find_contacts(
     bones, share, weights = bones[is_near], share[:, is_near], weights[:, is_near]
     frames, sigma = len(people_m), _SMOOTHING_S * rate_hz
     if frames > 1 and weights.size:
-        moved = _averaged(weights[..., None] * share, sigma)
-        weights = _averaged(weights, sigma)
+        moved = averaged(weights[..., None] * share, sigma)
+        weights = averaged(weights, sigma)
         share = np.clip(moved / np.maximum(weights, 1e-9)[..., None], 0.0, 1.0)
     if known:
         told = np.zeros((frames, len(known)))
         for column, contact in enumerate(known):
             told[contact.start_frame : contact.stop_frame, column] = contact.weight
-        weights = np.concatenate([weights, _averaged(told, sigma)], axis=1)
+        weights = np.concatenate([weights, averaged(told, sigma)], axis=1)
         at = np.array([[contact.share_a, contact.share_b] for contact in known])
         share = np.concatenate([share, np.broadcast_to(at, (frames, *at.shape))], axis=1)
         bones = np.concatenate([bones, np.array([contact.bones(skeleton, objects) for contact in known])])
@@ -204,10 +203,12 @@ def _clear(
             weights[when] *= 1.0 - lies * (hand[when] * (bones == bone)).sum(axis=-1)
 
 
-def _averaged(values: Array, sigma: float) -> Array:
-    """Return values (T, ...) averaged over a moment; those of a single frame as they are."""
+def averaged(values: Array, sigma: float) -> Array:
+    """Return values (T, ...) averaged by a Gaussian of `sigma` frames; those of a single frame as they are."""
     if len(values) < 2:
         return values
+    from scipy.ndimage import gaussian_filter1d  # here: planning need not wait for it
+
     return np.asarray(gaussian_filter1d(values, sigma, axis=0, mode="nearest", truncate=3.0))
 
 
@@ -311,7 +312,7 @@ def stencil_vectors(points: Indices, shares: Array, points_m: Array) -> Array:
     return np.asarray(_sum_up(flat, points, shares).reshape(*batch, *points.shape[:2], 3))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _sum_up(points_m: Array, points: Indices, shares: Array) -> Array:
     count, frames, num_pairs = len(points_m), points.shape[0], points.shape[1]
     sums = np.zeros((count, frames, num_pairs, 3))

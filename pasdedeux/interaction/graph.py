@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import Delaunay, QhullError
 
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.triangulation import jitter
@@ -36,6 +35,8 @@ def delaunay_edges(points: Array) -> Edges:
     num_points, dimension = points.shape
     if num_points <= dimension:
         return np.stack(np.triu_indices(num_points, k=1), axis=1).astype(np.int32)
+    from scipy.spatial import Delaunay, QhullError  # here: planning need not wait for it
+
     try:
         simplices = Delaunay(points + jitter(num_points, dimension)).simplices
     except QhullError:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M, edge_weights
 from pasdedeux.interaction.graph import delaunay_edges
@@ -73,7 +73,7 @@ def _weigh(points: Array, edges: npt.NDArray[np.int32], counts: npt.NDArray[np.i
     return EdgeTable(edges=edges, weights=weights, counts=counts)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def fill_edge_weights(x, y, edges, count, beta_m, weights):  # type: ignore[no-untyped-def]
     """Write the weights of eq. 8 of one planar point set into `weights`; they sum to 1."""
     total = 0.0
@@ -86,7 +86,7 @@ def fill_edge_weights(x, y, edges, count, beta_m, weights):  # type: ignore[no-u
         weights[e] /= total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8: the weighted sum over edges of the length of the difference of edge vectors.
 
@@ -100,7 +100,7 @@ def side_sum(dx, dy, edges, count, weights):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def keep_seen_edges(edges, count, weights, is_seen, kept, kept_weights):  # type: ignore[no-untyped-def]
     """Write the edges of which both ends are seen, and their weights scaled to sum to 1; give their number."""
     number, total = 0, 0.0
@@ -115,7 +115,7 @@ def keep_seen_edges(edges, count, weights, is_seen, kept, kept_weights):  # type
     return number
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _minor(m, r0, r1, r2, c0, c1, c2):  # type: ignore[no-untyped-def]
     return (
         m[r0, c0] * (m[r1, c1] * m[r2, c2] - m[r1, c2] * m[r2, c1])
@@ -124,7 +124,7 @@ def _minor(m, r0, r1, r2, c0, c1, c2):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _null_vector(key, shift, m, q):  # type: ignore[no-untyped-def]
     """Write the unit vector that `key` - `shift` maps nearest to zero into q (from the adjugate); false if zero."""
     scale = 0.0
@@ -160,7 +160,7 @@ def _null_vector(key, shift, m, q):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     """Write the proper rotation that turns centred points `moving` (n, 3) best onto centred `fixed` (n, 3).
 
@@ -235,7 +235,7 @@ def best_turn(moving, fixed, key, m, q, rotmat):  # type: ignore[no-untyped-def]
     rotmat[2, 2] = 1.0 - 2.0 * (x * x + y * y)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
     """Return the three differences of point k of `moving` (n, 3), turned, to that of `fixed` (n, 3)."""
     x, y, z = moving[k, 0], moving[k, 1], moving[k, 2]
@@ -246,7 +246,7 @@ def turned_gap(rotmat, moving, fixed, k):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def turned_squares(rotmat, moving, fixed):  # type: ignore[no-untyped-def]
     """Return the squared distances of `moving` (n, 3), turned, to `fixed` (n, 3), summed over the points."""
     total = 0.0

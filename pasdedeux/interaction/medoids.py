@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import edge_table, keep_seen_edges, side_sum
@@ -61,7 +61,7 @@ def choose_medoids(matrix: Array, count: int) -> Indices:
     return medoids
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill(points, is_seen, edges, weights, counts, matrix):  # type: ignore[no-untyped-def]
     num_sets, num_points = points.shape[0], points.shape[1]
     dx, dy = np.empty(num_points), np.empty(num_points)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.interaction.dissimilarity import BETA_M
 from pasdedeux.interaction.kernels import EdgeTable, best_turn, edge_table_3d, turned_gap
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
@@ -108,7 +108,7 @@ def image_distances(first_m: Array, second_m: Array) -> Array:
     return distances
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_image_distances(  # type: ignore[no-untyped-def]
     first, first_edges, first_counts, second, edges, counts, beta_m, distances
 ):
@@ -123,7 +123,7 @@ def _fill_image_distances(  # type: ignore[no-untyped-def]
                 distances[row, column] = total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _shared_side(points, edges, count, is_shared, dx, dy, beta_m):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8 over the edges of which both ends are shared."""
     total, weights = 0.0, 1e-300
@@ -137,7 +137,7 @@ def _shared_side(points, edges, count, is_shared, dx, dy, beta_m):  # type: igno
     return total / weights
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _plane_gaps(moving, fixed, is_shared, dx, dy):  # type: ignore[no-untyped-def]
     """Write the differences of points turned and shifted onto others where both are there; give their number."""
     count = 0
@@ -166,7 +166,7 @@ def _plane_gaps(moving, fixed, is_shared, dx, dy):  # type: ignore[no-untyped-de
     return count
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_ring(edges, weights, counts, num_points, ring):  # type: ignore[no-untyped-def]
     for row in range(edges.shape[0]):
         for e in range(counts[row]):
@@ -177,7 +177,7 @@ def _fill_ring(edges, weights, counts, num_points, ring):  # type: ignore[no-unt
             ring[row, gap - 1, i] += weights[row, e]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _lower_minima(  # type: ignore[no-untyped-def]
     truth,
     own_edges,
@@ -210,7 +210,7 @@ def _lower_minima(  # type: ignore[no-untyped-def]
                 best[0, row] = min(best[0, row], total)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_distances(  # type: ignore[no-untyped-def]
     first, first_edges, first_weights, first_counts, second, edges, weights, counts, distances
 ):
@@ -224,7 +224,7 @@ def _fill_distances(  # type: ignore[no-untyped-def]
             distances[row, column] = total + _side_sum(difference, edges[column], counts[column], weights[column])
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-def]
     """Write the difference of the turned points to the fixed ones; return the sum of its lengths."""
     total = 0.0
@@ -235,7 +235,7 @@ def _difference(rotmat, moving, fixed, difference):  # type: ignore[no-untyped-d
     return total
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_REORDERED)
+@compiled(fastmath=_REORDERED)
 def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
     """Estimate both sides of D_I from the differences of aligned points, repeated beyond the last, and two rings."""
     total = np.float32(0.0)
@@ -250,7 +250,7 @@ def _estimate(x, y, z, one, other):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _side_sum(difference, edges, count, weights):  # type: ignore[no-untyped-def]
     total = 0.0
     for e in range(count):

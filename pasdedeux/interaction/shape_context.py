@@ -11,11 +11,11 @@ The dissimilarity is the mean cost over the joints: 0 for the same histograms, 1
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.cameras import pair_frame
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics.rotations import normalise
@@ -104,7 +104,7 @@ class ShapeCoverage:
         return self._best.copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def lower_shape_minima(counts, bins, best):  # type: ignore[no-untyped-def]
     """Lower the running minima of D_S of each truth to what others reach.
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, length, row_of, subtract
 from pasdedeux.skeletons import Skeleton
 
@@ -88,7 +88,7 @@ def parents_of(skeleton: Skeleton, num_people: int) -> Indices:
     return np.concatenate([parents + person * skeleton.num_joints for person in range(num_people)])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def nearest_on_bones(points: Array, pairs: Indices, parents: Indices, radii: Array) -> tuple[Array, Array]:
     """Return where on their bones (T, pair, 2) the nearest points are, 0 at the parent, and the gap of the surfaces.
 

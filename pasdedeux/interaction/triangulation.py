@@ -7,9 +7,10 @@ then have one triangulation, always the same.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from pasdedeux.compiled import compiled
 
 __all__ = ["JITTER_M", "Workspace", "delaunay_edges_fast", "jitter", "max_edges", "triangulate", "workspace"]
 
@@ -45,13 +46,13 @@ def workspace(num_points: int) -> Workspace:
     )
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _orientation(x, y, a, b, px, py):  # type: ignore[no-untyped-def]
     """Twice the signed area of points a, b, p: positive when p lies left of a -> b."""
     return (x[b] - x[a]) * (py - y[a]) - (y[b] - y[a]) * (px - x[a])
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _in_conflict(x, y, triangles, t, px, py, infinity):  # type: ignore[no-untyped-def]
     """Whether p lies in the circumcircle of triangle t; for a triangle at infinity, beyond its hull edge."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -68,7 +69,7 @@ def _in_conflict(x, y, triangles, t, px, py, infinity):  # type: ignore[no-untyp
     return determinant > 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no-untyped-def]
     """Write the Delaunay edges (i < j) of points `x`, `y` (already jittered) into `edges`; give their number.
 
@@ -193,7 +194,7 @@ def triangulate(x, y, triangles, neighbours, scratch, edges):  # type: ignore[no
     return num_edges
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _edges_of_all(points, offsets, triangles, neighbours, scratch, edges, counts):  # type: ignore[no-untyped-def]
     x = np.empty(points.shape[1])
     y = np.empty(points.shape[1])

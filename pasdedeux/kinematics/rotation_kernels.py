@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
+from pasdedeux.compiled import compiled
 
 __all__ = [
     "carry",
@@ -36,9 +36,7 @@ Vector = Any  # (x, y, z); numba infers the tuple type
 Quaternion = Any  # (x, y, z, w)
 _TINY = 1e-12
 
-# A dict, because the type stubs of numba do not know these two options.
-_NO_ENTRIES: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-inner_kernel = njit(cache=True, nogil=True, error_model="numpy", **_NO_ENTRIES)
+inner_kernel = compiled(error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
 """For functions that only compiled code calls: without the entries from Python they compile in a third of the time."""
 
 

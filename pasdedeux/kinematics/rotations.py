@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 __all__ = [
     "angle_between",
@@ -78,6 +77,8 @@ def rotmat_from_unitquat(unitquat: Array) -> Array:
 
 def unitquat_from_rotmat(rotmat: Array) -> Array:
     """Return unit quaternions (*batch, 4), w >= 0, of rotation matrices (*batch, 3, 3)."""
+    from scipy.spatial.transform import Rotation  # here: planning need not wait for it
+
     found = Rotation.from_matrix(np.reshape(rotmat, (-1, 3, 3)), assume_valid=True).as_quat(canonical=True)
     return np.asarray(found.reshape(*np.shape(rotmat)[:-2], 4))
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from pasdedeux.augmentation import Source
 from pasdedeux.learning.model import Items, VariantRequest
@@ -76,6 +75,8 @@ class Spread:
         count = len(frames)
         if count == 1:
             return cls(((slice(0, 1), np.ones((source.num_frames, 1))),))
+        from scipy.interpolate import CubicSpline  # here: planning need not wait for it
+
         found = []
         firsts = range(0, max(count - _FELT_KNOTS, 1), _STRETCH_KNOTS)
         for first in firsts:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import OP14
 
 __all__ = ["MIN_TRUST", "clean_detections", "match_costs", "predict_joints", "size_in_image", "update_joints"]
@@ -20,7 +20,7 @@ _HIGHEST_BOX_PER_LENGTH = 4.0
 _MIN_BOX_PER_LENGTH = 1.5
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array, Array, Array]:
     """Return keypoints (n, j, 2), NaN where not seen, confidences, 0 there, trust (n, j) in them, and sizes (n,).
 
@@ -47,7 +47,7 @@ def clean_detections(keypoints: Array, confidence: Array) -> tuple[Array, Array,
     return points, seen, trust, size
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def size_in_image(points: Array, is_seen: Booleans) -> float:
     """Do `identity.body_size_px` for one person (j, 2)."""
     box, count = _diagonal(points, is_seen, np.arange(points.shape[0]))
@@ -59,7 +59,7 @@ def size_in_image(points: Array, is_seen: Booleans) -> float:
     return max(box, _MIN_SIZE_PX)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -> tuple[float, int]:
     """Return the diagonal of the box of the seen joints, and how many they are."""
     count = 0
@@ -72,7 +72,7 @@ def _diagonal(points: Array, is_seen: Booleans, joints: npt.NDArray[np.int64]) -
     return (np.hypot(high_x - low_x, high_y - low_y) if count >= 2 else np.nan), count
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float, limb_s: float) -> Array:
     """Return where a person's joints (j, 2) are expected: median speed works for `body_s`, what is left `limb_s`."""
     out = np.empty(place.shape)
@@ -83,7 +83,7 @@ def predict_joints(place: Array, speed: Array, is_known: Booleans, body_s: float
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def match_costs(
     predicted: Array,
     is_known: Booleans,
@@ -131,7 +131,7 @@ def match_costs(
     return cost
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def update_joints(
     place: Array,
     speed: Array,

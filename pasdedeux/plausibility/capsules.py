@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotation_kernels import closest_on_segments, dot, inner_kernel, mix, row_of, subtract
 from pasdedeux.skeletons import Skeleton
@@ -117,7 +117,7 @@ def body_height_m(skeleton: Skeleton, bone_lengths_m: Array) -> Array:
     return np.asarray(bone_lengths_m[..., legs].sum(axis=-1) / (2.0 * LEG_PER_HEIGHT))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def segment_distance(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> float:
     """Return the distance between segments a and b, all ends (3,); a segment may be a point."""
     a = (start_a[0], start_a[1], start_a[2])
@@ -148,7 +148,7 @@ def _depth(a: Array, parent_a: int, child_a: int, b: Array, parent_b: int, child
     return max(reach - _distance(u, v, gap), 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def pair_penetration(
     people: Array, radii: Array, parents: Indices, within: Indices, between: Indices, out: Array
 ) -> float:
@@ -184,7 +184,7 @@ def pair_penetration(
     return everything
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _penetrations(people: Array, radii: Array, parents: Indices, within: Indices, between: Indices) -> Array:
     sums = np.empty((people.shape[0], people.shape[1] + 1))
     for row in range(people.shape[0]):

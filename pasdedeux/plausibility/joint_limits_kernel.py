@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     carry,
     cross,
@@ -315,7 +315,7 @@ def _is_out(index: int, limits: Array, work: Array) -> bool:
     return not (low - TINY <= work[0, index] <= high + TINY) and high - low < _TWO_PI
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def measure_poses(poses: Array) -> Array:
     """Return the angles and their slack (n, 2, 29), radians, of poses (n, 17, 3)."""
     measured = np.empty((poses.shape[0], 2, NUM_ANGLES))
@@ -324,7 +324,7 @@ def measure_poses(poses: Array) -> Array:
     return measured
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def find_invalid(poses: Array, limits: Array) -> Flags:
     """Tell which angles (n, 29) of poses (n, 17, 3) are out of the ranges (2, 29), radians."""
     invalid, work = np.empty((poses.shape[0], NUM_ANGLES), np.bool_), np.empty((2, NUM_ANGLES))
@@ -335,7 +335,7 @@ def find_invalid(poses: Array, limits: Array) -> Flags:
     return invalid
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array) -> tuple[int, float]:
     """Find the nearest valid pose of one pose, as `JointLimits.nearest_valid` does.
 
@@ -367,7 +367,7 @@ def move_to_nearest_valid(pose: Array, limits: Array, work: Array, valid: Array)
     return num_invalid, squared
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def move_poses(poses: Array, limits: Array) -> tuple[Array, Integers, Array]:
     """Return the nearest valid poses (n, 17, 3), how many angles were invalid (n,), and the squared distances (n,)."""
     valid, work = np.empty(poses.shape), np.empty((2, NUM_ANGLES))

@@ -12,11 +12,11 @@ least.  The sum over the bones tells worse: it mostly says how common a pose is.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotations import normalise
@@ -118,10 +118,17 @@ def bone_cells(pair17_m: Array) -> tuple[Counts, Counts]:
     above = np.broadcast_to([0.0, 1.0, 0.0], own.shape).copy()
     above[..., [1, 2], :] = own[..., [0, 1], :]
     above[..., [5, 6, 9, 10], :] = own[..., [3, 4, 7, 8], :]
-    return np.asarray(_ABOVE.query(above)[1]), np.asarray(_CELLS.query(own)[1])
+    return np.asarray(_nearest(NUM_ABOVE).query(above)[1]), np.asarray(_nearest(NUM_CELLS).query(own)[1])
 
 
-_CELLS, _ABOVE = cKDTree(sphere_cells(NUM_CELLS)), cKDTree(sphere_cells(NUM_ABOVE))
+@cache
+def _nearest(num_cells: int) -> Any:
+    """Return what finds the nearest of so many cells."""
+    from scipy.spatial import cKDTree  # here: planning need not wait for it
+
+    return cKDTree(sphere_cells(num_cells))
+
+
 _MIRROR = np.array([-1.0, 1.0, 1.0])[:, None]
 """What turns the axes of the trunk, as rows, into those of its mirror image."""
 

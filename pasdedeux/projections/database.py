@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.camera import DatabaseCamera, OrthographicCamera
 from pasdedeux.skeletons import BODY22, OP14
@@ -169,7 +169,7 @@ def concatenate(databases: Sequence[Database]) -> Database:
     )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _turned(poses: Floats32, rows: Integers, yaw_rad: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return poses of some rows (k, joint, 3), each turned by its yaw (k,)."""
     out = np.empty((rows.shape[0], poses.shape[1], 3))

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
@@ -156,7 +156,7 @@ def refine_placement(
     return Placement(scale, _smooth_path(place, window))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def match_scale(points: Array, weight: Array, match: Array) -> Array:
     """Return the scale of a frame by its match, and the weighted means of both images.
 

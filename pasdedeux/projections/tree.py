@@ -24,9 +24,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from pasdedeux.compiled import compiled
 
 __all__ = ["Tree", "build_tree", "search_trees", "select", "sort_into_cells"]
 
@@ -173,7 +174,7 @@ def sort_into_cells(sample: Floats32, depth: int) -> Callable[[Floats32], Intege
     return cell_of
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def select(values: Floats32, order: Integers32, first: int, last: int, middle: int) -> None:
     """Reorder `order[first:last]` so that positions before `middle` hold the least values (Hoare's selection)."""
     low, high = first, last - 1
@@ -198,7 +199,7 @@ def select(values: Floats32, order: Integers32, first: int, last: int, middle: i
             return
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> None:
     """Order projections so that every aligned run of lanes * 8^l of them is one cell of a median-split tree.
 
@@ -243,7 +244,7 @@ def _order_by_median_splits(flat: Floats32, order: Integers32, lanes: int) -> No
         depth += 2
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32, low: Floats32, high: Floats32) -> None:
     """Copy projections into their leaves and take the leaves' boxes."""
     lanes = leaves.shape[2]
@@ -261,7 +262,7 @@ def _fill_leaves(flat: Floats32, number: Integers32, leaves: Floats32, low: Floa
             high[leaf, dim] = greatest
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32) -> tuple[Floats32, Floats32]:
     """Put the boxes of a level into the lanes of its parents, and give the parents' own boxes."""
     nodes, dims, lanes = centre.shape
@@ -284,7 +285,7 @@ def _fill_nodes(low: Floats32, high: Floats32, centre: Floats32, half: Floats32)
     return parent_low, parent_high
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32, out: Floats32) -> None:
     """Return the least weighted distance sums that the boxes of a node's children allow."""
     joints, lanes = weight.shape[0], centre.shape[1]
@@ -299,7 +300,7 @@ def _bounds(query: Floats32, weight: Floats32, centre: Floats32, half: Floats32,
             out[lane] += w * np.sqrt(dx * dx + dy * dy)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32) -> None:
     """Return the weighted distance sums of the projections of a leaf, joint by joint as the plain form does."""
     joints, lanes = weight.shape[0], leaf.shape[1]
@@ -313,7 +314,7 @@ def _distances(query: Floats32, weight: Floats32, leaf: Floats32, out: Floats32)
             out[lane] += w * np.sqrt(dx * dx + dy * dy)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> None:
     """Insert a projection into a sorted list of the best, ties by number; drops the last."""
     at = summed.shape[0] - 1
@@ -327,7 +328,7 @@ def _keep(found: Integers, summed: Floats32, number: int, value: np.float32) -> 
     found[at] = number
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _search_batch(
     queries: Floats32,
     weights: Floats32,
@@ -385,7 +386,7 @@ def _search_batch(
                     size += 1
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
     """Return a longer copy of an array."""
     longer = np.empty(capacity, dtype=array.dtype)
@@ -393,7 +394,7 @@ def _grown(array: npt.NDArray, capacity: int) -> npt.NDArray:
     return longer
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _sift_up(
     bound: Floats32, node: Integers, level: Integers, at: int, value: np.float32, new_node: int, new_level: int
 ) -> None:
@@ -407,7 +408,7 @@ def _sift_up(
     bound[at], node[at], level[at] = value, new_node, new_level
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _sift_down(bound: Floats32, node: Integers, level: Integers, size: int) -> None:
     """Replace the top of a binary heap by its last entry, number `size`, and restore the order."""
     value, moved, moved_level = bound[size], node[size], level[size]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     cross,
@@ -55,7 +55,7 @@ _GIVES = np.array([0.7, 1.0, 1.0, 1.0, 1.0, 1.0])
 """How much pelvis tilt, three spine joints and two collars give, against each other, when the chain is closed."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def held_hips(positions: Array, lengths: Array, width: float) -> Array:
     """Return op14 positions (frame, 14, 3) of bones (14,) whose hips are `width` apart under the neck; the ankles stay.
 
@@ -88,7 +88,7 @@ def held_hips(positions: Array, lengths: Array, width: float) -> Array:
     return held
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def pose_bodies(
     poses: Array, trunk: Array, bent: Array, nose: Array, offsets: Array, rest: Array, least_toe: float
 ) -> tuple[Array, Array]:
@@ -118,7 +118,7 @@ def pose_bodies(
     return pelvis, local
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None:
     """Turn the pelvis so that the line of its hips is that of the pose, and put it there."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
@@ -128,7 +128,7 @@ def _hang_on_hips(pose: Array, world: Array, points: Array, rest: Array) -> None
     _place_pelvis(mix(0.5, left, 0.5, right), world, points, rest)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place_pelvis(middle: tuple[float, float, float], world: Array, points: Array, rest: Array) -> None:
     """Put the pelvis where its hips have this middle."""
     up = rotate(_of(world, _PELVIS), row_of(rest, _PELVIS))
@@ -136,7 +136,7 @@ def _place_pelvis(middle: tuple[float, float, float], world: Array, points: Arra
         points[_PELVIS, axis] = middle[axis] + up[axis]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) -> None:
     """Turn and place the trunk from a joint on as the match has it: spine, and collars with the shoulders."""
     if first == _SPINE1:
@@ -146,7 +146,7 @@ def _bend(bent: Array, world: Array, points: Array, offsets: Array, first: int) 
         _place(joint, world, points, offsets)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
     parent = _PARENTS[joint]
     bone = rotate(_of(world, parent), row_of(offsets, joint))
@@ -154,7 +154,7 @@ def _place(joint: int, world: Array, points: Array, offsets: Array) -> None:
         points[joint, axis] = points[parent, axis] + bone[axis]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets: Array, rest: Array) -> None:
     """Turn pelvis, spine and collars until the shoulders are where they are: Newton steps of least weighted turning."""
     left, right = row_of(pose, _HIPS_AT[0]), row_of(pose, _HIPS_AT[1])
@@ -208,7 +208,7 @@ def _close_spine(pose: Array, bent: Array, world: Array, points: Array, offsets:
         _bend(bent, world, points, offsets, _PELVIS)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _face(
     pose: Array,
     bent: Array,
@@ -228,7 +228,7 @@ def _face(
             _place(joint, world, points, offsets)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _reach(
     pose: Array,
     wanted: npt.NDArray[np.int64],
@@ -261,7 +261,7 @@ def _reach(
     _put(world, end, multiply(_of(world, hinge), _of(bent, end)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, offsets: Array, least_toe: float) -> None:
     """Tilt the foot until its ball is not below `least_toe`."""
     _place(toe, world, points, offsets)
@@ -277,17 +277,17 @@ def _put_down(ankle: int, toe: int, bent: Array, world: Array, points: Array, of
     _put(world, toe, multiply(_of(world, ankle), _of(bent, toe)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
     return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
     rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _unit(q: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     norm = 1.0 / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return q[0] * norm, q[1] * norm, q[2] * norm, q[3] * norm

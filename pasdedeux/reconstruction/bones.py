@@ -7,10 +7,10 @@ body, every other joint the swing of its bone against the bone before it.  Rest 
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
     cross,
@@ -93,7 +93,7 @@ def place_bone_rotations(bone_unitquat: Array, lengths_m: Array, root_m: Array) 
     return np.asarray(placed + np.asarray(root_m)[..., None, :])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bone_rotations(positions: Array) -> Array:
     """Do `bone_rotations` for poses (n, 14, 3)."""
     local = np.empty((*positions.shape[:2], 4))
@@ -125,7 +125,7 @@ def _bone_rotations(positions: Array) -> Array:
     return local
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _place_bones(unitquat: Array, lengths: Array) -> Array:
     """Return positions (n, 14, 3) about the mid-hip of rotations (n, 14, 4) of bones of these lengths (n, 14)."""
     positions = np.zeros((*unitquat.shape[:2], 3))
@@ -143,11 +143,11 @@ def _place_bones(unitquat: Array, lengths: Array) -> Array:
     return positions
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _of(rotations: Array, row: int) -> tuple[float, float, float, float]:
     return rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _put(rotations: Array, row: int, q: tuple[float, float, float, float]) -> None:
     rotations[row, 0], rotations[row, 1], rotations[row, 2], rotations[row, 3] = q

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.interaction.floor import StandingSettings, find_standing, floor_under
 from pasdedeux.interaction.surfaces import surface_gaps
@@ -172,7 +172,7 @@ def bend_leg(hip_m: Array, knee_m: Array, ankle_m: Array, target_m: Array, *, fa
     return knees, ankles
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def bend_one_leg(start: Array, middle: Array, end: Array, target: Array, fallback: Array) -> tuple[Array, Array]:
     """Do `bend_leg` for one leg, each argument (3,)."""
     thigh, shank = np.sqrt(((middle - start) ** 2).sum()), np.sqrt(((end - middle) ** 2).sum())

@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.settings import Settings
 from pasdedeux.skeletons import OP14
 
@@ -216,7 +216,7 @@ def decode_depths(
     return BoneDepths(np.stack([depth for _, depth in found]), np.stack([mean for mean, _ in found]))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _vote_signs(
     image: Array, lengths: Array, vectors: Array, log_weight: Array, noise: float, kernel: float, floor: float
 ) -> tuple[Array, Array, Array]:
@@ -267,7 +267,7 @@ def _vote_signs(
     return size, deviation, score
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _extend_signs(
     before_cost: Array,
     before_size: Array,
@@ -308,7 +308,7 @@ def _extend_signs(
     return cost, back
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _trace_signs(cost: Array, back: Integers) -> Array:
     """Return sign of each bone's depth (n, 14) by the best path to the last frame, whose choices cost `cost`."""
     count = back.shape[0]
@@ -323,7 +323,7 @@ def _trace_signs(cost: Array, back: Integers) -> Array:
     return sign
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _prior_of_frame(
     size: Array, deviation: Array, sign: Array, vectors: Array, log_weight: Array, kernel: float, lengths: Array
 ) -> tuple[Array, Array]:

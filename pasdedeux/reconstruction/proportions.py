@@ -6,10 +6,10 @@ direction that lies in the image, so an image is retargeted like a pose: bone by
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.projections.retarget import REFERENCE_LENGTHS_M
 from pasdedeux.skeletons import OP14
 
@@ -75,7 +75,7 @@ def retarget_image(points: Array, ratio: Array) -> Array:
     return _retarget_images(flat, ratio).reshape(points.shape)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _retarget_images(images: Array, ratio: Array) -> Array:
     """Do `retarget_image` for images (n, 14, 2)."""
     moved = images.copy()
@@ -84,12 +84,12 @@ def _retarget_images(images: Array, ratio: Array) -> Array:
     return moved
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _is_seen(point: Array) -> bool:
     return np.isfinite(point[0]) and np.isfinite(point[1])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _retarget(points: Array, ratio: Array, moved: Array) -> None:
     neck = points[_NECK].copy()
     if not _is_seen(neck):

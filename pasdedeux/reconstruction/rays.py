@@ -5,10 +5,10 @@ Compiled, because live reconstruction does it for every frame of its own.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import normalise, rotate, swing_between
 
 __all__ = ["camera_turns", "straighten_rays"]
@@ -19,7 +19,7 @@ _MIN_DEPTH = 0.1
 """Rays that leave the turned camera flatter than this, depth over length of its axis, cannot be seen."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tuple[Array, Array]:
     """Return keypoints as a camera turned towards mid-hip sees them and the direction (frame, 3) back to the camera.
 
@@ -47,7 +47,7 @@ def straighten_rays(centred_px: Array, mid_hip_px: Array, focal_px: float) -> tu
     return straight, towards
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def camera_turns(directions: Array) -> Array:
     """Return the shortest rotations (n, 4) of the camera's axis, +Z, into directions (n, 3)."""
     turns = np.empty((directions.shape[0], 4))

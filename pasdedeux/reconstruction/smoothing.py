@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics.rotation_kernels import (
     conjugate,
@@ -94,7 +94,7 @@ class OneEuroFilter:
         return self._value
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _filter(
     value: Array, velocity: Array, new: Array, rate: float, min_cutoff: float, beta: float, derivative_cutoff: float
 ) -> tuple[Array, Array]:

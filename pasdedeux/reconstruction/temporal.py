@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotations import angle_between, multiply
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours
@@ -237,7 +237,7 @@ class _Rotations:
         return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _extend_paths(
     pose: Floats32, following: Floats32, emission: Array, share: Array, weight: Array, cost: Array, motion: Floats32
 ) -> tuple[Array, Floats32, Integers]:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.projections.database import Database
 from pasdedeux.projections.search import Neighbours, prepare_query
 from pasdedeux.skeletons import OP14
@@ -72,7 +72,7 @@ def refine_yaws(
     return RefinedYaws(yaw.reshape(neighbours.projection.shape), distance.reshape(neighbours.projection.shape))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array, total: float, rays: Array) -> float:
     """Return the metric between a query and a pose at a yaw; `rays`: cosine and sine of the pitch, and the distance."""
     cosine, sine = np.cos(yaw), np.sin(yaw)
@@ -90,7 +90,7 @@ def _cost(yaw: float, pose: npt.NDArray[np.float32], query: Array, weight: Array
     return summed / total
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _refine(
     query: Array,
     weight: Array,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from pasdedeux.compiled import compiled
 
 __all__ = ["LANES", "fill_residuals", "keep_nearest", "place_bones"]
 
@@ -20,7 +21,7 @@ _MIN_DEPTH_M = 1e-4
 """Depth that a bone without any keeps: its side of the image plane, metres."""
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def place_bones(
     image: Array, depth: Array, lengths: Array, order: Indices, parents: Indices, tightness: Array, out: Array
 ) -> None:
@@ -72,7 +73,7 @@ def place_bones(
             out[person, j, 2] = out[person, p, 2] + scale * z
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fill_residuals(
     points: Array,
     spread: Array,
@@ -130,7 +131,7 @@ def fill_residuals(
         residual[entry] = math.sqrt(max(squared, 0.0) / num_points)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _covariances(points: Array, images: Array, sums: Array) -> None:
     """Write the sums over the joints (2, 3, LANES) of the images (2, n, LANES) times the pair (3, n); n is even."""
     sums[:] = 0.0
@@ -144,7 +145,7 @@ def _covariances(points: Array, images: Array, sums: Array) -> None:
                     total[lane] += row[lane] * weight + next_row[lane] * next_weight
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def keep_nearest(residual: Array, index: int, best: Array, which: Indices) -> None:
     """Enter a lifted pair into the sorted lists of the nearest ones of every entry.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from pasdedeux.cameras.frames import MIN_SINE
+from pasdedeux.compiled import compiled
 from pasdedeux.skeletons import PAIR17
 
 __all__ = ["pair_axes", "project"]
@@ -14,7 +14,7 @@ _PELVIS, _NECK = PAIR17.indices(("pelvis", "neck"))
 _NUM_JOINTS = PAIR17.num_joints
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _unit(x, y, z):  # type: ignore[no-untyped-def]
     length = np.sqrt(x * x + y * y + z * z)
     if length <= 1e-12:
@@ -22,7 +22,7 @@ def _unit(x, y, z):  # type: ignore[no-untyped-def]
     return x / length, y / length, z / length, length
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def pair_axes(points, axes):  # type: ignore[no-untyped-def]
     """Write the columns i, j, k of the pair's local frame (lift eq. 3); `pasdedeux.cameras.pair_frame` as a loop.
 
@@ -81,7 +81,7 @@ def pair_axes(points, axes):  # type: ignore[no-untyped-def]
     axes[0, 2], axes[1, 2], axes[2, 2] = iy * jz - iz * jy, iz * jx - ix * jz, ix * jy - iy * jx
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def project(points, axes, direction, x, y):  # type: ignore[no-untyped-def]
     """Write the centred orthographic image of points (n, 3) under a view (a, b, c), in any turn."""
     zx, zy, zz, _ = _unit(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from pasdedeux.compiled import compiled
 from pasdedeux.interaction.kernels import fill_edge_weights, keep_seen_edges, side_sum
 from pasdedeux.interaction.triangulation import triangulate
 from pasdedeux.sampling.image_kernels import pair_axes, project
@@ -85,7 +85,7 @@ class BankTables(NamedTuple):
     is_every: bool
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _estimate(  # type: ignore[no-untyped-def]
     image, pulls, constants, rank_x, rank_y, rank_squares, factors, count, work, turn, estimate
 ):
@@ -142,7 +142,7 @@ def _estimate(  # type: ignore[no-untyped-def]
         )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: ignore[no-untyped-def]
     """Project under every view and estimate d_I of all of its candidates.
 
@@ -187,7 +187,7 @@ def _estimate_views(points, bank, x, y, turn, estimate, least, first):  # type: 
         least[view], first[view] = own[at], at
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-untyped-def]
     """Take the springs of joints that a candidate does not show out of its estimate; float32.
 
@@ -243,7 +243,7 @@ def _leave_unseen(x, y, bank, view, values, turn, estimate):  # type: ignore[no-
         )
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract"})
+@compiled(fastmath={"contract"})
 def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
     """Write the springs (kind=3, n, n) times the image (2, n), and its own value under each; all float32."""
     num_points = image.shape[1]
@@ -264,7 +264,7 @@ def _pull(springs, image, pulls, constants):  # type: ignore[no-untyped-def]
                 constants[kind] += row[k] * image[axis, k]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@compiled(fastmath={"contract", "reassoc"})
 def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[no-untyped-def]
     """Return one side of eq. 8, float32: `dx`, `dy` are the differences of the turned pair from an annotation."""
     for e in range(count):
@@ -277,7 +277,7 @@ def _rough_side(dx, dy, starts, ends, count, weights, squares):  # type: ignore[
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-def]
     """Write the candidates, but for one, whose estimate is at most the ceiling; give their number."""
     number = 0
@@ -288,7 +288,7 @@ def _choose(estimate, count, but, ceiling, chosen):  # type: ignore[no-untyped-d
     return number
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: ignore[no-untyped-def]
     """Read from every cache line that comparing these candidates will need, so that they come from memory together."""
     total = np.float32(0.0)
@@ -303,7 +303,7 @@ def _touch(slots, chosen, num_chosen, points, starts, ends, weights):  # type: i
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_weights, dx, dy):  # type: ignore[no-untyped-def]
     """Return d_I (eq. 8) of a centred image and a centred annotation; `dx`, `dy` (n,) are scratch."""
     dot = cross = 0.0
@@ -320,7 +320,7 @@ def _exact(x, y, fixed, edges, num_edges, weights, own_edges, own_count, own_wei
     return side_sum(dx, dy, own_edges, own_count, own_weights) + side_sum(dx, dy, edges, num_edges, weights)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore[no-untyped-def]
     """Write the least d_I of each view, as far as it can matter, and give the log of eq. 6.
 

@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
 from pasdedeux.kinematics import align_rigid, bone_directions, bone_lengths, rotation_kernels
 from pasdedeux.kinematics.rotations import (
@@ -182,7 +182,7 @@ def _gauge(pair_m: Array, reference_m: Array | None) -> tuple[Array, Array]:
     return rotmat, -(rotmat @ points.mean(axis=0))
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _place(parameters, directions, axes, lengths, order, parents, positions):  # type: ignore[no-untyped-def]
     frames = np.empty((parents.shape[0], 4))
     for person in range(2):
@@ -212,7 +212,7 @@ def _place(parameters, directions, axes, lengths, order, parents, positions):  #
                 positions[person, joint, axis] = positions[person, parent, axis] + length * bone[axis]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def _log_measure(parameters, num_joints):  # type: ignore[no-untyped-def]
     total = 0.0
     for person in range(2):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numba import njit
 
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics import rotation_kernels, rotations
 
 
-@njit
+@compiled()
 def run_kit(quaternions, vectors):  # type: ignore[no-untyped-def]
     out = np.empty((quaternions.shape[0], 26))
     for at in range(quaternions.shape[0]):

@@ -8,11 +8,11 @@ somebody near stands on nothing.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from pasdedeux.compiled import compiled
 from pasdedeux.reconstruction.cleanup import FootOptions, bend_one_leg
 from pasdedeux.skeletons import OP14
 
@@ -151,14 +151,14 @@ class LiveCleanUp:
         )
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _low_quantile(values: Array, share: float) -> float:
     """Return the value that this share of the finite ones is below."""
     known = np.sort(values[np.isfinite(values)])
     return known[int(share * (known.shape[0] - 1))]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _clean_pose(
     positions: Array,
     passed: float,
@@ -231,7 +231,7 @@ def _clean_pose(
     return cleaned
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _facing(positions: Array) -> Array:
     """Return where the body faces (3,), level."""
     across = positions[_LEGS[0, 0]] - positions[_LEGS[1, 0]]

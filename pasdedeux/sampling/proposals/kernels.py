@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numba
-
+from pasdedeux.compiled import compiled
 from pasdedeux.kinematics.rotation_kernels import multiply, rotvec_from_unitquat, unitquat_from_rotvec
 
 __all__ = ["log_normal_ratio", "log_ratio_of_steps", "move_blocks"]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, tied, num_joints):  # type: ignore[no-untyped-def]
     """Move blocks of `parameters` in place: roots turn in the world and shift, bones turn and change their length.
 
@@ -47,7 +46,7 @@ def move_blocks(parameters, blocks, factors, noise, turn, shift, length_change, 
                 parameters[tied[block, side]] += factors[at] * length_change * noise[at, 2]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def log_normal_ratio(count, square, here, there, is_bound):  # type: ignore[no-untyped-def]
     """Return log N(-x; 0, there) - log N(x; 0, here) of an x of `count` numbers whose square is here^2 times `square`.
 
@@ -59,7 +58,7 @@ def log_normal_ratio(count, square, here, there, is_bound):  # type: ignore[no-u
     return count * math.log(ratio) + 0.5 * square * (1.0 - ratio * ratio)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled()
 def log_ratio_of_steps(blocks, noise, turn, shift, turn_there, shift_there, is_bound, num_joints):  # type: ignore[no-untyped-def]
     """Return log Q(back) - log Q(forth) of one displacement; lengths and factors, the same both ways, cancel.
 

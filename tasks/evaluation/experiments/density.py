@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from pydantic import Field
-from scipy.stats import spearmanr
 
 from pasdedeux.evaluation.figures import grid_figure
 from pasdedeux.evaluation.scores import Score
@@ -118,6 +117,8 @@ def _run(shard: Shard, store: Store) -> TopicResult:
             scores.append(Score(f"paired_accuracy_{name}", term, paired, split="held_out", count=len(values)))
     columns = [*kinds]
     if len(comparer.grown_m) and len(shown):
+        from scipy.stats import spearmanr  # here: a second that planning need not wait for
+
         columns.append("rank correlation")
         lifted, distance_m = _lifted(rng, comparer, shown, LIFTED_FOR_JUDGED * count)
         for term, values in lifted.items():

@@ -1,0 +1,42 @@
+"""Kernels: numba compiles them when they are first called, and sees the kernels that they call."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pasdedeux.compiled import compiled
+
+
+@compiled()
+def twice(value: float) -> float:
+    """Return twice the value."""
+    return 2.0 * value
+
+
+@compiled(inline="always")
+def one_more(value: float) -> float:
+    return value + 1.0
+
+
+@compiled()
+def total(values: np.ndarray) -> float:
+    found = 0.0
+    for value in values:
+        found += one_more(twice(value))
+    return found
+
+
+@compiled()
+def factorial(number: int) -> int:
+    return 1 if number < 2 else number * factorial(number - 1)
+
+
+def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
+    values = np.linspace(-1.0, 1.0, 5)
+    assert total(values) == total(values=values) == 5.0
+    assert factorial(10) == 3628800
+    assert twice(3) == 6.0  # also once it is known to have been called by another
+
+
+def test_a_kernel_keeps_its_name_and_docstring() -> None:
+    assert (twice.__name__, twice.__doc__) == ("twice", "Return twice the value.")

@@ -24,7 +24,7 @@ import orjson
 from storage_schema.durable import make_folder, write_errors
 from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
 from storage_schema.keys import plain_json
-from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer
+from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, with_fields
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
 from storage_schema.store_reader import STORE_FILE
@@ -256,14 +256,10 @@ def _latest_path(store: Store, study: str) -> Path:
     return store.root / "runs" / "latest" / f"{_checked(study)}.json"
 
 
-def _shard(values: Mapping[str, Any]) -> ShardRecord:
-    return ShardRecord(
-        **{
-            **values,
-            "inputs": tuple(InputRecord(**record) for record in values["inputs"]),
-            "files": tuple((name, digest) for name, digest in values["files"]),
-        }
-    )
+def _shard(values: dict[str, Any]) -> ShardRecord:
+    values["inputs"] = tuple([with_fields(InputRecord, record) for record in values["inputs"]])
+    values["files"] = tuple([(name, digest) for name, digest in values["files"]])
+    return with_fields(ShardRecord, values)
 
 
 def _checked(name: str) -> str:

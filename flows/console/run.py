@@ -30,6 +30,7 @@ from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.publishing import publish, refuse_failed_gates
+from flows.records import uncollected
 from flows.study import Study, load_study
 from storage_schema import Store, in_use
 from tasks.graph import Graph
@@ -159,6 +160,7 @@ def build(
 
 
 @app.command(help=_PLAN)
+@uncollected()
 def plan(
     context: typer.Context,
     study: StudyArgument = "duets",

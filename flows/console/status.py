@@ -12,7 +12,7 @@ import typer
 from flows.console.context import JsonOption, StoreOption, open_store, print_json
 from flows.console.display import manifest_lines, print_table
 from flows.planning import stage_verdict
-from flows.records import describe_runs, last_manifests, read_last_run
+from flows.records import describe_runs, last_manifests, read_last_run, uncollected
 from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
 
@@ -25,6 +25,7 @@ _VERIFY = "Read every file of the store again and compare it with its manifest; 
 
 
 @app.command(help=_STATUS)
+@uncollected()
 def status(store: StoreOption = Path("store"), as_json: JsonOption = False) -> None:
     """Show what is in a store."""
     opened = open_store(store)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.quality import FrameQuality, Quality, QualityMeter
 from pasdedeux.augmentation.settings import AugmentationSettings
 from pasdedeux.augmentation.source import Source, complete_scales, points_of, reference_motion, scaled_lengths

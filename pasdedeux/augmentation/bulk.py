@@ -26,20 +26,19 @@ from pasdedeux.augmentation.bulk_kernels import (
     add_stencils,
     advance,
     fade_over_time,
-    keep_directions,
     mean_change,
     mix,
     pull,
     remember,
 )
 from pasdedeux.augmentation.coarse import Thinning, interpolate, thin_out
+from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.factor import Factor, factorise, solve
 from pasdedeux.augmentation.problem import AXIS_GROUP, Problem, Targets, girdle_pairs
-from pasdedeux.augmentation.source import points_of
 from pasdedeux.augmentation.terms import build_targets, right_hand_side
 from pasdedeux.skeletons import BODY22
 
-__all__ = ["BulkResult", "BulkSolver", "project_to_bones"]
+__all__ = ["BulkResult", "BulkSolver"]
 
 Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
@@ -411,20 +410,6 @@ def _settle(
                     acceleration.select(kept)
         pull(level.form, now)
     return ended
-
-
-def project_to_bones(points: Array, lengths_m: Array, *, is_aimed: bool = False) -> Array:
-    """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
-
-    Where it is aimed, a bone points from its placed parent to where its joint is: nearer to the points where their
-    lengths are a little off.
-    The pelvis stays; a bone without direction takes none, which only a bone of length zero has.
-    """
-    people = np.asarray(points, np.float64).reshape(*points.shape[:2], -1, BODY22.num_joints, 3)
-    placed = np.empty(people.shape)
-    lengths = np.asarray(lengths_m, np.float64).reshape(len(lengths_m), -1, BODY22.num_joints)
-    keep_directions(people, np.array(BODY22.parents), np.array(BODY22.order), lengths, is_aimed, placed)
-    return points_of(placed)
 
 
 @lru_cache(maxsize=8)

@@ -26,7 +26,6 @@ __all__ = [
     "add_stencils",
     "advance",
     "fade_over_time",
-    "keep_directions",
     "mean_change",
     "mix",
     "pull",
@@ -426,42 +425,3 @@ def add_stencils(points: Indices, shares: Array, weights: Array, matrix: Array) 
             for i in range(size):
                 for j in range(size):
                     matrix[t, points[t, e, i], points[t, e, j]] += weights[t, e] * shares[t, e, i] * shares[t, e, j]
-
-
-@compiled(error_model="numpy")
-def keep_directions(
-    people: Array, parents: Indices, order: Indices, lengths_m: Array, is_aimed: bool, placed: Array
-) -> None:
-    """Fill `placed` with people whose bones point as they do and have other lengths.
-
-    As `kinematics.place_bones` of `bone_directions`, to the last bit; in one pass, where those take some forty.
-
-    Args:
-        people: Positions (variant, T, P, J, 3), metres.
-        parents: Parent of each joint (J,), -1 for the root.
-        order: Joints (J,), parents first.
-        lengths_m: Length of the bone that ends in each joint (variant, P, J), metres.
-        is_aimed: Bones point from where their parent is placed to where their joint is in `people`, so that what
-            lengths are off does not add up along limbs.
-        placed: Is written, of the shape of `people`.
-    """
-    for v in range(people.shape[0]):
-        for t in range(people.shape[1]):
-            for p in range(people.shape[2]):
-                new, old = placed[v, t, p], people[v, t, p]
-                for joint in order:
-                    parent = parents[joint]
-                    if parent < 0:
-                        new[joint] = old[joint]
-                        continue
-                    begin = new if is_aimed else old
-                    x = old[joint, 0] - begin[parent, 0]
-                    y = old[joint, 1] - begin[parent, 1]
-                    z = old[joint, 2] - begin[parent, 2]
-                    length = np.sqrt((x * x + y * y) + z * z)
-                    if not length > 1e-12:
-                        length = 1.0
-                    wanted = lengths_m[v, p, joint]
-                    new[joint, 0] = new[parent, 0] + x / length * wanted
-                    new[joint, 1] = new[parent, 1] + y / length * wanted
-                    new[joint, 2] = new[parent, 2] + z / length * wanted

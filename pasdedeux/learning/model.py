@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pasdedeux.augmentation import AugmentationSettings, Source, UserContact
-from pasdedeux.augmentation.bulk import project_to_bones
+from pasdedeux.augmentation.exact_bones import project_to_bones
 from pasdedeux.augmentation.source import complete_scales, points_of, scaled_lengths
 from pasdedeux.augmentation.variations import check_bone_scales
 from pasdedeux.errors import InputError
@@ -66,10 +66,10 @@ class VariantRequest:
             )
         check_bone_scales(self.bone_scale, self.source.num_people, what=self.take_id, skeleton=self.source.skeleton)
 
-    def with_exact_bones(self, motion_m: Array, *, is_aimed: bool = False) -> Array:
+    def with_exact_bones(self, motion_m: Array, *, is_nearest: bool = False) -> Array:
         """Return a motion (T, 2, 22, 3), metres, with exactly the bones asked for, placed by `project_to_bones`."""
         lengths = scaled_lengths(self.source, complete_scales(self.source, self.bone_scale[None]))
-        placed = project_to_bones(points_of(motion_m)[None], lengths, is_aimed=is_aimed)
+        placed = project_to_bones(points_of(motion_m)[None], lengths, is_nearest=is_nearest)
         return np.asarray(placed[0].reshape(motion_m.shape))
 
 

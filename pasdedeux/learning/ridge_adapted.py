@@ -104,7 +104,7 @@ class RidgeAdaptedModel(VariantModel):
         bones = np.delete(request.bone_scale, BODY22.root, axis=1)
         is_by_group = bool(np.ptp(bones, axis=1).max() > 1e-6)
         model = self.seen if request.take_id in self.seen.coefficients else self._adapt(request, is_by_group)
-        return request.with_exact_bones(model.predict(request), is_aimed=True)
+        return request.with_exact_bones(model.predict(request), is_nearest=True)
 
     def _adapt(self, request: VariantRequest, is_by_group: bool) -> RidgeScaleModel:
         """Return the quadratic of an unseen take; that of the last one is kept."""

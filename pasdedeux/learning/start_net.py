@@ -138,7 +138,7 @@ class StartNetModel(VariantModel):
     def predict(self, request: VariantRequest) -> Array:
         """Return the motion: by the take's own quadratic where it was trained on, by the network elsewhere."""
         if request.take_id in self.seen.coefficients:
-            return request.with_exact_bones(self.seen.predict(request), is_aimed=True)
+            return request.with_exact_bones(self.seen.predict(request), is_nearest=True)
         source = request.source
         if self._ready is None or self._ready[0] is not source:
             self._ready = (source, _Pass.over(source, self.weights))

@@ -1,0 +1,127 @@
+"""Exact bone lengths for points that are a little off: by direction, or by the least displacement."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from pasdedeux.augmentation.source import points_of
+from pasdedeux.compiled import compiled
+from pasdedeux.skeletons import BODY22
+
+__all__ = ["project_to_bones"]
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+_STEPS_TO_NEAREST = 2
+"""Newton steps; on motion that closed forms predict, a third and more change mean errors by less than 0.1 %."""
+
+
+def project_to_bones(points: Array, lengths_m: Array, *, is_nearest: bool = False) -> Array:
+    """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
+
+    The pelvis stays; a bone without direction takes none, which only a bone of length zero has.  Where the nearest are
+    asked for, joints first move as little as they can to have these lengths: what lengths are off does not add up
+    along limbs, and motion that has other bones by mistake comes nearer to the one that has these.
+    """
+    people = np.array(points, np.float64).reshape(*points.shape[:2], -1, BODY22.num_joints, 3)
+    placed = np.empty(people.shape)
+    lengths = np.asarray(lengths_m, np.float64).reshape(len(lengths_m), -1, BODY22.num_joints)
+    parents, order = np.array(BODY22.parents), np.array(BODY22.order)
+    if is_nearest:
+        _meet_lengths(people, parents, order[:0:-1], lengths, _STEPS_TO_NEAREST)
+    _keep_directions(people, parents, order, lengths, placed)
+    return points_of(placed)
+
+
+@compiled(error_model="numpy")
+def _keep_directions(people: Array, parents: Indices, order: Indices, lengths_m: Array, placed: Array) -> None:
+    """Fill `placed` with people whose bones point as they do and have other lengths.
+
+    As `kinematics.place_bones` of `bone_directions`, to the last bit; in one pass, where those take some forty.
+
+    Args:
+        people: Positions (variant, T, P, J, 3), metres.
+        parents: Parent of each joint (J,), -1 for the root.
+        order: Joints (J,), parents first.
+        lengths_m: Length of the bone that ends in each joint (variant, P, J), metres.
+        placed: Is written, of the shape of `people`.
+    """
+    for v in range(people.shape[0]):
+        for t in range(people.shape[1]):
+            for p in range(people.shape[2]):
+                new, old = placed[v, t, p], people[v, t, p]
+                for joint in order:
+                    parent = parents[joint]
+                    if parent < 0:
+                        new[joint] = old[joint]
+                        continue
+                    x = old[joint, 0] - old[parent, 0]
+                    y = old[joint, 1] - old[parent, 1]
+                    z = old[joint, 2] - old[parent, 2]
+                    length = np.sqrt((x * x + y * y) + z * z)
+                    if not length > 1e-12:
+                        length = 1.0
+                    wanted = lengths_m[v, p, joint]
+                    new[joint, 0] = new[parent, 0] + x / length * wanted
+                    new[joint, 1] = new[parent, 1] + y / length * wanted
+                    new[joint, 2] = new[parent, 2] + z / length * wanted
+
+
+@compiled(error_model="numpy")
+def _meet_lengths(people: Array, parents: Indices, bones: Indices, lengths_m: Array, num_steps: int) -> None:
+    """Move joints of `people` as little as they can, over all joints together, until bones have other lengths.
+
+    With u the directions of the bones, a step moves joints by -J^T (J J^T)^-1 (what lengths are off), where row e of J
+    is u_e at the end of bone e and -u_e at its begin: Newton's step to the constraint of least squared displacement.
+    J J^T is eliminated from the tips of the limbs on, so nothing is filled in beyond bones that share a joint.
+
+    Args:
+        people: Positions (variant, T, P, J, 3), metres.
+        parents: Parent of each joint (J,), -1 for the root.
+        bones: Child joints of the bones (E,), children first.
+        lengths_m: Length of the bone that ends in each joint (variant, P, J), metres.
+        num_steps: How many steps.
+    """
+    count = len(bones)
+    unit, matrix, off = np.empty((count, 3)), np.empty((count, count)), np.empty(count)
+    sign = np.zeros((count, count))
+    near, num_near = np.empty((count, count), np.int64), np.zeros(count, np.int64)
+    for e in range(count):
+        for f in range(e + 1, count):
+            sign[f, e] = (parents[bones[e]] == parents[bones[f]]) * 1.0 - (parents[bones[e]] == bones[f])
+            if sign[f, e] != 0.0:
+                near[e, num_near[e]] = f
+                num_near[e] += 1
+    for v, t, p in np.ndindex(people.shape[:3]):
+        body = people[v, t, p]
+        for _ in range(num_steps):
+            for e in range(count):
+                child, parent = bones[e], parents[bones[e]]
+                x = body[child, 0] - body[parent, 0]
+                y = body[child, 1] - body[parent, 1]
+                z = body[child, 2] - body[parent, 2]
+                length = np.sqrt((x * x + y * y) + z * z)
+                off[e] = length - lengths_m[v, p, child]
+                length = max(length, 1e-12)
+                unit[e, 0], unit[e, 1], unit[e, 2] = x / length, y / length, z / length
+            for e in range(count):
+                matrix[e, e] = 2.0
+                for f in near[e, : num_near[e]]:
+                    shared = unit[e, 0] * unit[f, 0] + unit[e, 1] * unit[f, 1] + unit[e, 2] * unit[f, 2]
+                    matrix[f, e] = sign[f, e] * shared
+            for e in range(count):
+                for i in range(num_near[e]):
+                    f = near[e, i]
+                    share = matrix[f, e] / matrix[e, e]
+                    off[f] -= share * off[e]
+                    for j in range(i + 1):
+                        matrix[f, near[e, j]] -= share * matrix[near[e, j], e]
+            for e in range(count - 1, -1, -1):
+                for f in near[e, : num_near[e]]:
+                    off[e] -= matrix[f, e] * off[f]
+                off[e] /= matrix[e, e]
+                for axis in range(3):
+                    body[bones[e], axis] -= off[e] * unit[e, axis]
+                    body[parents[bones[e]], axis] += off[e] * unit[e, axis]

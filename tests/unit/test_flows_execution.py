@@ -321,7 +321,7 @@ def test_silence_is_broken_with_how_far_the_run_is(
         said.append(capsys.readouterr().err)
         return "left" in "".join(said)
 
-    wait_until(is_said, "a line", limit_s=5)
+    wait_until(is_said, "a line")
     listener.close()
     assert "12 of 45 shards, computing chains ic seed0; about 3 min 20 s left" in "".join(said)
     assert progress_text(Progress(1, 1, [], 0.0, is_all=True)) == "1 of 1 shard"

@@ -6,11 +6,15 @@ So what plans, or shows what is there, need not wait for it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, update_wrapper
+from functools import update_wrapper
+from threading import RLock
 from types import ModuleType
 from typing import Any
 
 __all__ = ["compiled"]
+
+_ONE_AT_A_TIME = RLock()
+"""Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -23,20 +27,25 @@ class _Kernel:
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self._function, self._options = function, options
+        self._begun: Any = None
+        self._made: Any = None
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Call the compiled function."""
+        if self._made is None:
+            with _ONE_AT_A_TIME:
+                self._made = self._make()
         return self._made(*arguments, **named)
 
-    @cached_property
-    def _made(self) -> Any:
-        """What numba makes of the function; the kernels that it calls are put in their places before."""
-        from numba import njit
+    def _make(self) -> Any:
+        """Hand the function to numba; the kernels that it calls, itself perhaps, are put in their places."""
+        if self._begun is None:
+            from numba import njit
 
-        made = self.__dict__["_made"] = njit(cache=True, nogil=True, **self._options)(self._function)  # may call itself
-        used, names = self._function.__globals__, self._function.__code__.co_names
-        modules = [found.__dict__ for name in names if isinstance(found := used.get(name), ModuleType)]
-        for place in (used, *modules):
-            place.update({name: found._made for name in names if isinstance(found := place.get(name), _Kernel)})
-        return made
+            self._begun = njit(cache=True, nogil=True, **self._options)(self._function)
+            used, names = self._function.__globals__, self._function.__code__.co_names
+            modules = [found.__dict__ for name in names if isinstance(found := used.get(name), ModuleType)]
+            for place in (used, *modules):
+                place.update({name: found._make() for name in names if isinstance(found := place.get(name), _Kernel)})
+        return self._begun

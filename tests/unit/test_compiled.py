@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
 import numpy as np
 
 from pasdedeux.compiled import compiled
@@ -27,6 +30,16 @@ def total(values: np.ndarray) -> float:
 
 
 @compiled()
+def half(value: float) -> float:
+    return 0.5 * value
+
+
+@compiled()
+def quarter(value: float) -> float:
+    return half(half(value))
+
+
+@compiled()
 def factorial(number: int) -> int:
     return 1 if number < 2 else number * factorial(number - 1)
 
@@ -40,3 +53,14 @@ def test_a_kernel_calls_kernels_inlines_them_and_calls_itself() -> None:
 
 def test_a_kernel_keeps_its_name_and_docstring() -> None:
     assert (twice.__name__, twice.__doc__) == ("twice", "Return twice the value.")
+
+
+def test_kernels_may_be_called_first_by_many_threads_at_once() -> None:
+    barrier = Barrier(4)
+
+    def call(number: float) -> float:
+        barrier.wait()
+        return float(quarter(number))
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(call, [4.0, 8.0, 12.0, 16.0])) == [1.0, 2.0, 3.0, 4.0]

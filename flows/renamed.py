@@ -32,7 +32,13 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.left_out_quantile": "the truncation refers to the seed's own density alone: leave it out",
     "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
-    "chains.densities=agreement": "it is a term that the study `density` judges, chains do not sample it: leave it out",
+    **dict.fromkeys(
+        ("chains.densities=agreement", "chains.densities=cartesian", "chains.densities=shape_context"),
+        "chains of it covered no more than those of ic: leave it out",
+    ),
+    "chains.num_ranked": "it belonged to the density shape_context, which is gone: leave it out",
+    "chains.variants.*.num_ranked": "it belonged to the density shape_context, which is gone: leave it out",
+    "evaluation.num_judged_pairs": "terms of densities are no longer judged (docs/findings.md): leave it out",
     "chains.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
     "chains.variants.*.joint_limits": "limits learned from capture covered no more than the table's: leave it out",
     "chains.variants.*.kernel": "it is now called proposal",
@@ -51,7 +57,7 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.length_tolerance": "one value serves every stage now: it is called physical_prior.length_tolerance",
     "evaluation.has_unseen_view_sweeps": "noise and missing joints are scored at one level each: leave it out",
     "ingest.*.swap_persons": "files and subjects come in the order of the people: name them in that order",
-    "projections.*cluster*": "the topic parallel_views makes the 500 clusters of the published search: leave it out",
+    "projections.*cluster*": "the published search is gone, the exact one always finds the best: leave it out",
     "evaluation.num_crowd_views": "the topic detector scores who is taken for whom: leave it out",
     "evaluation.has_left_out_clips": "the held-out takes say what it said: leave it out",
     **dict.fromkeys(

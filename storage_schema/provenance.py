@@ -18,7 +18,6 @@ _PACKAGES = (
     "pyarrow",
     "numba",
     "llvmlite",
-    "scikit-learn",
     "opencv-contrib-python-headless",
     "opencv-python-headless",
     "pybvh",

@@ -5,7 +5,8 @@ from __future__ import annotations
 __all__ = ["RENAMED_COLUMNS", "RENAMED_TABLES"]
 
 RENAMED_TABLES: dict[str, str] = {
-    "codebook": "clusters of the published search are no longer kept: the topic parallel_views makes them",
+    "pose_prior": "where bones of prior takes pointed is no longer kept: no density used it",
+    "codebook": "the published search and its clusters are gone: the exact search always finds the best",
 }
 """Old table to one sentence with the new name or what became of it."""
 

@@ -9,7 +9,7 @@ proportions, scale and lens unknown, is measured on virtual videos that stage `r
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,16 +21,13 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
 )
 from pasdedeux.evaluation.scores import Score, scores_of
-from pasdedeux.experiments.published_search import Codebook, search_published
 from pasdedeux.fitting.observed_pose import ObservedFitSettings
 from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.projections.retarget import mid_hip, retarget_proportions
-from pasdedeux.projections.search import recall
 from pasdedeux.reconstruction.cleanup import clean_reconstructions
 from pasdedeux.reconstruction.live.chain import LiveOptions, LivePerson
 from pasdedeux.reconstruction.live.window_fit import WindowFitOptions
 from pasdedeux.reconstruction.pitch import floor_offset
-from pasdedeux.reconstruction.proportions import retarget_image
 from pasdedeux.reconstruction.reconstruct import (
     Matches,
     Method,
@@ -43,7 +40,6 @@ from pasdedeux.reconstruction.tracks import Lens, Track
 from pasdedeux.skeletons import OP14
 
 __all__ = [
-    "AS_PUBLISHED",
     "BEST_MARK",
     "CLEAN",
     "CONDITIONS",
@@ -61,7 +57,6 @@ Array = npt.NDArray[np.float64]
 Stream = Callable[[int], np.random.Generator]
 
 BEST_MARK = "best_of_50"
-AS_PUBLISHED = "as_published"
 LIVE = "live"
 """Frame by frame, each pose a few frames after its image."""
 CLEAN = "_clean"
@@ -169,37 +164,25 @@ def best_candidates(searcher: Searcher, found: Matches, truth_m: Array) -> Array
     return np.asarray(best)
 
 
-def reconstruct_seen(
-    searcher: Searcher, seen: ViewedMotion, codebook: Codebook | None = None
-) -> tuple[dict[str, Array], dict[str, float]]:
-    """Return a motion (frame, 14, 3) in camera axes by method, and the recall of the published search.
+def reconstruct_seen(searcher: Searcher, seen: ViewedMotion, *, has_clean_up: bool) -> dict[str, Array]:
+    """Return a motion (frame, 14, 3) in camera axes by method; the database of the searcher has not seen it.
 
-    The database of the searcher has not seen the motion.  Without its clusters only the methods are tried: neither the
-    published search and its window rule, nor the live chain, nor the clean-up after each.
+    With `has_clean_up` also what the clean-up makes of each, and the live chain with and without.
     """
     camera = searcher.database.camera
     track = seen.track
     found = match_track(searcher, track, _KNOWN_BODY)
     made = {method.value: reconstruct_track(searcher, track, method, _KNOWN_BODY, matches=found) for method in Method}
-    mark = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
-    if codebook is None:
-        return {**mark, **{name: one.positions_m for name, one in made.items()}}, {}
-    published = search_published(searcher.database, codebook, found.query_m, found.weights)
-    made[AS_PUBLISHED] = reconstruct_track(
-        searcher, track, Method.WINDOW, _KNOWN_BODY, matches=replace(found, neighbours=published, yaw_steps=None)
-    )
-    exact = searcher.index.search(
-        retarget_image(found.query_m, found.proportions), found.weights, num_neighbours=_KNOWN_BODY.num_candidates
-    )
-    recalls = {f"recall_at_{n}": recall(published, exact, num_best=n) for n in (1, 50)}
-    motions = mark
+    motions = {BEST_MARK: best_candidates(searcher, found, seen.truth_m)}
+    motions |= {name: one.positions_m for name, one in made.items()}
+    if not has_clean_up:
+        return motions
     for name, one in made.items():
-        motions[name] = one.positions_m
         (cleaned,) = clean_reconstructions([(0, one)], floor_offset([one], camera), camera, rate_hz=track.rate_hz)
         motions[name + CLEAN] = cleaned.positions_m
     motions[LIVE] = _live_motion(searcher, track, has_clean_up=False)
     motions[LIVE + CLEAN] = _live_motion(searcher, track, has_clean_up=True)
-    return motions, recalls
+    return motions
 
 
 def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Array:
@@ -220,9 +203,7 @@ def _live_motion(searcher: Searcher, track: Track, *, has_clean_up: bool) -> Arr
     return motion
 
 
-def unseen_view_scores(
-    searcher: Searcher, motion: UnseenMotion, condition: Condition, codebook: Codebook, stream: Stream
-) -> list[Score]:
+def unseen_view_scores(searcher: Searcher, motion: UnseenMotion, condition: Condition, stream: Stream) -> list[Score]:
     """Score every method on a motion seen from several directions, and how far its reconstructions differ.
 
     The database has not seen the motion and is of a level camera; `stream` gives the random stream of a view.
@@ -231,8 +212,7 @@ def unseen_view_scores(
     motions: dict[str, list[Array]] = {}
     for view, yaw in enumerate(motion.yaws_deg):
         seen = see(motion, condition, yaw, stream(view))
-        made, recalls = reconstruct_seen(searcher, seen, codebook)
-        for method, positions in made.items():
+        for method, positions in reconstruct_seen(searcher, seen, has_clean_up=True).items():
             motions.setdefault(method, []).append(positions)
             slide_hz = motion.rate_hz if method != BEST_MARK else None
             for metric, value in _figures(positions, seen.truth_m, rate_hz=slide_hz).items():
@@ -240,16 +220,13 @@ def unseen_view_scores(
         for metric in ("jitter", "foot_slide"):
             value = _figures(seen.truth_m, seen.truth_m, rate_hz=motion.rate_hz)[metric]
             figures.setdefault((metric, "truth"), []).append(value)
-        for metric, value in recalls.items():
-            figures.setdefault((metric, AS_PUBLISHED), []).append(value)
     item, count = motion.item, len(motion.world_m)
     scores = []
     for (metric, method), values in figures.items():
-        unit = "" if metric.startswith("recall") else "m"
         named = [(f"{item} at {yaw:g} degrees", value) for yaw, value in zip(motion.yaws_deg, values, strict=True)]
         named += [(f"{item}, {ALL_VIEWS}", float(np.mean(values)))] if len(values) > 1 else []
         scores += [
-            Score(metric, method, value, unit, _is_baseline(method), condition.name, label, count=count)
+            Score(metric, method, value, "m", _is_baseline(method), condition.name, label, count=count)
             for label, value in named
         ]
     for method, found in motions.items():
@@ -279,4 +256,4 @@ def _mean(values: Array) -> float:
 
 
 def _is_baseline(method: str) -> bool:
-    return method.removesuffix(CLEAN) in (Method.NEAREST.value, BEST_MARK, AS_PUBLISHED, "truth")
+    return method.removesuffix(CLEAN) in (Method.NEAREST.value, BEST_MARK, "truth")

@@ -17,7 +17,6 @@ from pasdedeux.evaluation.reconstruction_metrics import (
     root_removed_error_m,
     scale_free_error_m,
 )
-from pasdedeux.experiments.published_search import bounding_box_height
 from pasdedeux.kinematics.forward import bone_lengths
 from pasdedeux.kinematics.rotations import rotmat_from_unitquat, unitquat_from_rotvec, yaw_rotmat
 from pasdedeux.people.video import rate_from_times
@@ -230,12 +229,6 @@ def test_running_medians_skip_what_is_unknown() -> None:
     np.testing.assert_allclose(running_median(values, 3), [1.0, 5.0, 1.0, 5.0, 1.0, 1.0, 4.0, 4.0])
     with pytest.raises(InputError, match="no finite"):
         running_median(np.full(3, np.nan), 3)
-
-
-def test_the_bounding_box_ignores_joints_not_seen() -> None:
-    points = np.full((2, 14, 2), np.nan)
-    points[0, :2] = [[0.0, 1.0], [5.0, 3.0]]
-    np.testing.assert_array_equal(bounding_box_height(points), [2.0, np.nan])
 
 
 def test_error_measures_forget_what_they_say_they_forget() -> None:

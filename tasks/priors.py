@@ -1,4 +1,4 @@
-"""Stage `priors`: torso basis, joint limits and pose prior, learned from the takes named as prior takes."""
+"""Stage `priors`: torso basis and joint limits, learned from the takes named as prior takes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from pasdedeux.cameras import TorsoBasis, learn_torso_basis
-from pasdedeux.plausibility import ANGLES, BONES, JointLimits, Occupancy
+from pasdedeux.plausibility import ANGLES, JointLimits
 from pasdedeux.skeletons import PAIR17
 from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
@@ -17,9 +17,9 @@ from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, default_torso_basis
 
-__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_limits", "read_occupancy", "run_shard"]
+__all__ = ["STAGE", "VERSION", "PriorsParameters", "plan", "read_limits", "run_shard"]
 
-VERSION = 3
+VERSION = 4
 
 MIN_POSES = 10
 """A torso basis of fewer poses than this would be one person in one pose: the default is used instead."""
@@ -64,7 +64,7 @@ def _is_prior(manifest: Manifest) -> bool:
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
-    """Learn torso basis and pose prior, widen the published joint limits; without prior takes all are the defaults."""
+    """Learn the torso basis, widen the published joint limits; without prior takes both are the defaults."""
     options = shard.options(PriorsShard)
     parts = [_read_poses(store, ref) for ref in shard.refs("poses")]
     poses = np.concatenate(parts) if parts else np.zeros((0, PAIR17.num_joints, 3))
@@ -78,7 +78,6 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     limits = published
     if is_learned:
         limits = published.widened(poses, name="prior takes", percentile=options.percentile)
-    occupancy = Occupancy.empty().extended(poses)
     verdict = _verdict(poses, limits, published, origin)
     facts = {
         "kind": "priors",
@@ -88,11 +87,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         "explained_variance": float(basis.explained_variance.sum()),
         "valid_share": verdict.value if len(poses) else None,
     }
-    tables = {
-        "torso_basis": _basis_columns(basis),
-        "joint_limits": _limit_columns(limits),
-        "pose_prior": _occupancy_columns(occupancy),
-    }
+    tables = {"torso_basis": _basis_columns(basis), "joint_limits": _limit_columns(limits)}
     return commit(shard, store, tables=tables, facts=facts, verdict=verdict)
 
 
@@ -100,7 +95,7 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
     """Return which share of the prior poses keeps the joint limits, beside the share that keeps the published ones."""
     level, reason = Level.PASS, ""
     if not len(poses):
-        reason = f"no prior take is named: published joint limits, a torso basis of {origin}, no pose prior"
+        reason = f"no prior take is named: published joint limits and a torso basis of {origin}"
     elif len(poses) < MIN_POSES:
         level, reason = Level.WARN, f"{len(poses)} prior poses are too few to learn from; {MIN_POSES} are needed"
     return Verdict(
@@ -111,17 +106,6 @@ def _verdict(poses: np.ndarray, limits: JointLimits, published: JointLimits, ori
         baseline=float(published.is_valid(poses).mean()) if len(poses) else math.nan,
         baseline_name="published joint limits",
     )
-
-
-def read_occupancy(store: Store, refs: Iterable[ArtifactRef]) -> Occupancy:
-    """Return the pose prior among these artifacts; the empty one where no stage wrote any."""
-    counts = Occupancy.empty().counts
-    for ref in refs:
-        if "pose_prior" in store.manifest(ref).tables:
-            table = store.read(ref, "pose_prior")
-            bone = np.array([BONES.index(str(name)) for name in table["bone"]], dtype=np.int64)
-            counts[bone, np.asarray(table["above"]), np.asarray(table["cell"])] = np.asarray(table["num_poses"])
-    return Occupancy(counts)
 
 
 def read_limits(store: Store, refs: Iterable[ArtifactRef]) -> JointLimits:
@@ -167,26 +151,13 @@ def _limit_columns(limits: JointLimits) -> dict[str, object]:
     }
 
 
-def _occupancy_columns(occupancy: Occupancy) -> dict[str, object]:
-    # The order in which the table is sorted: bones by name.
-    order = np.argsort(BONES)
-    place, above, cell = np.nonzero(occupancy.counts[order])
-    bone = order[place]
-    return {
-        "bone": [BONES[index] for index in bone.tolist()],
-        "above": above,
-        "cell": cell,
-        "num_poses": occupancy.counts[bone, above, cell],
-    }
-
-
 STAGE = Stage(
     name="priors",
     version=VERSION,
     reads=("poses",),
-    writes=("torso_basis", "joint_limits", "pose_prior"),
+    writes=("torso_basis", "joint_limits"),
     parameters=PriorsParameters,
     plan=plan,
     run_shard=run_shard,
-    meaning="torso basis, joint limits and pose prior from prior takes",
+    meaning="torso basis and joint limits from prior takes",
 )

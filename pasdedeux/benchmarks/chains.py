@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from pasdedeux.benchmarks.synthetic import (
     random_parameters,
     standing_pair,
 )
-from pasdedeux.experiments.measured_likelihood import ImageMeasure, MeasuredLikelihood
 from pasdedeux.interaction.dissimilarity import cartesian_dissimilarity, interaction_dissimilarity
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
@@ -110,15 +109,6 @@ def _density() -> BenchmarkResult:
     )
 
 
-def _measured(measure: ImageMeasure) -> BenchmarkResult:
-    """The likelihoods of the two densities that the paper compares with."""
-    _, annotations, bank = _problem()
-    fast = MeasuredLikelihood(annotations, bank, measure)
-    exact = MeasuredLikelihood(annotations, bank, measure, is_exact=True)
-    name = f"likelihood, {measure.value.replace('_', ' ')}"
-    return _against_plain(name, fast, "views that matter", _share_of_best(fast, exact))
-
-
 def _chain() -> BenchmarkResult:
     """Steps of a chain of the full density; the plain form has no early end and no compiled likelihood."""
     pairs, annotations, bank = _problem()
@@ -195,8 +185,6 @@ BENCHMARKS: dict[str, Callable[[], BenchmarkResult]] = {
     "likelihood": _likelihood,
     "exact": _exact,
     "density": _density,
-    "cartesian": partial(_measured, ImageMeasure.CARTESIAN),
-    "shape_context": partial(_measured, ImageMeasure.SHAPE_CONTEXT),
     "chain": _chain,
     "triangulation": _triangulation,
     "coverage": _coverage,

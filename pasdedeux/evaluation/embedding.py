@@ -93,13 +93,7 @@ def map_figure(real: Array, panels: Mapping[str, Mapping[str, Array]], *, seed: 
         seed: Place of the seed (2,), drawn as a cross; none where it is not known.
         title: Title of the picture.
     """
-    colours = {
-        "ic": "#c2188f",
-        "cartesian": "#12a4b5",
-        "shape_context": "#7d4f2a",
-        PRIOR_ONLY: "#2a9d3a",
-        "grown_seeds": "#e0861a",
-    }
+    colours = {"ic": "#c2188f", PRIOR_ONLY: "#2a9d3a", "grown_seeds": "#e0861a"}
     points: dict[str, Any] = {"linewidths": 0, "rasterized": True}
     columns = max(len(panels), 1)
     figure, ((*axes,),) = new_figure(2.9 * columns, 2.9, columns=columns, has_common_axes=True)

@@ -36,8 +36,6 @@ _METHODS = {
     "best_hypothesis": ("best of all views", "the view nearest to the true one, which nobody can know: a bound"),
     "mean_view": ("mean view", "the same view for every image: the trivial way"),
     "ic": ("interaction coordinates", "chains that keep distances between both people's joints near the annotations'"),
-    "cartesian": ("Cartesian distance", "chains that compare joints one by one"),
-    "shape_context": ("shape context", "chains that compare the shape of both people"),
     "prior_only": ("prior alone", "chains that know how joints turn, and no annotation: the trivial way"),
     "grown_seeds": ("grown pairs", "annotations lifted from the seeds nearest to them, step by step"),
     "real_frames": ("real frames", "as many captured pairs as there are draws: how good draws could be"),

@@ -11,7 +11,7 @@ from pasdedeux.interaction.dissimilarity import (
 )
 from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.kernels import EdgeTable, edge_table, edge_table_3d
-from pasdedeux.interaction.shape_context import ShapeCoverage, plane_shape_dissimilarity
+from pasdedeux.interaction.shape_context import ShapeCoverage
 from pasdedeux.interaction.surfaces import closest_joint_distance
 
 __all__ = [
@@ -28,5 +28,4 @@ __all__ = [
     "edge_weights",
     "interaction_dissimilarity",
     "plane_residual",
-    "plane_shape_dissimilarity",
 ]

@@ -1,8 +1,8 @@
 """Shape contexts of pairs: which way and how far every other joint lies, seen from each joint, as a histogram.
 
 After Belongie, Malik and Puzicha (2002), "Shape matching and object recognition using shape contexts": five shells
-whose radii double, twelve sectors, chi-squared cost; in 3D the sectors turn about the vertical of the pair's local
-frame and are cut into six bands of equal area.  Where we differ: joints have names, so each is compared with itself and
+whose radii double, twelve sectors, chi-squared cost; the sectors turn about the vertical of the pair's local frame
+and are cut into six bands of equal area.  Where we differ: joints have names, so each is compared with itself and
 nothing is assigned; shells are in metres, because people have a known size, and the outermost one has no end.  Yin et
 al. (2018) compare with "the matching error in 3D shape contexts" and say no more.
 
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from pasdedeux.cameras import pair_frame
 from pasdedeux.compiled import compiled
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.dissimilarity import align_plane
 from pasdedeux.kinematics.rotations import normalise
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "NUM_SHELLS",
     "ShapeCoverage",
     "lower_shape_minima",
-    "plane_shape_dissimilarity",
     "shape_bins",
 ]
 
@@ -39,12 +37,6 @@ INNER_RADIUS_M = 0.1
 """Radius of the innermost shell, metres; an eighth of the mean distance between joints of a pair, about 0.8 m."""
 _NUM_PAIR_BINS = NUM_SHELLS * NUM_SECTORS * NUM_BANDS
 _CHUNK = 512
-
-
-def plane_shape_dissimilarity(moving: Array, fixed: Array) -> Array:
-    """Return the 2D shape-context dissimilarity (*batch,) of points (*batch, n, 2), metres, after the best turn."""
-    aligned, fixed = np.broadcast_arrays(align_plane(moving, fixed), fixed)
-    return _mean_cost(_plane_bins(aligned), _plane_bins(fixed), NUM_SHELLS * NUM_SECTORS)
 
 
 def shape_bins(pairs_m: Array) -> Bins:
@@ -164,19 +156,3 @@ def _shell(radius: Array) -> Bins:
 def _sector(x: Array, y: Array) -> Bins:
     turn = np.arctan2(y, x) / (2.0 * np.pi) % 1.0
     return np.asarray(np.minimum((turn * NUM_SECTORS).astype(np.int16), NUM_SECTORS - 1))
-
-
-def _plane_bins(points: Array) -> Bins:
-    towards = _others(points)
-    return np.asarray(
-        _shell(np.linalg.norm(towards, axis=-1)) * NUM_SECTORS + _sector(towards[..., 0], towards[..., 1])
-    )
-
-
-def _mean_cost(first: Bins, second: Bins, num_bins: int) -> Array:
-    """Return mean chi-squared cost (*batch,) of histograms given by the bins (*batch, n, n - 1) of their entries."""
-    ids = np.arange(num_bins)
-    one, two = ((bins[..., None] == ids).mean(axis=-2) for bins in (first, second))
-    total = one + two
-    cost = 0.5 * np.sum((one - two) ** 2 / np.where(total > 0.0, total, 1.0), axis=-1)
-    return np.asarray(cost.mean(axis=-1))

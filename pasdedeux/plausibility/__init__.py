@@ -9,21 +9,16 @@ from pasdedeux.plausibility.capsules import (
     segment_distance,
 )
 from pasdedeux.plausibility.joint_limits import MAX_INVALID_ANGLES, JointLimits, NearestValid
-from pasdedeux.plausibility.occupancy import BONES, NUM_ABOVE, NUM_CELLS, Occupancy
 from pasdedeux.plausibility.ranges import ANGLES, AngleRange
 
 __all__ = [
     "ANGLES",
-    "BONES",
     "MAX_INVALID_ANGLES",
-    "NUM_ABOVE",
-    "NUM_CELLS",
     "RADIUS_PER_HEIGHT",
     "AngleRange",
     "CapsuleModel",
     "JointLimits",
     "NearestValid",
-    "Occupancy",
     "body_height_m",
     "capsule_model",
     "pair_penetration",

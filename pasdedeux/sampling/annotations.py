@@ -214,12 +214,11 @@ def build_bank(
     *,
     num_candidates: int = 500,
     view_bandwidth_rad: float = 0.5,
-    is_wanted: npt.NDArray[np.bool_] | None = None,
 ) -> ViewBank:
     """Return the bank of views (m, 3): each with the nearest `num_candidates` annotations by view.
 
     An annotation enters a view once, by its nearest hypothesis.  Annotations farther than the bandwidth are dropped as
-    long as 20 stay, and entries that are not wanted (entry,) from the beginning.
+    long as 20 stay.
 
     Raises:
         InputError: There is no view or `num_candidates` is not positive.
@@ -230,8 +229,6 @@ def build_bank(
     for direction in directions:
         angle = angle_between_directions(direction, pairs.directions)
         order = np.argsort(angle, kind="stable")
-        if is_wanted is not None:
-            order = order[is_wanted[order]]
         _, first = np.unique(pairs.annotation_index[order], return_index=True)
         order = order[np.sort(first)][:num_candidates]
         num_similar = int(np.searchsorted(angle[order], view_bandwidth_rad, side="right"))

@@ -342,29 +342,16 @@ class ImageKind(DensityKind[I]):
     """A density that compares projections of a pair with annotations: eqs. 6 and 9 with some dissimilarity."""
 
     reads = Reads.ANNOTATIONS
-    needs_all_joints: ClassVar[bool] = False
-    """Whether only annotations that show every joint can be compared with."""
 
     def likelihood(self, settings: I, inputs: DensityInputs) -> ImageLikelihood:
-        """Return the likelihood over a bank of views that are drawn once from the view density (eq. 5).
-
-        Raises:
-            InputError: The density needs annotations that show all joints, and there is none.
-        """
+        """Return the likelihood over a bank of views that are drawn once from the view density (eq. 5)."""
         assert inputs.annotated is not None
-        is_whole = np.asarray(inputs.annotated.pairs.is_seen.all(axis=(1, 2)))
-        if self.needs_all_joints and not is_whole.any():
-            raise InputError(
-                f"the density '{self.name}' compares whole images, and none of {len(is_whole)} annotated pairs shows "
-                "all joints of both people; 'ic' masks what is missing"
-            )
         views = inputs.annotated.view_density(deviation_rad=settings.sigma_v_rad)
         bank = build_bank(
             views.sample(inputs.rng, settings.num_views),
             inputs.annotated.pairs,
             num_candidates=settings.num_candidates,
             view_bandwidth_rad=settings.sigma_v_rad,
-            is_wanted=is_whole if self.needs_all_joints else None,
         )
         sigma_l = inputs.annotated.left_out.sigma_l if isinstance(settings.sigma_l, str) else settings.sigma_l
         return self.compare(settings, inputs.annotated.pairs, bank, sigma_l)

@@ -17,7 +17,7 @@ from storage_schema.tables.common import (
     positions,
 )
 
-__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "POSE_PRIOR", "SEEDS", "TORSO_BASIS", "VIEWS"]
+__all__ = ["CHAIN_INFO", "CHAIN_STATES", "DRAWS", "JOINT_LIMITS", "SEEDS", "TORSO_BASIS", "VIEWS"]
 
 TORSO_BASIS = Table(
     name="torso_basis",
@@ -44,18 +44,6 @@ JOINT_LIMITS = Table(
         float64("lower_rad", "Least valid angle", unit="rad"),
         float64("upper_rad", "Greatest valid angle", unit="rad"),
         text("source", "Published table or prior takes the range came from"),
-    ),
-)
-
-POSE_PRIOR = Table(
-    name="pose_prior",
-    meaning="Where the bones of prior takes pointed: one row per bone, direction of the bone above it and direction.",
-    sorted_by=("bone", "above", "cell"),
-    columns=(
-        text("bone", "chest, neck, head, upper_arm, forearm, thigh or shank; left and right are mirrored into one"),
-        integer("above", "Direction of the bone above, of 60 points spread over the sphere"),
-        integer("cell", "Direction of the bone in its parent's frame, of 500 points spread over the sphere"),
-        integer("num_poses", "Poses seen there"),
     ),
 )
 

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pasdedeux.experiments.measured_likelihood import CartesianKind, ShapeContextKind
 from pasdedeux.sampling.density import DensityKind, PriorOnlyKind
 from pasdedeux.sampling.likelihood import InteractionKind
 
 __all__ = ["DENSITIES"]
 
-DENSITIES: dict[str, DensityKind[Any]] = {
-    kind.name: kind
-    for kind in (
-        InteractionKind(),
-        CartesianKind(),
-        ShapeContextKind(),
-        PriorOnlyKind(),
-    )
-}
+DENSITIES: dict[str, DensityKind[Any]] = {kind.name: kind for kind in (InteractionKind(), PriorOnlyKind())}
 """The densities by their names in `chains.densities`."""

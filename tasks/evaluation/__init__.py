@@ -24,7 +24,7 @@ from tasks.evaluation import (
     takes,
     views,
 )
-from tasks.evaluation.experiments import density, unseen_views
+from tasks.evaluation.experiments import unseen_views
 from tasks.evaluation.topic import STAGE_NAME, VERSION, Topic, commit_topic
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs
 
@@ -37,7 +37,6 @@ TOPICS: tuple[Topic, ...] = (
     chains.TOPIC,
     coverage.TOPIC,
     left_out.TOPIC,
-    density.TOPIC,
     lifted_pairs.TOPIC,
     reconstruction.TOPIC,
     detector.TOPIC,

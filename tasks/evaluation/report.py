@@ -26,7 +26,7 @@ __all__ = ["PARTITION", "READS", "PageSettings", "plan", "run_shard"]
 PARTITION = "report"
 _MAX_NOTES = 60
 """Sentences of a section, at most; tables have the rest."""
-READS = ("takes", "take_quality", "training_log")
+READS = ("takes", "take_quality", "joint_limits", "training_log")
 """Tables that the page and the card read beside those of the topics; of a take that is left out only its quality is."""
 
 

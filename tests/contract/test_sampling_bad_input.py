@@ -62,14 +62,6 @@ def test_missing_joints_are_masked_and_annotations_that_show_too_little_are_coun
     assert note == "5 of 40 annotations show too little or have no view, and were left out"
 
 
-def test_a_density_that_masks_nothing_says_that_no_annotation_shows_all_joints(tmp_path: Path) -> None:
-    def spoil(pixels: np.ndarray) -> None:
-        pixels[:, 1, 0, 7] = np.nan
-
-    with pytest.raises(InputError, match="'cartesian' compares whole images, and none of 40 annotated pairs shows all"):
-        sampled(tmp_path, spoil, densities=("cartesian",))
-
-
 def test_an_absent_person_leaves_the_annotation_out(tmp_path: Path) -> None:
     def spoil(pixels: np.ndarray) -> None:
         pixels[20:30, 1, 1] = np.nan

@@ -24,8 +24,6 @@ from tasks import chains
 from tasks.annotated_pairs import gather, gather_tracks
 from tasks.chains import ChainsParameters, SegmentParameters
 from tasks.chains.run import chain_problem
-from tasks.evaluation import STAGE
-from tasks.evaluation.experiments.density import TOPIC
 from tasks.stage import StageInputs, verdict_of
 from tests.builders.sampling_store import (
     QUICK,
@@ -56,40 +54,6 @@ def test_chains_start_from_some_of_the_grown_seeds(inputs: Any) -> None:
     start, seed = np.asarray(draws["pair17_m"][0], dtype=np.float64), np.asarray(table["pair17_m"][row])
     assert np.linalg.norm(start - seed, axis=-1).mean() < 0.1
     assert draws["take_id"][0] is None
-
-
-@pytest.mark.parametrize("density", ["cartesian", "shape_context"])
-def test_every_density_is_sampled_from_what_it_needs(inputs: Any, density: str) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=20)
-    planned = chains.plan(given, ChainsParameters(**{**QUICK, "num_chains": 1, "densities": (density,)}))
-    made = run(planned, chains, store)
-    draws = store.read(made[0].ref, "draws")
-    logs = np.asarray(draws["log_likelihood"])
-    assert np.isfinite(logs).all()
-    assert (logs <= 1e-9).all()
-    assert set(draws["density"]) == {density}
-    read = {table for ref in made[0].inputs for table in store.manifest(ref).tables}
-    assert "annotations" in read
-
-
-def test_terms_of_the_density_are_judged_on_takes_that_are_held_out(inputs: Any) -> None:
-    store, tables = inputs
-    given = with_seeds(store, tables, num_seeds=1, num_grown=10)
-    assert TOPIC.plan(given, STAGE.parameters()) == []
-    (shard,) = TOPIC.plan(given, STAGE.parameters(num_judged_pairs=4))
-    hidden = {manifest.ref for manifest in tables["annotations"] if manifest.facts["is_held_out"]}
-    assert not hidden.intersection(shard.all_inputs)
-    result = TOPIC.run(shard, store)
-    scores = result.scores
-    assert all(np.isfinite(score.value) and -1.0 <= score.value <= 1.0 for score in scores)
-    assert set(result.pictures) == set(result.captions) == {"density-terms.svg"}
-    assert {"auc_depth_mirrored", "rank_correlation_with_nearest_real"} <= {score.metric for score in scores}
-    assert {"likelihood", "prior", "grown_D_I", "image_odds"} <= {score.method for score in scores}
-    (shard,) = TOPIC.plan(given, STAGE.parameters(num_judged_pairs=4, alpha=1e-6))
-    lighter = {(score.metric, score.method): score.value for score in TOPIC.run(shard, store).scores}
-    changed = {score.method for score in result.scores if lighter[score.metric, score.method] != score.value}
-    assert changed == {"prior"}
 
 
 def test_chains_write_draws_states_and_a_summary(inputs: Any) -> None:

@@ -57,7 +57,7 @@ SECTIONS = {
     "Left out, and why",
     "Sources and licences",
 }
-FILLED = set(TABLES) - {"pose_prior", "objects", "model_states"}
+FILLED = set(TABLES) - {"objects", "model_states"}
 """The study has no object, and no model that is trained in several segments."""
 RATE_HZ = 12.0
 

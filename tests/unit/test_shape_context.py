@@ -7,7 +7,7 @@ import pytest
 
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
-from pasdedeux.interaction.shape_context import ShapeCoverage, plane_shape_dissimilarity, shape_bins
+from pasdedeux.interaction.shape_context import ShapeCoverage, shape_bins
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from tests.builders.oracles_interaction import pair_shape_dissimilarity
 
@@ -20,10 +20,6 @@ def test_rigid_motion_changes_no_shape_context() -> None:
     moved = np.einsum("nij,npkj->npki", turn, PAIRS) + rng.normal(size=(40, 1, 1, 3))
     # A joint exactly on the edge of a bin may change sides by rounding.
     assert pair_shape_dissimilarity(moved, PAIRS).max() < 1e-3
-    image = PAIRS[..., :2].reshape(40, 34, 2)
-    angle = rng.uniform(-np.pi, np.pi, 40)
-    plane = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=-1).reshape(40, 2, 2)
-    assert plane_shape_dissimilarity(np.einsum("nij,nkj->nki", plane, image) + 2.0, image).max() < 1e-2
 
 
 def test_shape_contexts_are_symmetric_between_0_and_1_and_see_reflection() -> None:
@@ -31,8 +27,6 @@ def test_shape_contexts_are_symmetric_between_0_and_1_and_see_reflection() -> No
     np.testing.assert_allclose(forth, back, atol=1e-12)
     assert ((forth > 0.0) & (forth < 1.0)).all()
     assert pair_shape_dissimilarity(PAIRS * [-1.0, 1.0, 1.0], PAIRS).min() > 0.05
-    image = PAIRS[..., :2].reshape(40, 34, 2)
-    assert plane_shape_dissimilarity(image * [-1.0, 1.0], image).min() > 0.05
 
 
 def test_shape_contexts_grow_with_the_disturbance() -> None:
@@ -40,17 +34,6 @@ def test_shape_contexts_grow_with_the_disturbance() -> None:
     noise = rng.normal(size=PAIRS.shape)
     near, far = (pair_shape_dissimilarity(PAIRS + size * noise, PAIRS).mean() for size in (0.01, 0.1))
     assert 0.0 < near < 0.5 * far
-
-
-def test_the_cost_of_a_case_worked_by_hand() -> None:
-    # Three joints on a line at distances 0.15 and 0.3, shells 1 and 2; turned off the edges between sectors.
-    turn = np.array([[np.cos(0.2), np.sin(0.2)], [-np.sin(0.2), np.cos(0.2)]])
-    first = np.array([[0.0, 0.0], [0.15, 0.0], [-0.15, 0.0]]) @ turn
-    assert plane_shape_dissimilarity(first, first) == 0.0
-    # Twice the size: shells 2 and 3.  The middle joint shares nothing, an outer one half (shell 2).
-    assert plane_shape_dissimilarity(2.0 * first, first) == pytest.approx((1.0 + 0.5 + 0.5) / 3.0)
-    # Eight times: nothing is shared.
-    assert plane_shape_dissimilarity(8.0 * first, first) == pytest.approx(1.0)
 
 
 def test_the_streaming_form_agrees_with_the_plain_one_whatever_the_batches() -> None:

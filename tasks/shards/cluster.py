@@ -10,7 +10,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -104,14 +104,15 @@ def connect(settings: ClusterSettings, *, store_root: str) -> Iterator[Client]:
     }
     with dask.config.set(options):
         if settings.scheduler is not None:
-            with _client_of(settings.scheduler) as client, _only_fit_workers(client, settings.scheduler, store_root):
+            with _client_of(settings.scheduler) as client:
+                _only_fit_workers(client, settings.scheduler, store_root)
                 yield client
             return
         if settings.profile is not None:
             with started(settings.profile) as cluster, _client_of(cluster) as client:
                 await_workers(client, settings.profile)
-                with _only_fit_workers(client, settings.profile.cluster, store_root):
-                    yield client
+                _only_fit_workers(client, settings.profile.cluster, store_root)
+                yield client
             return
         with _no_ctrl_c_for_children():
             try:
@@ -232,19 +233,29 @@ def _kill_workers(cluster: Any) -> None:
             os.kill(process.pid, signal.SIGKILL)
 
 
-@contextmanager
-def _only_fit_workers(client: Client, address: str, store_root: str) -> Iterator[None]:
+def _only_fit_workers(client: Client, address: str, store_root: str) -> None:
     """Refuse workers that are not fit for the run, and as long as it lasts those that come later."""
     _check_workers(client, address, store_root)
-    name = f"pasdedeux-only-fit-{client.id}"
-    client.register_plugin(only_fit(installed(), store_root), name=name)
-    try:
-        yield
-    finally:
-        # The run's store may be gone tomorrow, and workers of other runs need not have it.
-        if client.status == "running":
-            with suppress(OSError, ValueError):  # the scheduler went meanwhile, or is another one
-                client.unregister_worker_plugin(name)
+    rule = f"pasdedeux-only-fit-{client.id}"
+    client.register_plugin(_ends_with(client.id, rule), name=f"{rule}-ends")
+    client.register_plugin(only_fit(installed(), store_root), name=rule)
+
+
+def _ends_with(run: str, rule: str) -> Any:
+    """Return a Dask scheduler plugin that lifts a rule for workers when the client of its run is gone, also by a kill.
+
+    The run's store may be gone tomorrow, and workers of other runs need not have it.
+    """
+    from distributed import SchedulerPlugin
+
+    class EndsWith(SchedulerPlugin):
+        def remove_client(self, scheduler: Any, client: str) -> None:
+            if client == run:
+                scheduler.remove_plugin(f"{rule}-ends")
+                if rule in scheduler.worker_plugins:
+                    scheduler.loop.add_callback(scheduler.unregister_worker_plugin, None, rule)
+
+    return EndsWith()
 
 
 def _check_workers(client: Client, address: str, store_root: str) -> None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 import signal
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
@@ -22,11 +24,17 @@ from flows.records import describe_runs
 from storage_schema import Store
 from tasks.shards import ClusterError, ClusterPool, ClusterSettings, connect
 from tasks.shards.cluster import DEATHS_ALLOWED
-from tests.builders.toy_runs import Outside, Started, digests, run_toys, wait_until, write_study
+from tests.builders.toy_runs import ROOT, Outside, Started, digests, run_toys, wait_until, write_study
 
 pytestmark = pytest.mark.slow
 
 EVERYTHING = 14
+_KILLED_IN_A_RUN = """
+import os, sys
+from tasks.shards import ClusterSettings, connect
+with connect(ClusterSettings(scheduler=sys.argv[1]), store_root=sys.argv[2]):
+    os.kill(os.getpid(), 9)
+"""
 Start = Callable[..., Started]
 
 
@@ -207,12 +215,13 @@ def test_a_run_whose_last_worker_had_to_leave_says_why(
     finish_here(tmp_path, undisturbed)
 
 
-def test_workers_that_come_after_a_run_need_not_have_its_store(tmp_path: Path) -> None:
+def test_workers_that_come_after_a_killed_run_need_not_have_its_store(tmp_path: Path) -> None:
     store = tmp_path / "store"
     store.mkdir()
     with Outside(tmp_path) as outside:
-        with connect(ClusterSettings(scheduler=outside.address), store_root=str(store)):
-            pass
+        probe = [sys.executable, "-c", _KILLED_IN_A_RUN, outside.address, str(store)]
+        killed = subprocess.run(probe, cwd=ROOT, check=False)
+        assert killed.returncode == -signal.SIGKILL
         store.rmdir()
         outside.worker.kill()
         outside.worker.wait()

@@ -6,6 +6,7 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from glob import escape
 from itertools import product
 from pathlib import Path
@@ -195,6 +196,10 @@ class PairOptions(CommonOptions):
     def take_id(self, take: str) -> str:
         """Return the name that a take has in the study."""
         return self.id.format(subject=self.subjects[0], take=take)
+
+    def may_bring(self, take_id: str) -> bool:
+        """Tell whether a take of this name can come into the folder."""
+        return self.is_watched and fnmatchcase(take_id, self.id.format(subject=escape(self.subjects[0]), take="?*"))
 
 
 class DuetOptions(DuetStyle, Parameters):
@@ -465,11 +470,11 @@ class IngestParameters(Parameters):
         return [take_id for take_id, _ in self._takes()]
 
     def awaited(self) -> tuple[str, ...]:
-        """Return the takes held out or for priors that are not there yet, where a folder is watched for them."""
-        if not any(family.is_watched for family in self.pairs.values()):
-            return ()
-        ids = set(self.take_ids())
-        return tuple(name for name in dict.fromkeys([*self.held_out, *(self.prior or ())]) if name not in ids)
+        """Return the takes held out or for priors that are not there yet and can come into a watched folder."""
+        ids, named = set(self.take_ids()), dict.fromkeys([*self.held_out, *(self.prior or ())])
+        return tuple(
+            name for name in named if name not in ids and any(pair.may_bring(name) for pair in self.pairs.values())
+        )
 
     def num_people(self) -> dict[str, int]:
         """Return the number of people of every take."""

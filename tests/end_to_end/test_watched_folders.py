@@ -97,6 +97,8 @@ def test_a_take_that_is_to_be_held_out_is_waited_for_where_its_folder_is_watched
     first, second = write_figure_pair(tmp_path)
     family = {"folder": tmp_path, "subjects": ["60", "61"], "is_watched": True}
     held_out = ["60_01", "60_02"]
+    with pytest.raises(InputError, match=r"'06_02' is not a take of this study; did you mean '60_01'\?"):
+        planned(pairs={"all": family}, held_out=["06_02"])
     before = planned(pairs={"all": family}, held_out=held_out)
     (said,) = [shard.parameters for shard in before if shard.name == "left out"]
     assert "'60_02': 'the study names it, and it has not come yet'" in str(said)

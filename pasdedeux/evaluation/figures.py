@@ -23,7 +23,6 @@ __all__ = [
     "curve_figure",
     "draw_pair",
     "figure_svg",
-    "grid_figure",
     "new_figure",
     "panel_figure",
     "view_figure",
@@ -128,22 +127,6 @@ def _label(axis: Any, x_label: str = "", y_label: str = "") -> None:
     axis.set_xlabel(x_label, fontsize=8)
     axis.set_ylabel(y_label, fontsize=8)
     axis.tick_params(labelsize=7)
-
-
-def grid_figure(values: Array, *, rows: Sequence[str], columns: Sequence[str], title: str) -> bytes:
-    """Draw figures between 0 and 1 (row, column) as a coloured grid with each figure in its cell; give SVG bytes.
-
-    A figure that is not finite leaves its cell empty.
-    """
-    figure, ((axis,),) = new_figure(2.6 + 0.62 * len(columns), 1.6 + 0.24 * len(rows))
-    axis.imshow(np.asarray(values, dtype=np.float64), vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto", alpha=0.8)
-    for row, column in np.argwhere(np.isfinite(values)).tolist():
-        axis.text(column, row, f"{values[row, column]:.2f}", fontsize=7, ha="center", va="center")
-    axis.set_xticks(np.arange(len(columns)), columns, rotation=45, ha="right")
-    axis.set_yticks(np.arange(len(rows)), rows)
-    axis.set_title(title, fontsize=9)
-    _label(axis)
-    return figure_svg(figure)
 
 
 def compared_figure(values: Mapping[str, float], baselines: Collection[str], *, goal: float, x_label: str) -> bytes:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pasdedeux.evaluation.figures import grid_figure
+from pasdedeux.evaluation.figures import compared_figure
 from pasdedeux.evaluation.report import PLAYER
 from pasdedeux.evaluation.score_tables import format_score
 from pasdedeux.evaluation.scores import COLUMNS, Score
@@ -212,7 +212,7 @@ def run_toys(shard: Shard, store: Store) -> TopicResult:
     scores = [Score("toys", "counted", float(count)), Score("toys", "guessed", 1000.0, is_baseline=True)]
     return TopicResult(
         scores,
-        {"toy.svg": grid_figure(np.ones((1, 1)), rows=["a"], columns=["b"], title="")},
+        {"toy.svg": compared_figure({"a": 1.0}, (), goal=1.0, x_label="")},
         {"toy.svg": "A toy."},
         ["Toys were counted."],
     )

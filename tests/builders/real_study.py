@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -187,12 +186,6 @@ class RealRun:
         left = self.descendants()
         self.process.kill()
         self.process.communicate()
-        return left
-
-    def interrupt(self) -> list[psutil.Process]:
-        """Do what Ctrl-C at a terminal does; gives the processes that must now end."""
-        left = self.descendants()
-        os.killpg(self.process.pid, signal.SIGINT)
         return left
 
     def descendants(self) -> list[psutil.Process]:

@@ -64,14 +64,6 @@ def test_what_a_study_says_wrongly_is_named_with_its_full_path(
     assert "\n" not in found
 
 
-def test_an_unknown_stage_and_a_stage_whose_inputs_are_missing_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = write(tmp_path, SMALL)
-    assert "chain" in refuse(capsys, study, "--until", "chain")
-    assert refuse(capsys, study, "--only", "training").startswith("stage training needs ")
-
-
 def test_a_split_that_leaves_nothing_to_test_on_is_refused_before_anything_is_computed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

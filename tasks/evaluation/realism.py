@@ -29,6 +29,7 @@ __all__ = ["LEFT_OUT", "TOPIC", "WITHOUT_TORCH", "LearnedSettings"]
 
 WITHOUT_TORCH = "without_torch"
 """Name of the shard of a topic that is asked for and cannot be answered."""
+OTHER_SKELETON = "other_skeleton"
 LEFT_OUT = TopicResult(notes=["Left out: torch is not installed (pip install 'pasdedeux[learning]')."])
 
 
@@ -51,13 +52,15 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     The classifier is one for all splits: one that learned from what a split trains on would not know the interactions
     that splits across these test, and features of two classifiers have no distances in common.
     """
-    # The classifier knows `body22` alone.
-    models = [model for model in inputs.of("models") if skeleton_name(model) == BODY22.name]
+    models = inputs.of("models")
     takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []
     if not has_torch():
         return [TOPIC.shard(inputs, WITHOUT_TORCH)]
+    models = [model for model in models if skeleton_name(model) == BODY22.name]
+    if not models:
+        return [TOPIC.shard(inputs, OTHER_SKELETON)]
     variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
     return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
 
@@ -66,6 +69,10 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     """Train the classifier on real clips, and look with it at what every model predicts."""
     if shard.name == WITHOUT_TORCH:
         return LEFT_OUT
+    if shard.name == OTHER_SKELETON:
+        return TopicResult(
+            notes=[f"Left out: the classifier of clips knows {BODY22.name} alone, and no model is of it."]
+        )
     settings = shard.options(LearnedSettings)
     takes = [store.manifest(ref) for ref in shard.refs("takes")]
     learned = [take for take in takes if not take.facts["is_held_out"]]

@@ -1,6 +1,7 @@
 """Models of the 18 joints that ExPI has: items follow from body22, all models that may train and answer, none mixes."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +26,13 @@ from pasdedeux.learning import (
     write_weights,
 )
 from pasdedeux.skeletons import BODY22, EXPI18, EXPI18_OF_BODY22, MODEL_SKELETONS
+from storage_schema import Store
+from tasks.evaluation.realism import TOPIC, LearnedSettings
+from tasks.stage import StageInputs
 from tasks.training.parameters import SegmentParameters, TrainingParameters
 from tests.builders.moving_pairs import swaying_pair
+from tests.builders.stored_models import put_model
+from tests.builders.walking_takes import put_take
 
 TAKE = Source(swaying_pair(30), 20.0, "sway")
 MAPPED = mapped_source(TAKE, EXPI18_OF_BODY22)
@@ -110,3 +116,18 @@ def test_a_study_says_which_models_may_be_of_18_joints_and_keys_of_body22_stay()
     assert "skeleton" not in SegmentParameters.model_validate(told).model_dump(mode="json")
     other = SegmentParameters.model_validate(told | {"skeleton": "expi18"})
     assert other.model_dump(mode="json")["skeleton"] == "expi18"
+
+
+def test_models_of_18_joints_are_no_distributions_and_that_is_said(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    takes = [put_take(store, take_id) for take_id in ("hug", "judo")]
+    model = put_model(store, load_model("copy", {}), "random", takes)
+    other = replace(model, facts={**model.facts, "skeleton": "expi18"})
+    settings = LearnedSettings(num_realism_variants=2)
+    for models, planned in (([model, other], "all"), ([other], "other_skeleton"), ([], None)):
+        shards = TOPIC.plan(StageInputs({"poses": takes, "models": models}, 0), settings)
+        assert [shard.name for shard in shards] == [planned] * bool(models)
+    (shard,) = TOPIC.plan(StageInputs({"poses": takes, "models": [other]}, 0), settings)
+    assert TOPIC.run(shard, store).notes == [
+        "Left out: the classifier of clips knows body22 alone, and no model is of it."
+    ]

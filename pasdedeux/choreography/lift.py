@@ -31,7 +31,7 @@ _TRACK = 0.075
 _WAIST = 0.20
 """A takes B so far below A's own shoulders, fraction of A's height, if B's trunk is there."""
 _REACH = 0.96
-"""Share of the arms that the highest lift asks for."""
+"""Share of the arms that the highest lift asks for, and the lowest of an upright A."""
 
 
 class LiftStyle(DuetStyle):
@@ -49,6 +49,7 @@ class _Plan:
     Args:
         apart_m: Distance of the pelvises.
         lift_m: How high B is lifted.
+        upright: How far A comes up with B in the air, 0 to 1; B must be high enough for A's arms.
         waist: Bone of B where A's hands are, and the share of it.
         sleeve: Share of A's upper arms where B's hands are.
         turn_rad: Turn of A over all steps.
@@ -59,6 +60,7 @@ class _Plan:
 
     apart_m: float
     lift_m: float
+    upright: float
     waist: tuple[str, float]
     sleeve: float
     turn_rad: float
@@ -91,10 +93,12 @@ def make_lift(style: LiftStyle) -> Duet:
     wanted = lifter.standing_m("left_shoulder") - _WAIST * lifter.height_m
     low, high = lifted.standing_m("spine1"), lifted.standing_m("spine2")
     waist_m = float(np.clip(wanted, low, high))
-    lift_m = style.lift * (1.0 - 0.15 * abs(float(vary[0]))) * mean_m
+    low_m, high_m = _within_reach(lifter, lifted, apart_m, waist_m)
+    lift_m = min(style.lift * (1.0 - 0.15 * abs(float(vary[0]))) * mean_m, high_m)
     plan = _Plan(
         apart_m=apart_m,
-        lift_m=min(lift_m, _highest(lifter, lifted, apart_m, waist_m)),
+        lift_m=lift_m,
+        upright=min(1.0, lift_m / low_m) if low_m > 0.0 else 1.0,
         waist=("spine2", (waist_m - low) / (high - low)),
         sleeve=0.30 + 1.0 * max(0.0, taller),
         turn_rad=style.turn_rad * (1.0 + 0.1 * float(vary[1])) if style.turn_rad else 0.0,
@@ -106,17 +110,19 @@ def make_lift(style: LiftStyle) -> Duet:
     return finish("lift", style, figures, _hold(figures, plan, time_s))
 
 
-def _highest(lifter: Body, lifted: Body, apart_m: float, waist_m: float) -> float:
-    """Return how high the arms of both allow B to come, metres."""
-    reaches = []
+def _within_reach(lifter: Body, lifted: Body, apart_m: float, waist_m: float) -> tuple[float, float]:
+    """Return how high B must be for an upright A and how high the arms of both allow B to come, metres."""
+    lows, highs = [], []
     for body, start_m, end_m in (
         (lifter, waist_m, lifter.standing_m("left_shoulder")),
         (lifted, lifted.standing_m("left_shoulder"), lifter.standing_m("left_shoulder") - 0.02 * lifter.height_m),
     ):
         arm = _REACH * (body.length_m("left_elbow") + body.length_m("left_wrist"))
         across = apart_m if body is lifter else 0.75 * apart_m
-        reaches.append(end_m - start_m + float(np.sqrt(max(arm**2 - across**2, 0.0))))
-    return max(0.03, min(reaches))
+        along = float(np.sqrt(max(arm**2 - across**2, 0.0)))
+        lows.append(end_m - start_m - along)
+        highs.append(end_m - start_m + along)
+    return lows[0], max(0.03, min(highs))
 
 
 def _lifter(body: Body, plan: _Plan, time_s: Array) -> Figure:
@@ -124,7 +130,7 @@ def _lifter(body: Body, plan: _Plan, time_s: Array) -> Figure:
     where, yaw = plan.place(time_s)
     up = plan.up(time_s)
     taken = window(time_s, 0.9, _RISE_S - 0.1, _DOWN_S, 9.2)
-    bent = taken * (1.0 - up)
+    bent = taken * (1.0 - plan.upright * up)
     trunk = Trunk(
         x_m=where[:, 0],
         z_m=where[:, 2],

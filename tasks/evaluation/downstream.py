@@ -112,7 +112,7 @@ def _predict(shard: Shard, store: Store) -> TopicResult:
     real, tested = _clips(variants, train, num_frames=frames), _clips(variants, test, num_frames=frames)
     made = _clips(variants, train, num_frames=frames, is_augmented=True)
     if not (real and tested):
-        return TopicResult(notes=[f"{told.shares}, seed {told.seed}: left out, no take of a side lasts 3 s."])
+        return TopicResult(notes=[f"{told.shares} seed {told.seed}: left out, no take of a side lasts 3 s."])
     guesses = {
         method: MotionPredictor.train(
             np.concatenate(list(clips.values())),
@@ -185,7 +185,7 @@ def _said(
     made: dict[str, np.ndarray],
 ) -> str:
     return (
-        f"{told.shares}, seed {told.seed}: {len(train)} takes to learn from with {sum(map(len, real.values()))} clips, "
+        f"{told.shares} seed {told.seed}: {len(train)} takes to learn from with {sum(map(len, real.values()))} clips, "
         f"and {sum(map(len, made.values()))} of their variants; {len(test)} takes to test on. With and without have as "
         "many steps."
     )

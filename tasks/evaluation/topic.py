@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 41
+VERSION = 42
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

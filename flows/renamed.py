@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
-__all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "renamed_key"]
+__all__ = ["RENAMED_COMMANDS", "RENAMED_KEYS", "RENAMED_STUDIES", "is_to_leave_out", "renamed_key"]
 
 RENAMED_KEYS: dict[str, str] = {
     "augmentation.solver=descent": "say polished, which comes to the same energy in a third of the time",
@@ -33,7 +33,11 @@ RENAMED_KEYS: dict[str, str] = {
     "chains.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     "chains.variants.*.moves*": "whole limbs and people moved as one brought nothing: leave it out",
     **dict.fromkeys(
-        ("chains.densities=agreement", "chains.densities=cartesian", "chains.densities=shape_context"),
+        (
+            f"chains.{key}={density}"
+            for key in ("densities", "variants.*.density")
+            for density in ("agreement", "cartesian", "shape_context")
+        ),
         "chains of it covered no more than those of ic: leave it out",
     ),
     "chains.num_ranked": "it belonged to the density shape_context, which is gone: leave it out",
@@ -83,6 +87,12 @@ RENAMED_KEYS: dict[str, str] = {
 The key itself, as it was given, stands before the sentence and is not said again.
 """
 
+RENAMED_STUDIES: dict[str, str] = {
+    "ablation": "its densities covered no more than ic and are gone (docs/findings.md); the nearest is coverage",
+    "density": "terms of densities are no longer judged (docs/findings.md)",
+}
+"""Old study that shipped to one sentence on what became of it."""
+
 RENAMED_COMMANDS: dict[str, str] = {}
 """Old command of `pasdedeux` to one sentence with the new one."""
 
@@ -94,3 +104,8 @@ def renamed_key(path: Sequence[str | int], value: object = None) -> str | None:
         if fnmatchcase(name, old) or (isinstance(value, str) and fnmatchcase(f"{name}={value}", old)):
             return sentence
     return None
+
+
+def is_to_leave_out(path: Sequence[str | int]) -> bool:
+    """Tell whether a key is gone without another in its place."""
+    return (renamed_key(path) or "").endswith("leave it out")

@@ -23,7 +23,10 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 class _Kernel:
-    """A function to be compiled; numba sees what it would see if all kernels had been made by `numba.njit` at once."""
+    """A function to be compiled; numba sees what it would see if all kernels had been made by `numba.njit` at once.
+
+    But for kernels that it names in a comprehension alone.
+    """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self._function, self._options = function, options
@@ -46,6 +49,11 @@ class _Kernel:
             self._begun = njit(cache=True, nogil=True, **self._options)(self._function)
             used, names = self._function.__globals__, self._function.__code__.co_names
             modules = [found.__dict__ for name in names if isinstance(found := used.get(name), ModuleType)]
-            for place in (used, *modules):
-                place.update({name: found._make() for name in names if isinstance(found := place.get(name), _Kernel)})
+            try:
+                for place in (used, *modules):
+                    kernels = {name: found for name in names if isinstance(found := place.get(name), _Kernel)}
+                    place.update({name: kernel._make() for name, kernel in kernels.items()})
+            except BaseException:  # Ctrl-C between two: the next call begins anew
+                self._begun = None
+                raise
         return self._begun

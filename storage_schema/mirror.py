@@ -253,8 +253,8 @@ class Mirror:
         here += [path for path in (self.root / "runs").rglob("*") if path.is_file()]
         for path in here:
             with suppress(FileNotFoundError):
-                # What is newer was written by another process of this machine, after the list was made.
-                if path not in wanted and not path.name.startswith(".") and path.stat().st_mtime < began:
+                # What came later was put here by another process of this machine; the other time is the bucket's.
+                if path not in wanted and not path.name.startswith(".") and path.stat().st_ctime < began:
                     self._forget(path)
         self._bring_datasets()
         self._pushed |= {path: _state(path) for path in records}
@@ -376,12 +376,9 @@ def _state(path: Path) -> tuple[int, int]:
 
 
 def _mark(entry: ObjectMeta) -> int:
-    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below.
-
-    A day before: what is newer than a list counts as written since, and the bucket's clock may be ahead.
-    """
+    """Return the time that a file here carries when it is what the bucket lists: its last change, and its tag below."""
     tag = int(hashlib.sha256(str(entry["e_tag"]).encode()).hexdigest()[:12], 16) % 10**9
-    return int((entry["last_modified"] - timedelta(days=1)).timestamp()) * 10**9 + tag
+    return int(entry["last_modified"].timestamp()) * 10**9 + tag
 
 
 def _is_same(path: Path, entry: ObjectMeta) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import StageInputs
 
-__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets", "read_grown"]
+__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets"]
 
 GROWN = "grown_seeds"
 """Name under which grown seeds stand beside the densities."""
@@ -52,12 +52,6 @@ def read_draw_sets(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, DrawS
 def read_all_draws(store: Store, refs: Iterable[ArtifactRef]) -> DrawSet:
     """Return all draws of all densities, and the grown seeds, as one set."""
     return _join("all", [part for parts in _read_parts(store, refs).values() for part in parts])
-
-
-def read_grown(store: Store, refs: Iterable[ArtifactRef]) -> np.ndarray:
-    """Return the grown pairs (grown, 2, 17, 3) of some artifacts; none without any."""
-    parts = [np.asarray(store.read(ref, "seeds", columns=["pair17_m"])["pair17_m"], dtype=np.float64) for ref in refs]
-    return np.concatenate([np.zeros((0, 2, 17, 3)), *parts])
 
 
 def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tuple[str, np.ndarray]]]:

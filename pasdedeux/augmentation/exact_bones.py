@@ -22,7 +22,7 @@ def project_to_bones(points: Array, lengths_m: Array, *, is_nearest: bool = Fals
     """Return the points (variant, T, n, 3) with their bone directions and exactly these lengths (variant, n).
 
     The pelvis stays; a bone without direction takes none, which only a bone of length zero has.  Where the nearest are
-    asked for, joints first move as little as they can to have these lengths: what lengths are off does not add up
+    asked for, all joints first move as little as they can to have these lengths: what lengths are off does not add up
     along limbs, and motion that has other bones by mistake comes nearer to the one that has these.
     """
     people = np.array(points, np.float64).reshape(*points.shape[:2], -1, BODY22.num_joints, 3)

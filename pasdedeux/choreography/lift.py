@@ -112,7 +112,7 @@ def make_lift(style: LiftStyle) -> Duet:
 
 def _within_reach(lifter: Body, lifted: Body, apart_m: float, waist_m: float) -> tuple[float, float]:
     """Return how high B must be for an upright A and how high the arms of both allow B to come, metres."""
-    lows, highs = [], []
+    reaches = []
     for body, start_m, end_m in (
         (lifter, waist_m, lifter.standing_m("left_shoulder")),
         (lifted, lifted.standing_m("left_shoulder"), lifter.standing_m("left_shoulder") - 0.02 * lifter.height_m),
@@ -120,9 +120,9 @@ def _within_reach(lifter: Body, lifted: Body, apart_m: float, waist_m: float) ->
         arm = _REACH * (body.length_m("left_elbow") + body.length_m("left_wrist"))
         across = apart_m if body is lifter else 0.75 * apart_m
         along = float(np.sqrt(max(arm**2 - across**2, 0.0)))
-        lows.append(end_m - start_m - along)
-        highs.append(end_m - start_m + along)
-    return lows[0], max(0.03, min(highs))
+        reaches.append((end_m - start_m - along, end_m - start_m + along))
+    (low, high), (_, high_of_lifted) = reaches
+    return low, max(0.03, min(high, high_of_lifted))
 
 
 def _lifter(body: Body, plan: _Plan, time_s: Array) -> Figure:

@@ -24,7 +24,7 @@ virtual video (eleven of salsa, four duets; seen and unseen takes, whole or with
 and of chains); and where 80 % of true errors lie about that.  Fitted to other takes than each judged one, expected and
 true error correlate at 0.71 and 78 % of the errors are inside (0.69 and 79 % on 306 whole images of takes that no draw
 was made from; 57 % of the duets that draws were made from).  Of a take of salsa lifted from 2D alone, which nothing was
-fitted to, 87 % are inside (68 % without the third number; 14 cm expected, 13 found).  The spread of near draws and d_I
+fitted to, 87 % are inside (70 % without the third number; 14 cm expected, 13 found).  The spread of near draws and d_I
 add nothing; among images with a draw of their own nothing tells the error (0.08)."""
 
 

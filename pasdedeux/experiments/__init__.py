@@ -1,1 +1,1 @@
-"""What only the studies of the three papers use: published methods to compare with, and ways to judge them."""
+"""What only the studies of the three papers use: ways to explore, and views of motion that no database has."""

@@ -12,14 +12,14 @@ from pasdedeux.interaction.triangulation import triangulate
 from pasdedeux.sampling.image_kernels import pair_axes, project
 from pasdedeux.skeletons import PAIR17
 
-__all__ = ["ROUGH_TOLERANCE_M", "BankTables", "best_per_view"]
+__all__ = ["BankTables", "best_per_view"]
 
 _NUM_JOINTS = PAIR17.num_joints
 
 ESTIMATE_TOLERANCE_M = 1e-3
 """What rounding may do to an estimate of d_I, metres: it is the root of a small difference of large numbers."""
 
-ROUGH_TOLERANCE_M = 2e-5
+_ROUGH_TOLERANCE_M = 2e-5
 """What the rough comparison in float32 may be wrong by, metres; for people within a few metres its error is 1e-6."""
 
 
@@ -425,7 +425,7 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
                 count = num_edges_of[slot]
                 if bank.is_whole[slot]:
                     rough += _rough_side(dx32, dy32, starts32, ends32, num_edges, weights32, squares32)
-                    if rough > bound + ROUGH_TOLERANCE_M:
+                    if rough > bound + _ROUGH_TOLERANCE_M:
                         continue
                     total = _exact(x, y, fixed, others, count, shares, edges, num_edges, weights, dx, dy)
                 else:
@@ -433,7 +433,7 @@ def best_per_view(points, bank, limit, margin, best, best_slot):  # type: ignore
                     for e in range(num_own):
                         own_starts[e], own_ends[e], own_weights32[e] = own[e, 0], own[e, 1], own_weights[e]
                     rough += _rough_side(dx32, dy32, own_starts, own_ends, num_own, own_weights32, squares32)
-                    if rough > bound + ROUGH_TOLERANCE_M:
+                    if rough > bound + _ROUGH_TOLERANCE_M:
                         continue
                     total = _exact(x, y, fixed, others, count, shares, own, num_own, own_weights, dx, dy)
                 if total < best[view] and total <= matters:

@@ -32,7 +32,6 @@ __all__ = [
     "InteractionLikelihood",
     "InteractionSettings",
     "plain_log_likelihood",
-    "pooled_log",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -84,10 +83,10 @@ def plain_log_likelihood(
         lengths = np.where(table.weights[own] > 0.0, np.linalg.norm(along, axis=-1), 0.0)
         total += np.sum(table.weights[own] * lengths, axis=-1)
         best[view], entry[view] = total.min(), own[int(total.argmin())]
-    return Match(log_likelihood=pooled_log(best, sigma_l, pooling), dissimilarity_m=best, entry=entry)
+    return Match(log_likelihood=_pooled_log(best, sigma_l, pooling), dissimilarity_m=best, entry=entry)
 
 
-def pooled_log(best: Array, sigma_l: float, pooling: Pooling) -> float:
+def _pooled_log(best: Array, sigma_l: float, pooling: Pooling) -> float:
     """Return the log of eq. 6, or what stands for it, of the smallest d_I of each view; inf where there is none."""
     smallest = float(best.min())
     if not np.isfinite(smallest):

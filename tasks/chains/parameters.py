@@ -136,13 +136,18 @@ class ChainsParameters(Parameters, RunSettings, TargetSettings):
         if unknown:
             raise ValueError(f"chains.variants.{name}.{unknown[0]}: a variant has no such setting")
         density = own.pop("density", self.densities[0])
+        if density not in DENSITIES:
+            raise ValueError(
+                f"chains.variants.{name}.density={density}: there is no such density; there are: {', '.join(DENSITIES)}"
+            )
         given = self.model_dump(exclude={"variants", "densities"})
         try:
             return type(self).model_validate({**given, "densities": (density,), **own})
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"])
-            raise ValueError(f"chains.variants.{name}: {place}: {first['msg']}".replace(": : ", ": ")) from None
+            said = first["msg"].removeprefix("Value error, ")
+            raise ValueError(f"chains.variants.{name}: {place}: {said}".replace(": : ", ": ")) from None
 
 
 class SegmentParameters(Parameters):

@@ -244,7 +244,8 @@ def _only_fit_workers(client: Client, address: str, store_root: str) -> None:
 def _ends_with(run: str, rule: str) -> Any:
     """Return a Dask scheduler plugin that lifts a rule for workers when the client of its run is gone, also by a kill.
 
-    The run's store may be gone tomorrow, and workers of other runs need not have it.
+    The run's store may be gone tomorrow, and workers of other runs need not have it.  A client whose connection broke
+    and came back, while nothing of its run was in work, has no rule any more.
     """
     from distributed import SchedulerPlugin
 

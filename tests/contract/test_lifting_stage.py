@@ -101,14 +101,17 @@ def test_what_is_expected_of_a_pair_rests_on_no_draw_of_that_person_at_that_mome
 
 def test_pairs_of_a_trio_are_scored_and_only_pairs_of_couples_hidden(grown: Any) -> None:
     store, given = grown
-    poses, facts = take_rows("trio", 3, 10)
-    trio = put(store, "ingest", "trio", {"poses": poses}, facts)
+    takes = [
+        put(store, "ingest", name, {"poses": rows}, facts)
+        for name, people in (("trio", 3), ("couple", 2))
+        for rows, facts in [take_rows(name, people, 10)]
+    ]
     lifted = list(lift(store, given, max_frames=1).values())
     seen = [replace(one, facts={**one.facts, "is_virtual": True}) for one in given.of("annotations")]
-    tables = {**given.manifests, "annotations": seen, "poses": [trio], "lifted_pairs": lifted}
+    tables = {**given.manifests, "annotations": seen, "poses": takes, "lifted_pairs": lifted}
     shards = {shard.name: shard for shard in TOPIC.plan(StageInputs(tables, seed=1), STAGE.parameters())}
-    assert shards["lifted"].refs("takes") == (trio.ref,)
-    assert "completed" not in shards
+    assert set(shards["lifted"].refs("takes")) == {take.ref for take in takes}
+    assert shards["completed"].refs("takes") == (takes[1].ref,)
 
 
 def test_hidden_joints_are_completed_and_counted(grown: Any) -> None:

@@ -341,7 +341,6 @@ HEAVY = {
     "cv2",
     "matplotlib.pyplot",
     "scipy.signal",
-    "sklearn",
     "arviz",
     "pandas",
     "uvicorn",

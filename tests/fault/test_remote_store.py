@@ -10,10 +10,11 @@ import subprocess
 import sys
 import tarfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -34,11 +35,15 @@ from storage_schema import (
 )
 from storage_schema.bucket import RemoteStore
 from storage_schema.errors import DatasetExists
+from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
 from tests.builders.storage_rows import commit_rows
 from tests.builders.toy_runs import Outside, build_here, digests, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
+
+if TYPE_CHECKING:
+    from obstore import ObjectMeta
 
 EVERYTHING = 14
 _BUILD = """
@@ -395,6 +400,28 @@ def test_what_is_taken_from_the_bucket_goes_from_a_mirror_that_has_only_just_see
     RemoteStore(server.place).delete([f"manifests/{ref.stage}/{ref.key}" for ref in refs])
     store.refresh()
     assert list(store.artifacts()) == []
+
+
+def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
+    server: S3Server, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commit_rows(Store(server.place), name="one")
+    elsewhere()
+    mirror = Store(server.place).mirror
+    assert mirror is not None
+    entries = mirror.remote.entries
+
+    def overtaken(folder: str) -> Sequence[ObjectMeta]:
+        monkeypatch.setattr(mirror.remote, "entries", entries)
+        listed = entries(folder)
+        elsewhere()
+        commit_rows(Store(server.place), name="two")
+        Mirror(mirror.url, mirror.root).refresh()
+        return listed
+
+    monkeypatch.setattr(mirror.remote, "entries", overtaken)
+    mirror.refresh()
+    assert len(list(mirror.root.glob("*/??/*/manifest.json"))) == 2
 
 
 def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:

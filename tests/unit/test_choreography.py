@@ -69,6 +69,12 @@ def test_known_contacts_hold_to_a_tenth_of_a_millimetre(duet, measured):
     assert measured.contact_error_m < 1e-4
 
 
+@pytest.mark.parametrize("variation", [0, 17])
+def test_a_tall_lifter_keeps_hold_of_a_small_partner_who_is_hardly_lifted(variation):
+    duet = make_duet("lift", rate_hz=20.0, heights_m=(2.0, 1.5), lift=0.05, variation=variation)
+    assert measure(duet).contact_error_m < 1e-4
+
+
 def test_known_contacts_are_stated_for_any_rate(duet):
     for rate_hz in (24.0, 60.0):
         positions = np.stack([motion.resample(rate_hz).world()[0] for motion in duet.motions], axis=1)

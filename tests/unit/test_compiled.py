@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
+from typing import Any
 
 import numpy as np
+import pytest
 
 from pasdedeux.compiled import compiled
 
@@ -40,6 +43,16 @@ def quarter(value: float) -> float:
 
 
 @compiled()
+def third(value: float) -> float:
+    return value / 3.0
+
+
+@compiled()
+def ninth(value: float) -> float:
+    return third(third(value))
+
+
+@compiled()
 def factorial(number: int) -> int:
     return 1 if number < 2 else number * factorial(number - 1)
 
@@ -64,3 +77,20 @@ def test_kernels_may_be_called_first_by_many_threads_at_once() -> None:
 
     with ThreadPoolExecutor(4) as pool:
         assert list(pool.map(call, [4.0, 8.0, 12.0, 16.0])) == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_first_call_that_is_interrupted_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(type(third), "_make", interrupted(type(third)._make))
+        with pytest.raises(KeyboardInterrupt):
+            ninth(9.0)
+    assert ninth(9.0) == pytest.approx(1.0)
+
+
+def interrupted(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def made(kernel: Any) -> Any:
+        if kernel is third:
+            raise KeyboardInterrupt
+        return make(kernel)
+
+    return made

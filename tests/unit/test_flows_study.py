@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from pathlib import Path
 
@@ -113,6 +114,22 @@ def test_the_sentence_of_an_old_key_says_the_key_once(tmp_path: Path) -> None:
         "chains.kernel: it is now called chains.proposal"
     ]
     assert not [old for old, sentence in RENAMED_KEYS.items() if old in sentence]
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ('[chains]\ndensities = ["ic", "cartesian"]\n', "chains.densities.1: chains of it covered no more than"),
+        ('[chains.variants.a]\ndensity = "shape_context"\n', "chains.variants.a.density=shape_context: chains of it"),
+        ("[chains]\nnum_ranked = 9\n", "chains.num_ranked: it belonged to the density shape_context"),
+        ("[evaluation]\nnum_judged_pairs = 9\n", "evaluation.num_judged_pairs: terms of densities are no longer"),
+        ("[projections]\nnum_clusters = 9\n", "projections.num_clusters: the published search is gone"),
+        ('extends = "ablation"\n', "study 'ablation': its densities covered no more than ic"),
+    ],
+)
+def test_what_a_study_of_before_may_say_gets_its_sentence(tmp_path: Path, section: str, said: str) -> None:
+    with pytest.raises(StudyError, match=re.escape(said)):
+        load_study(str(write(tmp_path, section)), load_graph(), environment={})
 
 
 def test_an_old_key_of_a_variant_of_chains_gets_its_sentence_too(tmp_path: Path) -> None:

@@ -39,11 +39,11 @@ def test_what_stages_share_is_said_once() -> None:
     assert not {f"{stage}.{name}" for stage in load_graph().names for name in PriorSettings.model_fields} & set(KEYS)
 
 
-def test_one_value_of_the_prior_reaches_seeds_chains_and_evaluation(tmp_path: Path) -> None:
+def test_one_value_of_the_prior_reaches_seeds_and_chains(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text('[study]\nname = "own"\n[physical_prior]\nalpha = 3.0\n')
     study, _ = load_study(str(file), load_graph(), settings=["physical_prior.max_invalid_angles=5"], environment={})
-    for stage in ("seeds", "chains", "evaluation"):
+    for stage in ("seeds", "chains"):
         told = study.parameters[stage].part(PriorSettings)
         assert (told.alpha, told.max_invalid_angles) == (3.0, 5)
         assert "alpha" not in study.resolved()[stage]

@@ -262,7 +262,7 @@ def test_variants_are_sampled_beside_densities_under_their_own_names(inputs: Any
         ({"hot": {"sigma": 1.0}}, "variants.hot.sigma: a variant has no such setting"),
         ({"hot": {"variants": {}}}, "variants.hot.variants: a variant has no such setting"),
         ({"hot": {"sigma_l": -1.0}}, r"chains\.variants\.hot: sigma_l"),
-        ({"hot": {"density": "warm"}}, r"chains\.variants\.hot: densities"),
+        ({"hot": {"density": "warm"}}, r"chains\.variants\.hot\.density=warm: there is no such density"),
     ],
 )
 def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], message: str) -> None:

@@ -91,6 +91,7 @@ def differences(store: Store, one: Recorded, other: Recorded) -> Changes:
             "parameters": changed_leaves(one.sections, other.sections),
             "environment": environment_changes(one.environment, other.environment),
             "files": changed_leaves(one.sources, other.sources),
+            "licences": changed_leaves(one.licences, other.licences),
         },
         artifacts={place: {which: found[which] for which in _WHICH} for place, found in counts.items()},
         scores=sorted(scores, key=lambda score: -_size(score)),

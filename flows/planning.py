@@ -308,6 +308,7 @@ def stage_inputs(stage: Stage, seed: int, manifests: Mapping[str, Sequence[Manif
             for table in stage.reads
         },
         seed=seed,
+        empty=tuple(m for artifacts in manifests.values() for m in artifacts if not m.tables),
     )
 
 

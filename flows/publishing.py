@@ -13,7 +13,15 @@ from flows.outcomes import Outcome, Run
 from flows.planning import PlanError
 from flows.recorded import Recorded, artifacts_by_place, read_environment, read_recorded
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE
-from storage_schema import ArtifactRef, Dataset, StorageError, canonical_json, create_dataset
+from storage_schema import (
+    ArtifactRef,
+    Dataset,
+    SourceCredit,
+    StorageError,
+    canonical_json,
+    create_dataset,
+    source_credits,
+)
 from storage_schema.datasets import newest_version
 from storage_schema.errors import DatasetExists
 
@@ -71,6 +79,7 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return Published(name, f"{name} is not published: this is not the whole of the study")
     refs = [ref for stage in outcome.stages for ref in stage.artifacts]
     manifests = [store.manifest(ref) for ref in refs]
+    sources = source_credits(store, *refs)
     gates, figures = settings.parsed, figures_of(store, manifests)
     failures = tuple(failure for gate in gates if (failure := gate.failure(manifests, figures)))
     if failures:
@@ -78,10 +87,10 @@ def publish(run: Run, outcome: Outcome) -> Published | None:
         return Published(name, words, failures=failures)
     while True:
         before = newest_version(store, name)
-        if before is not None and _content(before.refs) == _content(refs):
+        if before is not None and _content(before.refs) == _content(refs) and before.sources == sources:
             return Published(name, f"{before.label} stays: nothing has changed since", before)
         version = str(int(before.version) + 1) if before is not None else "1"
-        files = _files(run, outcome, refs, f"{name}@{version}", before)
+        files = _files(run, outcome, refs, sources, f"{name}@{version}", before)
         note = f"run {outcome.run_id}"
         try:
             made = create_dataset(store, name, refs, version=version, note=note, attachments=files)
@@ -105,11 +114,16 @@ def _content(refs: Sequence[ArtifactRef]) -> Counter[tuple[str, str]]:
 
 
 def _files(
-    run: Run, outcome: Outcome, refs: Sequence[ArtifactRef], label: str, before: Dataset | None
+    run: Run,
+    outcome: Outcome,
+    refs: Sequence[ArtifactRef],
+    sources: tuple[SourceCredit, ...],
+    label: str,
+    before: Dataset | None,
 ) -> dict[str, bytes]:
     """Return what goes with the artifacts: the study, the environment, the card, what is different."""
     environment = read_environment(run.store, outcome.run_id)
-    new = Recorded(label, run.study.resolved(), environment, artifacts_by_place(run.store, refs), frozenset())
+    new = Recorded(label, run.study.resolved(), environment, artifacts_by_place(run.store, refs), frozenset(), sources)
     lines = [f"# {label}", "", f"Run {outcome.run_id} of the study {run.study.name}, {len(refs)} artifacts.", ""]
     if before is None:
         lines.append("The first version.\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
@@ -13,7 +14,8 @@ from typing import Any
 from flows.planning import PlanError
 from flows.reasons import changed_leaves
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE, run_record
-from storage_schema import ArtifactRef, Manifest, Store, list_runs, open_run
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store, list_runs, open_run
+from storage_schema.credits import merge_credits
 from storage_schema.datasets import open_dataset
 
 __all__ = [
@@ -35,7 +37,7 @@ _PATH = re.compile(r'"(/[^"|\n]+)')
 
 @dataclass(frozen=True)
 class Recorded:
-    """A run or a version of a dataset: the resolved study, what it ran on, and its artifacts by place.
+    """A run or a version of a dataset: the resolved study, what it ran on, its artifacts by place, and their sources.
 
     The artifacts are all that it was computed from, each after what it reads; `named` are the stages whose artifacts it
     names itself, all of them, while of other stages it may need a part.
@@ -46,11 +48,20 @@ class Recorded:
     environment: Mapping[str, Any]
     artifacts: Mapping[Place, Manifest]
     named: frozenset[str]
+    credits: tuple[SourceCredit, ...]
 
     @property
     def stages(self) -> list[str]:
         """Return the stages that made the artifacts."""
         return list(dict.fromkeys(stage for stage, _, _ in self.artifacts))
+
+    @property
+    def licences(self) -> dict[str, str]:
+        """Return licence and credit of every source by its name."""
+        found: dict[str, str] = {}
+        for one in self.credits:
+            found[one.name] = " / ".join(filter(None, (found.get(one.name), f"{one.licence}; {one.credit}")))
+        return found
 
     @property
     def sources(self) -> dict[str, str]:
@@ -78,6 +89,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
             _read(folder, ENVIRONMENT_FILE),
             artifacts_by_place(store, refs),
             frozenset(ref.stage for ref in refs),
+            dataset.sources,
         )
     runs = [folder.run_id for folder in list_runs(store)]
     if name not in runs:
@@ -96,6 +108,7 @@ def read_recorded(store: Store, name: str) -> Recorded:
         _read(folder, ENVIRONMENT_FILE),
         artifacts_by_place(store, refs),
         frozenset(ref.stage for ref in refs),
+        merge_credits(*(store.manifest(ref).sources for ref in refs)),
     )
 
 
@@ -107,9 +120,9 @@ def artifacts_by_place(store: Store, refs: Iterable[ArtifactRef]) -> dict[Place,
         MissingArtifact, CorruptArtifact: One of them is no longer whole in the store.
     """
     manifests: dict[ArtifactRef, Manifest] = {}
-    waiting = list(refs)
+    waiting = deque(refs)  # those that are named come first: an input may be one of them under an older key
     while waiting:
-        ref = waiting.pop()
+        ref = waiting.popleft()
         if ref not in manifests:
             manifests[ref] = store.manifest(ref)
             waiting += manifests[ref].inputs

@@ -107,7 +107,11 @@ def last_sections(store: Store, last: LatestRun | None) -> dict[str, Any]:
 def record_stage(store: Store, study: str, run_id: str, stage: str, manifests: Sequence[Manifest]) -> None:
     """Record what a stage consists of now, if that is not on record already."""
     last = read_last_run(store, study)
-    if last is not None and stage in last.stages and last.refs(stage) == [manifest.ref for manifest in manifests]:
+    if (
+        last is not None
+        and stage in last.stages
+        and [ref.place for ref in last.refs(stage)] == [manifest.ref.place for manifest in manifests]
+    ):
         return
     record_latest(store, study, run_id, {stage: [ShardRecord.of(manifest, store) for manifest in manifests]})
 
@@ -148,19 +152,30 @@ def mixture(store: Store, last: LatestRun, stages: Sequence[str]) -> str:
     It is one, whoever computed it, where everything that was read is on record too, and where what the last run
     changed was followed to its end.
     """
-    known = {(ref.stage, ref.content_digest) for stage in last.stages for ref in last.refs(stage)}
-    record = run_record(store, last.run_id)
-    if record.get("status", "finished") != "finished":
+    if run_record(store, last.run_id).get("status", "finished") != "finished":
         return f"its last run, {last.run_id}, did not finish"
-    done = {entry["stage"]: entry["num_computed"] for entry in record.get("stages", [])}
+    now = {stage: {ref.content_digest for ref in last.refs(stage)} for stage in last.stages}
+    finished = [record for record in _records_of(store, last.study) if record["status"] == "finished"]
     for stage in stages:
+        # What there was of each stage in the run that last saw to this one.
+        runs = ({entry["stage"]: entry for entry in record["stages"]} for record in reversed(finished))
+        seen = next((entries for entries in runs if stage in entries), {})
+        then = {other: {one["content_digest"] for one in entry["artifacts"]} for other, entry in seen.items()}
         read = {(one.stage, one.content_digest) for shard in last.stages[stage] for one in shard.inputs}
-        changed = {other for other, _ in read if stage not in done and done.get(other)} | {
-            other for other, digest in read if (other, digest) not in known
+        changed = {
+            other
+            for other, digest in read
+            if digest not in now.get(other, ()) or then.get(other, now[other]) != now[other]
         }
         if changed:
             return f"stage {stage} was computed before {', '.join(sorted(changed))} changed"
     return ""
+
+
+def _records_of(store: Store, study: str) -> list[dict[str, Any]]:
+    """Return what is on record of the runs of a study, oldest first."""
+    records = (run_record(store, folder.run_id) for folder in list_runs(store))
+    return [record for record in records if record.get("study") == study]
 
 
 def report_folder(store: Store, run_id: str) -> Path | None:

@@ -1,12 +1,20 @@
 """What lies on disk: every table's columns, the artifact store, references, runs and datasets."""
 
-from storage_schema.ancestry import lineage, source_files
+from storage_schema.ancestry import lineage, source_credits, source_files
 from storage_schema.credits import SourceCredit
 from storage_schema.datasets import Dataset, create_dataset, list_datasets
 from storage_schema.errors import CorruptArtifact, MissingArtifact, SchemaError, StorageError, UnknownReference
 from storage_schema.keys import artifact_key, canonical_json
 from storage_schema.manifest import ArtifactRef, Manifest
-from storage_schema.references import Reference, iter_rows, open_table, parse_reference, resolve, table_files
+from storage_schema.references import (
+    Reference,
+    iter_rows,
+    open_table,
+    parse_reference,
+    referenced_credits,
+    resolve,
+    table_files,
+)
 from storage_schema.runs import (
     InputRecord,
     LatestRun,
@@ -59,7 +67,9 @@ __all__ = [
     "parse_reference",
     "read_latest",
     "record_latest",
+    "referenced_credits",
     "resolve",
+    "source_credits",
     "source_files",
     "table_files",
     "verify",

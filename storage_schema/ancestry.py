@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.errors import CorruptArtifact, MissingArtifact
 from storage_schema.manifest import ArtifactRef, Manifest
+from storage_schema.runs import latest_studies, read_latest
 from storage_schema.store import Store
 
-__all__ = ["LineageStep", "SourceFileUse", "lineage", "source_files"]
+__all__ = ["LineageStep", "SourceFileUse", "lineage", "source_credits", "source_files"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,37 @@ def lineage(store: Store, *refs: ArtifactRef) -> list[LineageStep]:
         level = sorted({part for part in inputs if part not in seen})
         seen.update(level)
     return steps
+
+
+def source_credits(store: Store, *refs: ArtifactRef) -> tuple[SourceCredit, ...]:
+    """Return the licence and credit of every source of these artifacts, as they stand today.
+
+    A study may say another licence of the same bytes tomorrow: what was made of them is not computed again, and has
+    the credits that the last runs of the studies in the store say; where one of these artifacts is such a run's source
+    itself, those that this run says.  What is on record of no study keeps its own.
+
+    Raises:
+        MissingArtifact: Something that these came from is no longer in the store: its licence is not known.
+    """
+    steps = lineage(store, *refs)
+    for step in steps:
+        if step.manifest is None:
+            raise MissingArtifact(
+                f"artifact {step.ref.stage}@{step.ref.key[:12]}, which this comes from, is no longer whole in the "
+                f"store {store}, so its licence is not known; run the study again"
+            )
+    roots = {step.ref: step for step in steps if step.manifest is not None and step.manifest.sources}
+    today: dict[ArtifactRef, list[ArtifactRef]] = {}
+    for latest in filter(None, (read_latest(store, study) for study in latest_studies(store))):
+        for ref in (ref for stage in {root.stage for root in roots} for ref in latest.refs(stage)):
+            today.setdefault(ref, []).append(ref)
+    named = {ref.place for ref in refs}
+    said = []
+    for ref, step in roots.items():
+        current = today.get(ref) or [step.ref]
+        own = [one for one in current if one.place in named]
+        said += [store.manifest(one).sources for one in own or current]
+    return merge_credits(*said)
 
 
 def source_files(steps: Iterable[LineageStep]) -> list[SourceFileUse]:

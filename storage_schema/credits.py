@@ -1,4 +1,4 @@
-"""Licence and credit of every source, carried from the first artifact to the last."""
+"""Licence and credit of a source: an artifact has those of what came in with it, `source_credits` finds the others."""
 
 from __future__ import annotations
 

@@ -12,6 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from storage_schema.ancestry import source_credits
+from storage_schema.credits import SourceCredit
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
 from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
 from storage_schema.keys import canonical_json
@@ -43,7 +45,8 @@ class Dataset:
         name: Name of the dataset.
         version: Its version; datasets made without one are numbered from 1.
         refs: The artifacts, in order.
-        digest: sha256 over the artifacts' stages, keys and content digests.
+        sources: Licence and credit of every source, as they stood when it was made: they never change either.
+        digest: sha256 over the artifacts' stages, keys and content digests, and the sources.
         note: What the maker says about it.
         created_at: When, in UTC.
         path: Its folder; attached files such as the dataset card lie there.
@@ -52,6 +55,7 @@ class Dataset:
     name: str
     version: str
     refs: tuple[ArtifactRef, ...]
+    sources: tuple[SourceCredit, ...]
     digest: str
     note: str
     created_at: str
@@ -84,7 +88,7 @@ def create_dataset(
 
     Raises:
         DatasetExists: This name and version are taken.
-        MissingArtifact: An artifact is not in the store.
+        MissingArtifact: An artifact, or one that it came from, is not in the store.
         StorageError: The list is empty.
         BadName: A name is not allowed.
         FullDisk: There is no room left.
@@ -92,14 +96,14 @@ def create_dataset(
     _check_names(name, version or "1", *(attachments or {}))
     if not refs:
         raise StorageError(f"dataset '{name}': a dataset needs at least one artifact")
-    for ref in refs:
-        store.manifest(ref)
+    sources = source_credits(store, *refs)
+    digest = digest_of(refs, sources)
     store.prepare()
     while True:
         chosen = version or _next_version(store, name)
         path = store.root / "datasets" / f"{name}@{chosen}"
         created_at = datetime.now(UTC).isoformat(timespec="milliseconds")
-        dataset = Dataset(name, chosen, tuple(refs), digest_of(refs), note, created_at, path)
+        dataset = Dataset(name, chosen, tuple(refs), sources, digest, note, created_at, path)
         if add_dataset(store, dataset, attachments or {}):
             return dataset
         if version is not None:
@@ -135,9 +139,9 @@ def open_dataset(store: Store, label: str) -> Dataset:
     return _read(named[-1])
 
 
-def digest_of(refs: Sequence[ArtifactRef]) -> str:
-    """Return the sha256 over the stages, keys and content digests of artifacts."""
-    return hashlib.sha256(canonical_json([asdict(ref) for ref in refs])).hexdigest()
+def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
+    """Return the sha256 over the stages, keys and content digests of artifacts, and the licences and credits."""
+    return hashlib.sha256(canonical_json([[asdict(one) for one in part] for part in (refs, sources)])).hexdigest()
 
 
 def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]) -> bool:
@@ -178,7 +182,11 @@ def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection
     try:
         values: dict[str, Any] = {name: value for name, value in json.loads(read()).items() if name not in less}
         refuse_newer(values.pop("schema_version"), str(path))
-        return Dataset(**{**values, "refs": tuple(ArtifactRef(**ref) for ref in values["refs"]), "path": path})
+        lists = {
+            "refs": tuple(ArtifactRef(**ref) for ref in values["refs"]),
+            "sources": tuple(SourceCredit(**source) for source in values["sources"]),
+        }
+        return Dataset(**{**values, **lists, "path": path})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
 

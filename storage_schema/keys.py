@@ -77,13 +77,23 @@ def artifact_key(
     return hashlib.sha256(canonical_json(described, "key")).hexdigest()
 
 
-def content_digest(file_digests: Mapping[str, str]) -> str:
-    """Return the digest of an artifact's content from its data files' sha256 by name; nothing else enters it.
+def content_digest(*, partition: str, name: str, facts: Mapping[str, Any], files: Mapping[str, str]) -> str:
+    """Return the digest of all that others may read of an artifact: where it stands, its facts, its data files.
 
-    The manifest is no data file, so times, versions and timings leave the digest alone.
+    Two artifacts of one stage with the same digest are the same to everything downstream, whatever their keys:
+    times, versions, parameters and licences are not in it.
+
+    Args:
+        partition: Partition of the artifact.
+        name: Name of its shard.
+        facts: Its facts.
+        files: sha256 of its data files by file name.
+
+    Raises:
+        StorageError: The facts are not JSON values.
     """
-    lines = "".join(f"{name}\0{file_digests[name]}\n" for name in sorted(file_digests))
-    return hashlib.sha256(lines.encode()).hexdigest()
+    described = {"partition": partition, "name": name, "facts": dict(facts), "files": dict(files)}
+    return hashlib.sha256(canonical_json(described, "content")).hexdigest()
 
 
 def file_sha256(path: str | Path) -> str:

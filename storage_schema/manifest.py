@@ -11,6 +11,7 @@ import orjson
 
 from storage_schema.credits import SourceCredit
 from storage_schema.errors import CorruptArtifact, NewerSchema, StorageError
+from storage_schema.keys import content_digest
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = ["MANIFEST_NAME", "RESERVED_NAMES", "ArtifactRef", "FileEntry", "Manifest", "TableFile", "with_fields"]
@@ -28,13 +29,22 @@ _HEX_KEY = re.compile(r"[0-9a-f]{64}")
 class ArtifactRef:
     """Names one artifact: its stage, its key, and the digest of its content.
 
+    Two references are equal where stage and content are, whatever the keys: an artifact that was made anew with the
+    same content has another key, and nothing that was made of the old one may lose it for that.  The key says where
+    the artifact lies.
+
     Raises:
         StorageError: The key is not 64 hexadecimal digits.
     """
 
     stage: str
-    key: str
+    key: str = field(compare=False)
     content_digest: str
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Where the artifact lies: its stage and its key."""
+        return self.stage, self.key
 
     def __post_init__(self) -> None:
         """Refuse a key that is not a sha256."""
@@ -75,8 +85,8 @@ class Manifest:
         files: Outside files that were read: (file name, sha256).
         tables: Parts of tables by table name; the file is `<table>.parquet`.
         attachments: Attached files by file name.
-        facts: Small JSON facts that later planning reads.
-        sources: Licence and credit of every source, those of the inputs included.
+        facts: Small JSON facts that whatever is downstream may read; they are part of the content.
+        sources: Licence and credit of what came in here; those of the inputs stand in theirs (`source_credits`).
         schema_version: Version of the store's layout.
         code_version: Version of the installed program.
         source_digest: Digest of the program's sources.
@@ -109,6 +119,12 @@ class Manifest:
         """Every data file of the artifact by file name: its tables' parts and its attachments."""
         files = {f"{name}.parquet": FileEntry(part.bytes, part.sha256) for name, part in self.tables.items()}
         return files | self.attachments
+
+    @property
+    def computed_digest(self) -> str:
+        """The digest of the content as this manifest describes it."""
+        files = {name: entry.sha256 for name, entry in self.data_files.items()}
+        return content_digest(partition=self.partition, name=self.name, facts=self.facts, files=files)
 
     @property
     def num_bytes(self) -> int:

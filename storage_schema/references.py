@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from storage_schema.ancestry import source_credits
+from storage_schema.credits import SourceCredit
 from storage_schema.datasets import open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, UnknownReference
 from storage_schema.manifest import ArtifactRef, Manifest
@@ -32,7 +34,10 @@ _HOW = "a reference is table@key, table:study/partition or table:dataset@version
 
 @dataclass(frozen=True)
 class Reference:
-    """A parsed reference: a table, and one of a key prefix, a study with or without a partition, or a dataset."""
+    """A parsed reference: a table, and one of a key prefix, a study with or without a partition, or a dataset.
+
+    What begins no key is taken for the beginning of a content digest, by which tables refer to artifacts.
+    """
 
     table: str
     key_prefix: str = ""
@@ -89,6 +94,17 @@ def resolve(reference: Reference | str, store: Store) -> list[ArtifactRef]:
         there = sorted({table for manifest in manifests for table in manifest.tables})
         raise UnknownReference(f"{name} holds no table '{reference.table}'; it holds: {', '.join(there) or 'none'}")
     return found
+
+
+def referenced_credits(store: Store, reference: Reference, refs: Sequence[ArtifactRef]) -> tuple[SourceCredit, ...]:
+    """Return licence and credit of every source of what a reference names: a dataset keeps those it was made with.
+
+    Raises:
+        MissingArtifact: Something that the artifacts came from is no longer in the store.
+    """
+    if reference.dataset:
+        return open_dataset(store, reference.dataset).sources
+    return source_credits(store, *refs)
 
 
 def open_table(
@@ -171,6 +187,9 @@ def _by_key(reference: Reference, store: Store) -> ArtifactRef:
     folders = store.folders(key_prefix=prefix)
     manifests = [store.find(folder.parent.parent.name, folder.name) for folder in folders]
     valid: list[Manifest] = [manifest for manifest in manifests if manifest is not None]
+    if not valid:  # artifacts with the same content hold the same rows
+        same = {one.ref: one for one in store.artifacts() if one.ref.content_digest.startswith(prefix)}
+        valid = list(same.values())
     found = [manifest for manifest in valid if reference.table in manifest.tables]
     if len(found) == 1:
         return found[0].ref
@@ -180,7 +199,7 @@ def _by_key(reference: Reference, store: Store) -> ArtifactRef:
     if valid:
         there = ", ".join(sorted({table for manifest in valid for table in manifest.tables}))
         raise UnknownReference(f"'{reference.table}@{prefix}': the artifact holds no such table; it holds: {there}")
-    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store} has such a key")
+    raise UnknownReference(f"'{reference.table}@{prefix}': no artifact in the store {store} has such a key or content")
 
 
 def _of_study(reference: Reference, store: Store) -> list[ArtifactRef]:

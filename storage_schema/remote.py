@@ -21,7 +21,7 @@ from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
 from storage_schema.errors import CorruptArtifact, DatasetExists, UnknownReference
-from storage_schema.keys import content_digest, file_sha256
+from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
 from storage_schema.runs import in_use
 from storage_schema.staging import StagingFolder
@@ -76,7 +76,7 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     data = remote.read(f"datasets/{label}")
     dataset = dataset_from_json(lambda: data, store.root / "datasets" / label, less=("attachments",))
     attachments: dict[str, str] = json.loads(data)["attachments"]
-    if dataset.label != label or dataset.digest != digest_of(dataset.refs):
+    if dataset.label != label or dataset.digest != digest_of(dataset.refs, dataset.sources):
         raise CorruptArtifact(f"{remote.url}/datasets/{label} is not the list that was pushed")
     known = open_dataset(store, label) if dataset.path.is_dir() else None
     if known is not None and known.digest != dataset.digest:
@@ -86,9 +86,9 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
     def manifest_of(ref: ArtifactRef) -> Manifest:
         where = f"{remote.url}/{_place(ref)}"
         manifest = Manifest.from_json(remote.read(_place(ref)), where=where)
-        digests = {name: entry.sha256 for name, entry in manifest.data_files.items()}
-        names = {ref.stage, *digests}
-        if manifest.ref != ref or content_digest(digests) != ref.content_digest or any(map(_is_elsewhere, names)):
+        names = {ref.stage, *manifest.data_files}
+        is_same = manifest.ref.place == ref.place and manifest.computed_digest == ref.content_digest
+        if not is_same or manifest.ref != ref or any(map(_is_elsewhere, names)):
             raise CorruptArtifact(f"{where} is the manifest of something else")
         return manifest
 
@@ -103,12 +103,13 @@ def pull_dataset(remote: RemoteStore, label: str, store: Store) -> tuple[Dataset
 
 def _closure(refs: Iterable[ArtifactRef], manifest_of: Callable[[ArtifactRef], Manifest]) -> Sequence[Manifest]:
     """Return the manifests of these artifacts and of all that they were computed from."""
-    found: dict[ArtifactRef, Manifest] = {}
+    found: dict[tuple[str, str], Manifest] = {}
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        waiting = list(dict.fromkeys(refs))
+        waiting = {ref.place: ref for ref in refs}
         while waiting:
-            found |= zip(waiting, pool.map(manifest_of, waiting), strict=True)
-            waiting = [ref for ref in {ref for one in waiting for ref in found[one].inputs} if ref not in found]
+            found |= zip(waiting, pool.map(manifest_of, waiting.values()), strict=True)
+            read = [ref for place in waiting for ref in found[place].inputs]
+            waiting = {ref.place: ref for ref in read if ref.place not in found}
     return list(found.values())
 
 

@@ -60,7 +60,7 @@ class ArtifactFields(TypedDict):
     seed: int
     """Seed of the study."""
     inputs: Sequence[ArtifactRef]
-    """Artifacts that were read; their sources are added to this one's."""
+    """Artifacts that were read."""
     files: Sequence[tuple[str, str]]
     """Outside files that were read: (file name, sha256)."""
 
@@ -90,8 +90,8 @@ class Store(StoreReader):
         Args:
             tables: For each table its columns: name to list or array, rows first (see `encoding.encode`).
             attachments: Files of their own format, by file name.
-            facts: Small JSON facts that later planning reads.
-            sources: Licence and credit of new sources.
+            facts: Small JSON facts that whatever is downstream may read.
+            sources: Licence and credit of what comes in with this artifact, not of its inputs.
             described: What the artifact says about itself.
 
         Raises:
@@ -136,11 +136,14 @@ class Store(StoreReader):
             with closing(ArtifactWriter(staging.path, where=self.root, facts=facts or {}, sources=sources)) as writer:
                 yield writer
                 parts, attachments = writer.finish()
+            for ref in described["inputs"]:
+                self.manifest(ref)
+            said: dict[str, Any] = plain_json(writer.facts, "facts")
             digests = {f"{table}.parquet": part.sha256 for table, part in parts.items()}
             digests |= {file_name: entry.sha256 for file_name, entry in attachments.items()}
-            inherited = [self.manifest(ref).sources for ref in described["inputs"]]
+            place = {"partition": described["partition"], "name": described["name"]}
             manifest = Manifest(
-                ref=ArtifactRef(stage, key, content_digest(digests)),
+                ref=ArtifactRef(stage, key, content_digest(**place, facts=said, files=digests)),
                 partition=described["partition"],
                 name=described["name"],
                 version=described["version"],
@@ -150,8 +153,8 @@ class Store(StoreReader):
                 files=tuple((file_name, digest) for file_name, digest in described["files"]),
                 tables=parts,
                 attachments=attachments,
-                facts=plain_json(writer.facts, "facts"),
-                sources=merge_credits(writer.sources, *inherited),
+                facts=said,
+                sources=merge_credits(writer.sources),
                 schema_version=SCHEMA_VERSION,
                 code_version=code_version(),
                 source_digest=source_digest(),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from storage_schema.datasets import list_datasets
 from storage_schema.errors import CorruptArtifact, MissingArtifact
-from storage_schema.keys import content_digest, file_sha256
+from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, Manifest
 from storage_schema.store import Store
 
@@ -91,9 +91,9 @@ def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
     for path in sorted(folder.iterdir()):
         if path.name not in recorded and path.name != MANIFEST_NAME:
             yield Problem(ProblemKind.EXTRA, stage, key, path.name, "the manifest does not name it")
-    digest = content_digest(recorded)
+    digest = manifest.computed_digest
     if digest != manifest.ref.content_digest:
-        detail = f"content digest {manifest.ref.content_digest[:12]} is not that of the files it lists, {digest[:12]}"
+        detail = f"content digest {manifest.ref.content_digest[:12]} is not that of what it describes, {digest[:12]}"
         yield Problem(ProblemKind.CHANGED, stage, key, MANIFEST_NAME, detail)
 
 

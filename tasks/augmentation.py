@@ -187,10 +187,10 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     match shard.parameters:
         case NobodyParameters(persons=asked, num_persons=count):
             who = "one person" if count == 1 else f"{count} people"
-            verdict = Verdict(Level.WARN, f"{who}, and nobody of those who are scaled: {', '.join(asked)}")
-            return commit(
-                shard, store, tables={}, facts={"kind": "nobody", "takes": [shard.partition]}, verdict=verdict
-            )
+            reason = f"{who}, and nobody of those who are scaled: {', '.join(asked)}"
+            skipped = [f"No variants of take {shard.partition}: {reason}."]
+            facts = {"kind": "nobody", "takes": [shard.partition], "skipped": skipped}
+            return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
         case BatchParameters() as batch:
             return _solve_batch(shard, batch, store)
         case other:

@@ -10,7 +10,7 @@ import numpy as np
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.stage import StageInputs
 
-__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets"]
+__all__ = ["GROWN", "DrawSet", "draw_manifests", "read_all_draws", "read_draw_sets", "reference_to"]
 
 GROWN = "grown_seeds"
 """Name under which grown seeds stand beside the densities."""
@@ -25,7 +25,7 @@ class DrawSet:
         pairs_m: Pairs (draw, person=2, joint=17, 3), metres, single precision as stored.
         artifacts: Artifact of each draw, by index into `refs`, (draw,).
         rows: Row of each draw in its artifact, (draw,).
-        refs: References `draws@key` or `seeds@key` of the artifacts.
+        refs: References `draws@...` or `seeds@...` of the artifacts.
     """
 
     name: str
@@ -37,6 +37,11 @@ class DrawSet:
     def reference(self, draw: int) -> str:
         """Return the reference of a draw as the command line takes it."""
         return f"{self.refs[int(self.artifacts[draw])]}#{int(self.rows[draw])}"
+
+
+def reference_to(table: str, ref: ArtifactRef) -> str:
+    """Return the reference of an artifact's part of a table by its content: keys come and go, and are in no table."""
+    return f"{table}@{ref.content_digest[:16]}"
 
 
 def draw_manifests(inputs: StageInputs) -> list[Manifest]:
@@ -62,7 +67,7 @@ def _read_parts(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, list[tup
         name = GROWN if table == "seeds" else str(store.manifest(ref).facts["density"])
         pairs = np.asarray(store.read(ref, table, columns=["pair17_m"])["pair17_m"], dtype=np.float32)
         if len(pairs):
-            found.setdefault(name, []).append((f"{table}@{ref.key[:16]}", pairs))
+            found.setdefault(name, []).append((reference_to(table, ref), pairs))
     return dict(sorted(found.items()))
 
 

@@ -58,10 +58,14 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class StageInputs:
-    """The artifacts a stage may read, as manifests by table name, in a stable order."""
+    """The artifacts a stage may read, as manifests by table name, in a stable order.
+
+    `empty` are those that hold no table: they say what was left out, and why.
+    """
 
     manifests: Mapping[str, Sequence[Manifest]]
     seed: int
+    empty: Sequence[Manifest] = ()
 
     def of(self, table: str) -> Sequence[Manifest]:
         """Return the manifests of the artifacts that hold a part of `table`; none when no stage wrote it."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
-from pasdedeux.evaluation.summary import Credit, Made, Summary
+from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import Judged, by_stage
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import Manifest
@@ -50,12 +50,32 @@ def summary_of(manifests: Sequence[Manifest]) -> Summary:
     return Summary(
         made=[made for thing, parts in counted.items() if (made := _made(thing, parts)).count],
         sources=sorted(sources, key=lambda source: (source.name, source.licence, source.credit)),
+        left_out=folded(sorted({sentence for one in found for sentence in _left_out(one)})),
         verdicts=dict(sorted(by_stage(judge(found), apart=_APART).items(), key=_worst_first)),
     )
 
 
 def _worst_first(named: tuple[str, Verdict]) -> int:
     return -list(Level).index(named[1].level)
+
+
+def _left_out(manifest: Manifest) -> list[str]:
+    """Say in sentences what an artifact, or the stage that made it, left out and why."""
+    facts = manifest.facts
+    found = list(facts.get("skipped", []))
+    if "poses" in manifest.tables and facts["num_persons"] != 2:
+        who = "one person" if facts["num_persons"] == 1 else f"{facts['num_persons']} people"
+        found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
+    if facts.get("num_skipped_frames"):
+        named = ", ".join(facts["skipped_files"])
+        found.append(
+            f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}); "
+            "`on_unreadable` of its source says whether they stop the run."
+        )
+    if facts.get("num_annotations_skipped"):
+        count = facts["num_annotations_skipped"]
+        found.append(f"Chains: {count} annotations without all joints of two people, or without a view, were left out.")
+    return found
 
 
 def judge(manifests: Sequence[Manifest]) -> list[Judged]:

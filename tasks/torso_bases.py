@@ -9,7 +9,6 @@ import numpy as np
 from pasdedeux.cameras import TorsoBasis, proportions_torso_basis
 from pasdedeux.choreography import duet_torso_basis
 from storage_schema import ArtifactRef, Manifest, Store
-from tasks.ingest.known_sources import DUET_CREDIT
 
 __all__ = [
     "BODY_PROPORTIONS",
@@ -35,7 +34,7 @@ def default_origin(shown: Iterable[Manifest]) -> str:
     On the duets themselves it comes from body proportions alone, so that nothing is evaluated on what it was learned
     from.
     """
-    return BODY_PROPORTIONS if any(DUET_CREDIT in manifest.sources for manifest in shown) else BUILT_IN_DUETS
+    return BODY_PROPORTIONS if any(one.facts.get("is_built_in", False) for one in shown) else BUILT_IN_DUETS
 
 
 def default_torso_basis(origin: str, *, num_components: int = 4) -> TorsoBasis:

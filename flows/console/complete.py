@@ -43,7 +43,7 @@ def complete(
     from pasdedeux.completion.occlusion import complete_pair
     from pasdedeux.errors import InputError
     from pasdedeux.formats.pair_file import PairFile, PairSource, read_pair_json, write_pair_json
-    from storage_schema import parse_reference, resolve
+    from storage_schema import parse_reference, resolve, source_credits
     from tasks.draw_sets import read_all_draws
     from tasks.stage import merge_takes
 
@@ -63,9 +63,7 @@ def complete(
     except InputError as error:
         raise type(error)(f"{file.name}: {error}") from None
     manifests = [opened.manifest(ref) for ref in refs]
-    inherited = {
-        PairSource(one.name, one.licence, one.credit): None for manifest in manifests for one in manifest.sources
-    }
+    inherited = [PairSource(one.name, one.licence, one.credit) for one in source_credits(opened, *refs)]
     whole = PairFile(
         pair_m=found.fitted_m,
         made_from=f"{pair.made_from or file.name}, completed by {draws}",

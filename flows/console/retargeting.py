@@ -34,7 +34,7 @@ from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.learning import VariantRequest, Weights, read_weights
 from pasdedeux.skeletons import BODY22
 from pasdedeux.verdict import Level
-from storage_schema import ArtifactRef, Store, parse_reference, resolve
+from storage_schema import ArtifactRef, Store, parse_reference, resolve, source_credits
 from tasks.augmentation import known_contacts, read_take
 from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
@@ -228,7 +228,7 @@ def _retarget(
         wanted_m = positions_m[:, index]
         own = person.own.worn(wanted_m, bone_scale[index])
         files.write(f"{take_id}_retarget_{person.letter}", person, own, wanted_m)
-    for path in (*files.close(), write_credits(store, [ref], f"take {take_id}", out)):
+    for path in (*files.close(), write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)):
         typer.echo(str(path))
     if rows:
         print_table(

@@ -16,7 +16,17 @@ from flows.exports import EXPORT_FORMATS, RestPose, Units, export_reference
 from pasdedeux.evaluation.score_tables import mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
 from pasdedeux.skeletons import WORKING_SKELETONS
-from storage_schema import TABLES, Store, iter_rows, lineage, parse_reference, resolve, source_files, table_files
+from storage_schema import (
+    TABLES,
+    Store,
+    iter_rows,
+    lineage,
+    parse_reference,
+    referenced_credits,
+    resolve,
+    source_files,
+    table_files,
+)
 
 __all__ = ["app"]
 
@@ -129,7 +139,7 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
     table = TABLES[reference.table]
     manifests = [store.manifest(ref) for ref in refs]
     steps = lineage(store, *refs)
-    sources = {source.name: source for manifest in manifests for source in manifest.sources}
+    sources = referenced_credits(store, reference, refs)
     return {
         "reference": text,
         "table": table.name,
@@ -152,7 +162,7 @@ def _describe(store: Store, text: str, num_rows: int) -> dict[str, Any]:
             for step in steps
         ],
         "files": [{"name": use.name, "sha256": use.sha256, "stage": use.stage} for use in source_files(steps)],
-        "sources": [{"name": s.name, "licence": s.licence, "credit": s.credit} for s in sources.values()],
+        "sources": [{"name": s.name, "licence": s.licence, "credit": s.credit} for s in sources],
     }
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from flows.exports.export_format import Export, ExportFormat, RestPose, Units, write_text
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, Store, parse_reference, resolve
+from storage_schema import ArtifactRef, SourceCredit, Store, parse_reference, referenced_credits, resolve
 
 __all__ = [
     "EXPORT_FORMATS",
@@ -67,13 +67,13 @@ def export_reference(
         raise InputError(
             f"rest pose and units can be chosen for BVH files of {tables}, not for '{text}' as {file_format.upper()}"
         )
+    sources = referenced_credits(store, reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
-    return [*kind.write(export, out), write_credits(store, export.refs, text, out)]
+    return [*kind.write(export, out), write_credits(sources, export.refs, text, out)]
 
 
-def write_credits(store: Store, refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
+def write_credits(sources: Sequence[SourceCredit], refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
     """Write the licence and credit lines of every source into a folder, to keep with the files."""
-    sources = sorted({source for ref in refs for source in store.manifest(ref).sources}, key=lambda s: s.name)
     lines = [f"Exported from {text} by pasdedeux.", "", "Sources, their licences and credits:", ""]
     lines.extend(f"{source.name}\n  licence: {source.licence}\n  credit:  {source.credit}\n" for source in sources)
     lines.append("Artifacts (stage, key, content digest):")

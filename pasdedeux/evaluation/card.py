@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.summary import Summary
+from pasdedeux.evaluation.verdicts import verdict_words
 
 __all__ = ["DatasetCard", "card_tables", "render_card"]
 
@@ -32,17 +33,16 @@ class DatasetCard:
     rows: Mapping[str, int]
     takes: Sequence[str]
     held_out: Sequence[str]
-    skipped: Sequence[str]
     cautions: Sequence[str]
 
 
 def render_card(card: DatasetCard) -> str:
     """Return the card as Markdown; the same card always gives the same text."""
     lines = [f"# {card.title}", "", card.description]
-    built, origin, _, *verdicts = card.summary.lines()
-    lines += ["", f"- {built}", f"- {origin}"]
-    if verdicts:
-        lines += ["", "## Is it good?", "", *(f"- {line}" for line in verdicts)]
+    lines += ["", f"- built: {card.summary.built}", f"- from: {card.summary.origin}"]
+    if card.summary.verdicts:
+        judged = card.summary.verdicts.items()
+        lines += ["", "## Is it good?", "", *(f"- {name}: {verdict_words(verdict)}" for name, verdict in judged)]
     lines += ["", "## Contents", "", "| table | rows |", "|---|---|"]
     lines += [f"| {name} | {count:,} |" for name, count in sorted(card.rows.items())]
     lines += ["", "## Takes", ""]
@@ -50,7 +50,7 @@ def render_card(card: DatasetCard) -> str:
     lines += ["", "## Sources, licences and credits", ""]
     lines += [f"- **{source.name}** - {source.licence}. {source.credit}" for source in card.summary.sources]
     lines += ["", "## Left out", ""]
-    lines += [f"- {sentence}" for sentence in card.skipped] or ["- Nothing."]
+    lines += [f"- {sentence}" for sentence in card.summary.left_out] or ["- Nothing."]
     lines += ["", "## Know before you use it", ""]
     lines += [f"- {sentence}" for sentence in card.cautions]
     return "\n".join(lines) + "\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -19,12 +19,10 @@ from pasdedeux.verdict import Verdict
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-__all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "fit_rows", "folded", "render_report"]
+__all__ = ["PLAYER", "Picture", "Report", "Section", "fit_pictures", "fit_rows", "render_report"]
 
 PLAYER = ".player.json"
 """Ending of what a player shows."""
-_NUM_NAMED = 6
-"""Things that share a sentence and are named in it, at most."""
 
 
 @dataclass(frozen=True)
@@ -135,24 +133,6 @@ def fit_rows(sections: Sequence[Section], max_rows: int) -> tuple[list[Section],
         for section in sections
     ]
     return fitted, sum(max(0, len(table.rows) - max_rows) for section in sections for table in section.tables)
-
-
-def folded(sentences: Iterable[str]) -> list[str]:
-    """Say once what holds of several things, where sentences are the same after the name of the thing and a colon.
-
-    >>> folded(["waltz: two people.", "hug: two people.", "hug: warm.", "waltz: two people."])
-    ['waltz, hug: two people.', 'hug: warm.']
-    """
-    names: dict[str, list[str]] = {}
-    for sentence in dict.fromkeys(sentences):
-        name, colon, said = sentence.partition(": ")
-        names.setdefault(colon + said if colon else sentence, []).append(name if colon else "")
-    return [f"{_listed(found)}{said}" for said, found in names.items()]
-
-
-def _listed(names: Sequence[str]) -> str:
-    rest = len(names) - _NUM_NAMED
-    return ", ".join(names[:_NUM_NAMED]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _coded(text: str) -> Markup:

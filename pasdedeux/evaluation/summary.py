@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pasdedeux.evaluation.verdicts import verdict_words
 from pasdedeux.verdict import Verdict
 
-__all__ = ["Credit", "Made", "Summary"]
+__all__ = ["Credit", "Made", "Summary", "folded"]
+
+_NUM_NAMED = 6
+"""Things that share a sentence and are named in it, at most."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +58,12 @@ class Made:
 
 @dataclass(frozen=True)
 class Summary:
-    """The three answers: what was built, from which sources, and a verdict for each stage and topic by its name."""
+    """The answers: what was built, from what, a verdict for each stage and topic by name, and what was left out."""
 
     made: Sequence[Made]
     sources: Sequence[Credit]
     verdicts: Mapping[str, Verdict]
+    left_out: Sequence[str] = ()
 
     @property
     def built(self) -> str:
@@ -78,6 +82,26 @@ class Summary:
         return ", ".join(f"{levels.count(level)} {level}" for level in dict.fromkeys(sorted(levels))) or "not judged"
 
     def lines(self) -> list[str]:
-        """All of it, a line for each answer, then one for each verdict."""
+        """All of it, a line for each answer, then one for each verdict and one for what was left out."""
         verdicts = [f"{name}: {verdict_words(verdict)}" for name, verdict in self.verdicts.items()]
-        return [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}", *verdicts]
+        left_out = [f"left out: {sentence}" for sentence in self.left_out]
+        answers = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
+        return [*answers, *verdicts, *left_out]
+
+
+def folded(sentences: Iterable[str]) -> list[str]:
+    """Say once what holds of several things, where sentences are the same after the name of the thing and a colon.
+
+    >>> folded(["waltz: two people.", "hug: two people.", "hug: warm.", "waltz: two people."])
+    ['waltz, hug: two people.', 'hug: warm.']
+    """
+    names: dict[str, list[str]] = {}
+    for sentence in dict.fromkeys(sentences):
+        name, colon, said = sentence.partition(": ")
+        names.setdefault(colon + said if colon else sentence, []).append(name if colon else "")
+    return [f"{_listed(found)}{said}" for said, found in names.items()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    rest = len(names) - _NUM_NAMED
+    return ", ".join(names[:_NUM_NAMED]) + (f" and {rest} more" if rest > 0 else "")

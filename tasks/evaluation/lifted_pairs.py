@@ -62,14 +62,12 @@ def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     lifted = list(inputs.of("lifted_pairs"))
     takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] >= 2]
     couples = [manifest for manifest in takes if manifest.facts["num_persons"] == 2]
-    known = {ref.key for manifest in lifted for ref in manifest.inputs}
-    annotations = [
-        manifest for manifest in inputs.of("annotations") if manifest.ref.key in known and manifest.facts["is_virtual"]
-    ]
+    known = {ref for manifest in lifted for ref in manifest.inputs}
+    shown = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
+    annotations = [manifest for manifest in shown if manifest.facts["is_virtual"]]
     found = []
     draws = [one for one in draw_manifests(inputs) if one.facts.get("density") != PRIOR_ONLY]
-    sources = {ref for manifest in lifted for ref in manifest.inputs}
-    shown = [one for one in inputs.of("annotations") if one.ref in sources and views_of([one], inputs)]
+    shown = [one for one in shown if views_of([one], inputs)]
     learned = [one for one in annotated_pairs(inputs) if views_of([one], inputs)]
     if shown and draws and learned:
         every = [*shown, *(one for one in learned if one not in shown)]

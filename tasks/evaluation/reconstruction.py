@@ -31,8 +31,7 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     for motions in inputs.of("motions"):
         if not motions.tables["motions"].rows:
             continue
-        used = {ref.key for ref in motions.inputs}
-        annotations = [m for m in inputs.of("annotations") if m.ref.key in used and m.facts["is_virtual"]]
+        annotations = [m for m in inputs.of("annotations") if m.ref in motions.inputs and m.facts["is_virtual"]]
         takes = [m for m in inputs.of("poses") if m.facts["take_id"] in motions.facts["sequence_takes"]]
         found.append(TOPIC.shard(inputs, motions.partition, motions=[motions], annotations=annotations, takes=takes))
     return found

@@ -10,13 +10,14 @@ from pydantic import Field
 
 from pasdedeux.evaluation.card import DatasetCard, card_tables, render_card
 from pasdedeux.evaluation.names import meanings
-from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, fit_rows, folded, render_report
+from pasdedeux.evaluation.report import PLAYER, Picture, Report, Section, fit_pictures, fit_rows, render_report
 from pasdedeux.evaluation.score_tables import TextTable, mean_table, score_table
 from pasdedeux.evaluation.scores import COLUMNS, Score
-from pasdedeux.evaluation.summary import Summary
+from pasdedeux.evaluation.summary import Summary, folded
 from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
+from storage_schema.credits import merge_credits
 from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
 from tasks.summary import judge, summary_of
@@ -49,15 +50,23 @@ class PageSettings(Parameters):
     )
 
 
+class PageParameters(PageSettings):
+    """What the shard of the page is told: also today's licences and credits, of which a new one makes a new page."""
+
+    sources: tuple[SourceCredit, ...]
+
+
 def plan(inputs: StageInputs, settings: PageSettings, planned: Sequence[Shard]) -> Shard:
     """Return the shard that assembles what the shards of all topics found."""
-    every = {manifest.ref.key: manifest for table in inputs.manifests for manifest in inputs.of(table)}
+    every = {manifest.ref: manifest for table in inputs.manifests for manifest in inputs.of(table)}
+    every |= {manifest.ref: manifest for manifest in inputs.empty}
+    sources = merge_credits(*(manifest.sources for manifest in every.values()))
     return Shard(
         stage=STAGE_NAME,
         version=VERSION,
         partition=PARTITION,
         name=PARTITION,
-        parameters=settings.part(PageSettings),
+        parameters=settings.part(PageParameters, sources=sources),
         inputs=named_refs(made=list(every.values())),
         after=tuple(shard.key for shard in planned),
         seed=inputs.seed,
@@ -69,18 +78,17 @@ def run_shard(topics: Sequence[Topic], shard: Shard, store: Store) -> ArtifactRe
     found = [manifest for key in shard.after if (manifest := store.find(STAGE_NAME, key)) is not None]
     assert len(found) == len(shard.after), "a topic that the report reads is not in the store"
     inputs = [store.manifest(ref) for ref in shard.refs("made")]
-    settings = shard.options(PageSettings)
-    skipped = folded(sorted({note for manifest in [*inputs, *found] for note in _skipped(manifest)}))
+    settings = shard.options(PageParameters)
     scores = {topic.name: _scores(store, found, topic) for topic in topics}
     judged, summary = judge([*inputs, *found]), summary_of([*inputs, *found])
-    card = _card(settings, topics, inputs, skipped, summary)
+    card = _card(settings, topics, inputs, summary)
     drawn = {topic.name: drawn for topic in topics if (drawn := _compared(topic, scores[topic.name])) is not None}
     every = [_section(store, found, topic, scores, summary, drawn.get(topic.name)) for topic in topics]
     silent = [topic for topic, section in zip(topics, every, strict=True) if section is None]
     there = {table for manifest in inputs for table in manifest.tables}
     page = _page(
         Report(settings.title, settings.description, summary, [one for one in every if one is not None]),
-        [*skipped, *_unasked(silent, there)],
+        [*summary.left_out, *_unasked(silent, there)],
         card_tables(card),
         max_mb=settings.max_page_mb,
     )
@@ -204,30 +212,10 @@ def _worst_and_best_first(parts: Sequence[Manifest]) -> list[Manifest]:
     return [parts[number] for number in (*ends, *(other for other in range(len(parts)) if other not in ends))]
 
 
-def _skipped(manifest: Manifest) -> list[str]:
-    """Say in sentences what an artifact left out."""
-    facts = manifest.facts
-    found = list(facts.get("skipped", []))
-    if "poses" in manifest.tables and facts["num_persons"] != 2:
-        who = "one person" if facts["num_persons"] == 1 else f"{facts['num_persons']} people"
-        found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
-    if facts.get("num_skipped_frames"):
-        named = ", ".join(facts["skipped_files"])
-        found.append(
-            f"{manifest.partition}: {facts['num_skipped_frames']} unreadable frames were left out ({named}); "
-            "`on_unreadable` of its source says whether they stop the run."
-        )
-    if facts.get("num_annotations_skipped"):
-        count = facts["num_annotations_skipped"]
-        found.append(f"Chains: {count} annotations without all joints of two people, or without a view, were left out.")
-    return found
-
-
 def _card(
     settings: PageSettings,
     topics: Sequence[Topic],
     inputs: Sequence[Manifest],
-    skipped: Sequence[str],
     summary: Summary,
 ) -> DatasetCard:
     rows: dict[str, int] = {}
@@ -242,6 +230,5 @@ def _card(
         rows=rows,
         takes=sorted(facts["take_id"] for facts in takes),
         held_out=sorted(facts["take_id"] for facts in takes if facts["is_held_out"]),
-        skipped=skipped,
         cautions=tuple(sentence for topic in topics for table, sentence in topic.cautions if table in rows),
     )

@@ -25,8 +25,8 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     estimated = inputs.of("views")
     if not estimated:
         return []
-    known = {ref.key for manifest in estimated for ref in manifest.inputs}
-    annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref.key in known]
+    known = {ref for manifest in estimated for ref in manifest.inputs}
+    annotations = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
     return [TOPIC.shard(inputs, "accuracy", views=estimated, annotations=annotations, takes=inputs.of("poses"))]
 
 

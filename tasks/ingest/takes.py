@@ -204,6 +204,7 @@ def _commit(
         "rate_hz": parameters.rate_hz,
         "is_held_out": parameters.is_held_out,
         "is_prior": parameters.is_prior,
+        "is_built_in": isinstance(parameters, DuetParameters),
         **more_facts,
     }
     tables = {"take_quality": _quality(take_id, found, judged)}

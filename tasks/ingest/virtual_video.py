@@ -113,6 +113,7 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
             "sequence_ids": cameras["sequence_id"],
             "is_held_out": parameters.is_held_out,
             "is_virtual": True,
+            "is_built_in": manifest.facts["is_built_in"],
             "num_frames": num_frames if is_video else count,
             "num_persons": num_persons,
             "rate_hz": parameters.rate_hz,

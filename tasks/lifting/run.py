@@ -22,7 +22,7 @@ from pasdedeux.spread import evenly_spread
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, read_seen_pairs
-from tasks.draw_sets import DrawSet, read_all_draws
+from tasks.draw_sets import DrawSet, read_all_draws, reference_to
 from tasks.lifting.parameters import LiftingShard
 from tasks.priors import read_limits
 from tasks.stage import Shard, commit, merge_takes, stream
@@ -187,7 +187,7 @@ def _lifted_from(store: Store, refs: Sequence[ArtifactRef], draws: DrawSet) -> d
     """
     found: dict[tuple[str, int, int], list[int]] = {}
     for ref in refs:
-        reference = f"seeds@{ref.key[:16]}"
+        reference = reference_to("seeds", ref)
         if reference in draws.refs:  # neither draws of chains nor seeds of which none has grown
             names = ["sequence_id", "sequence_frame", "sequence_person_id"]
             table = store.read(ref, "seeds", columns=names)

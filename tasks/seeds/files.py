@@ -14,7 +14,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.pair_file import PairFile, PairSource, pair_from_bvh, read_pair_json
 from pasdedeux.sampling.parameters import PairChart
 from pasdedeux.sampling.prior import PriorSettings
-from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve
+from storage_schema import Manifest, SourceCredit, Store, UnknownReference, parse_reference, resolve, source_credits
 from tasks.ingest.sources import NOT_STATED, load_file, read_again
 from tasks.stage import Parameters, Shard, SourceFile
 
@@ -150,16 +150,16 @@ def pair_of_draw(store: Store, text: str) -> DrawSeed:
     own = int(np.flatnonzero(np.asarray(seeds["seed_index"]) == seed_index)[0])
     chart = PairChart(np.array(seeds["pair17_m"][own], dtype=np.float64))
     positions = chart.positions(np.array(draw["parameters"][0], dtype=np.float64))
-    return DrawSeed(_pair_file(manifest, positions, f"draws@{ref.key}#{row}"), ref.key, row, density)
+    return DrawSeed(_pair_file(store, manifest, positions, f"draws@{ref.key}#{row}"), ref.key, row, density)
 
 
-def _pair_file(manifest: Manifest, pair_m: np.ndarray, made_from: str) -> PairFile:
+def _pair_file(store: Store, manifest: Manifest, pair_m: np.ndarray, made_from: str) -> PairFile:
     """Return a pair with the takes and the credits of the artifact that it is in."""
     return PairFile(
         pair_m=pair_m,
         made_from=made_from,
         takes=tuple(manifest.facts.get("takes", ())),
-        sources=tuple(PairSource(one.name, one.licence, one.credit) for one in manifest.sources),
+        sources=tuple(PairSource(one.name, one.licence, one.credit) for one in source_credits(store, manifest.ref)),
     )
 
 
@@ -176,7 +176,7 @@ def pairs_of_seeds(store: Store, text: str) -> list[tuple[int, PairFile]]:
         table = store.read(ref, "seeds", columns=["seed_index", "pair17_m"])
         for row in range(table.num_rows):
             pair_m = np.array(table["pair17_m"][row], dtype=np.float64)
-            found.append((int(table["seed_index"][row]), _pair_file(manifest, pair_m, f"seeds@{ref.key}#{row}")))
+            found.append((int(table["seed_index"][row]), _pair_file(store, manifest, pair_m, f"seeds@{ref.key}#{row}")))
     if reference.row is not None:
         if reference.row >= len(found):
             raise UnknownReference(f"'{text}': there is no row {reference.row}, the table has {len(found)} rows here")

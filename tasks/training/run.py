@@ -44,8 +44,9 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
     """
     if isinstance(shard.parameters, LeftOutParameters):
         name = shard.parameters.name
-        verdict = Verdict(Level.WARN, f"{name} is left out: torch is not installed (pip install 'pasdedeux[learning]')")
-        return commit(shard, store, tables={}, facts={"kind": "left_out", "model": name}, verdict=verdict)
+        reason = f"{name} is left out: torch is not installed (pip install 'pasdedeux[learning]')"
+        facts = {"kind": "left_out", "model": name, "skipped": [f"Model {reason}."]}
+        return commit(shard, store, tables={}, facts=facts, verdict=Verdict(Level.WARN, reason))
     told = shard.options(SegmentParameters)
     kind = model_class(told.model)
     takes, variants_of = ([store.manifest(ref) for ref in shard.refs(name)] for name in ("takes", "variants"))

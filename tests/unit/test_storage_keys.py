@@ -24,7 +24,7 @@ def test_canonical_json_does_not_depend_on_the_order_of_keys() -> None:
 
 def test_a_key_is_a_sha256_and_never_changes_between_releases_of_one_schema() -> None:
     spelled = (
-        b'{"after":[],"inputs":["x"],"parameters":{"a":1},"schema_version":1,"seed":0,"stage":"chains","version":1}'
+        b'{"after":[],"inputs":["x"],"parameters":{"a":1},"schema_version":2,"seed":0,"stage":"chains","version":1}'
     )
     assert key() == hashlib.sha256(spelled).hexdigest()
 
@@ -65,10 +65,26 @@ def test_values_that_are_not_json_are_refused_by_name(value: object, words: str)
         plain_json(value, "parameters")
 
 
-def test_content_digest_is_over_names_and_digests_in_any_order() -> None:
-    assert content_digest({"a": "1", "b": "2"}) == content_digest({"b": "2", "a": "1"})
-    assert content_digest({"a": "1", "b": "2"}) != content_digest({"a": "2", "b": "1"})
-    assert content_digest({}) == hashlib.sha256(b"").hexdigest()
+def digest(**changes: object) -> str:
+    values: dict = {"partition": "waltz", "name": "take", "facts": {"takes": ["waltz"]}, "files": {"a": "1", "b": "2"}}
+    return content_digest(**(values | changes))
+
+
+def test_a_content_digest_does_not_depend_on_the_order_of_files_and_facts() -> None:
+    assert digest(files={"b": "2", "a": "1"}) == digest()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": {"a": "2", "b": "1"}},
+        {"facts": {"takes": ["hug"]}},
+        {"partition": "hug"},
+        {"name": "other"},
+    ],
+)
+def test_a_content_digest_is_over_all_that_others_may_read(change: dict) -> None:
+    assert digest(**change) != digest()
 
 
 def test_file_sha256_is_that_of_its_bytes(tmp_path: Path) -> None:

@@ -61,18 +61,19 @@ def commit_rows(
     inputs: tuple[ArtifactRef, ...] = (),
     files: tuple[tuple[str, str], ...] = (),
     sources: tuple[SourceCredit, ...] = (),
+    version: int = 1,
     **more: Any,
 ) -> ArtifactRef:
     """Commit random rows of one table; the same arguments give the same key and the same bytes."""
     parameters = {"partition": partition, "name": name, "num_rows": num_rows}
     digests = [ref.content_digest for ref in inputs] + [digest for _, digest in files]
-    key = artifact_key(stage=stage, version=1, parameters=parameters, input_digests=digests, seed=seed)
+    key = artifact_key(stage=stage, version=version, parameters=parameters, input_digests=digests, seed=seed)
     return store.commit(
         stage=stage,
         key=key,
         partition=partition,
         name=name,
-        version=1,
+        version=version,
         parameters=parameters,
         seed=seed,
         inputs=inputs,

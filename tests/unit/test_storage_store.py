@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,17 @@ from storage_schema import (
     CorruptArtifact,
     MissingArtifact,
     SchemaError,
+    ShardRecord,
     SourceCredit,
     StorageError,
     Store,
     artifact_key,
+    record_latest,
+    source_credits,
 )
 from storage_schema.errors import NewerSchema
 from storage_schema.parquet_files import ROW_GROUP_ROWS
+from storage_schema.version import SCHEMA_VERSION
 from tests.builders.storage_rows import assert_same_values, commit_rows, random_columns
 
 KEY = artifact_key(stage="seeds", version=1, parameters={}, input_digests=[], seed=0)
@@ -56,7 +61,7 @@ def test_a_commit_is_found_and_its_manifest_says_what_it_is(store: Store) -> Non
     assert manifest.tables["poses"].rows == 7
     assert manifest.attachments["note.txt"].bytes == 5
     assert manifest.facts == {"takes": ["waltz"], "num_frames": 7}
-    assert manifest.schema_version == 1
+    assert manifest.schema_version == SCHEMA_VERSION
     assert len(manifest.source_digest) == 64
     assert {"python", "numpy", "pyarrow"} <= set(manifest.package_versions)
     assert store.manifest(ref) == manifest
@@ -242,13 +247,37 @@ def test_a_writer_whose_block_raises_leaves_nothing_behind(store: Store) -> None
     assert list((store.root / "tmp").iterdir()) == []
 
 
-def test_sources_of_inputs_are_carried_on_once(store: Store) -> None:
-    cmu, ours = SourceCredit("cmu", "free", "mocap.cs.cmu.edu"), SourceCredit("duets", "Apache-2.0", "built in")
-    first = commit_rows(store, stage="ingest", partition="a", sources=(cmu,))
-    second = commit_rows(store, stage="ingest", partition="b", sources=(ours, cmu))
+CMU, OURS = SourceCredit("cmu", "free", "mocap.cs.cmu.edu"), SourceCredit("duets", "Apache-2.0", "built in")
+
+
+def test_credits_are_those_of_all_that_something_came_from_once(store: Store) -> None:
+    first = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
+    second = commit_rows(store, stage="ingest", partition="b", sources=(OURS, CMU))
     third = commit_rows(store, stage="seeds", inputs=(first, second))
     last = commit_rows(store, stage="chains", inputs=(third,))
-    assert store.manifest(last).sources == (cmu, ours)
+    assert source_credits(store, last) == (CMU, OURS)
+    assert source_credits(store, first) == (CMU,)
+
+
+def test_a_licence_that_a_study_says_anew_reaches_what_was_made_before(store: Store) -> None:
+    old = commit_rows(store, stage="ingest", partition="a", sources=(CMU,))
+    made = commit_rows(store, stage="chains", inputs=(old,))
+    stricter = replace(CMU, licence="CC-BY-NC-ND-4.0")
+    new = commit_rows(store, stage="ingest", partition="a", sources=(stricter,), version=2)
+    assert (new, new.key == old.key) == (old, False), "the same bytes under another key"
+    assert source_credits(store, made) == (CMU,), "nothing on record says otherwise"
+    for source, ref in ((stricter, new), (CMU, old), (stricter, new)):
+        record = ShardRecord.of(store.manifest(ref), store)
+        record_latest(store, "study", "run", {"ingest": [record]})
+        assert source_credits(store, made) == (source,)
+
+
+def test_nothing_leaves_whose_licence_is_no_longer_known(store: Store) -> None:
+    source = commit_rows(store, stage="ingest", sources=(CMU,))
+    made = commit_rows(store, stage="chains", inputs=(source,))
+    store.discard(source)
+    with pytest.raises(MissingArtifact, match="its licence is not known"):
+        source_credits(store, made)
 
 
 def test_an_input_that_is_not_in_the_store_is_refused(store: Store) -> None:
@@ -340,7 +369,7 @@ def test_a_store_of_a_newer_program_is_refused(store: Store) -> None:
     ref = commit_rows(store)
     (store.root / "store.json").write_text('{"schema_version": 99}')
     for act in (lambda s: s.find(ref.stage, ref.key), lambda s: s.manifest(ref), lambda s: commit_rows(s, name="1")):
-        with pytest.raises(NewerSchema, match=r"newer program \(schema version 99, this one knows up to 1\)"):
+        with pytest.raises(NewerSchema, match=r"newer program \(schema version 99, this one knows up to 2\)"):
             act(Store(store.root))
 
 
@@ -348,8 +377,8 @@ def test_an_artifact_of_a_newer_program_is_refused(store: Store) -> None:
     ref = commit_rows(store)
     path = store.folder(ref.stage, ref.key) / "manifest.json"
     values = json.loads(path.read_text())
-    path.write_text(json.dumps({**values, "schema_version": 2, "something_new": 1}))
-    with pytest.raises(NewerSchema, match="schema version 2"):
+    path.write_text(json.dumps({**values, "schema_version": 99, "something_new": 1}))
+    with pytest.raises(NewerSchema, match="schema version 99"):
         store.find(ref.stage, ref.key)
 
 

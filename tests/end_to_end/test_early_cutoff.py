@@ -1,0 +1,130 @@
+"""A stage made anew with the same content stops the rebuild; nothing after it is lost, changed or refused."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flows.differences import differences
+from flows.outcomes import Outcome, Run
+from flows.planning import make_plan
+from flows.publishing import publish
+from flows.recorded import read_recorded
+from flows.study import load_study
+from storage_schema import Store, list_runs, open_table, source_credits
+from tasks.graph import Graph
+from tasks.stage import Shard, StageInputs
+from tests.builders.real_study import BuiltStudy, graph
+from tests.builders.toy_runs import plan_toys, run_toys
+
+pytestmark = pytest.mark.slow
+
+CHANGES = (
+    "views.distance_m=5",
+    "seeds.num_grown=2",
+    "chains.num_draws=30",
+    "lifting.max_frames=2",
+    "projections.pitches_deg=[0.0]",
+    "reconstruction.camera_height_m=1.4",
+    "augmentation.scales=[0.75, 1.05]",
+    "training.models=['copy']",
+    "evaluation.num_truth_pairs=11",
+)
+"""Of each stage a key that changes what it does: then it is planned anew from what stands before it."""
+
+
+def raised(name: str) -> Graph:
+    """Return the graph with a higher version of one stage."""
+    stages = graph().stages
+    (own,) = (stage for stage in stages if stage.name == name)
+
+    def plan(inputs: StageInputs, parameters: object) -> list[Shard]:
+        keys: dict[str, str] = {}
+        shards = []
+        for shard in own.plan(inputs, parameters):
+            after = tuple(keys[key] for key in shard.after)
+            shards.append(replace(shard, version=shard.version + 1, after=after))
+            keys[shard.key] = shards[-1].key
+        return shards
+
+    return Graph(tuple(replace(stage, plan=plan, early=()) if stage is own else stage for stage in stages))
+
+
+def planned(study: Path, store: Path, graph: Graph, *settings: str) -> dict[str, list[tuple[str, str, str, str]]]:
+    """Return the shards of every stage that can be planned: place, key and state."""
+    plan = plan_toys(study, store, *settings, graph=graph)
+    return {
+        stage.stage.name: [(i.shard.partition, i.shard.name, i.shard.key, i.state.value) for i in stage.shards]
+        for stage in plan.stages
+        if not stage.is_pending
+    }
+
+
+def built(study: Path, store: Path, graph: Graph, settings: Sequence[str]) -> tuple[Run, Outcome]:
+    chosen, stages = load_study(str(study), graph, settings=settings, environment={})
+    return Run(chosen, stages, Store(store)), run_toys(study, store, *settings, graph=graph)
+
+
+@pytest.mark.parametrize("name", graph().names)
+def test_a_stage_made_anew_with_the_same_content_changes_nothing_after_it(
+    small: BuiltStudy, tmp_path: Path, name: str
+) -> None:
+    store = tmp_path / "store"
+    shutil.copytree(small.store, store)
+    publishes = ("publish.name=small",)
+    before = publish(*built(small.study, store, graph(), publishes))
+    assert before is not None
+    assert before.is_new
+
+    run, outcome = built(small.study, store, raised(name), publishes)
+    done = {stage.name: stage.num_computed for stage in outcome.stages if stage.num_computed}
+    assert list(done) == [name], "only the stage itself is computed"
+    after = publish(run, outcome)
+    assert after is not None
+    assert (after.is_new, after.dataset) == (False, before.dataset), "a version with the same content is none"
+
+    for setting in ("study.title=again", *CHANGES):
+        once, again = (
+            {stage: shards for stage, shards in planned(small.study, where, how, setting).items() if stage != name}
+            for where, how in ((small.store, graph()), (store, raised(name)))
+        )
+        assert again == once, f"planned with {setting}"
+
+    last = read_recorded(Store(store), list_runs(Store(store))[-1].run_id)
+    changes = differences(Store(store), read_recorded(Store(store), "small@1"), last)
+    assert all(counts["same"] == sum(counts.values()) for counts in changes.artifacts.values())
+    assert not changes.scores
+    assert not changes.pairs["licences"]
+
+
+def test_a_key_without_effect_and_another_licence_leave_everything_fresh(small: BuiltStudy, tmp_path: Path) -> None:
+    """The two changes of a study that most often leave the bytes of `ingest` alone."""
+    store = tmp_path / "store"
+    shutil.copytree(small.store, store)
+    run_toys(small.study, store, "ingest.capture.leave_out_failing=true", graph=graph())
+    plan = plan_toys(small.study, store, "ingest.capture.leave_out_failing=true", graph=graph())
+    assert plan.is_fresh
+    once = plan_toys(small.study, small.store, graph=graph())
+    assert [m.ref for m in plan.manifests] == [m.ref for m in once.manifests]
+    assert all(stage.shards for stage in plan.stages)
+    scores = [open_table("scores:small", where).num_rows for where in (small.store, store)]
+    assert scores[0] == scores[1] > 0
+
+
+def test_what_lifted_pairs_say_of_their_draws_can_be_asked_for(small: BuiltStudy) -> None:
+    named = [str(text) for text in open_table("lifted_pairs:small", small.store)["draw"] if text is not None]
+    assert named
+    for text in named[:5]:
+        assert open_table(text, small.store).num_rows == 1
+
+
+def test_a_plan_stays_whole_where_no_early_plan_hides_a_stage(small: BuiltStudy) -> None:
+    chosen, stages = load_study(str(small.study), graph(), settings=(), environment={})
+    plan = make_plan(chosen, stages, Store(small.store))
+    assert plan.is_fresh
+    refs = [manifest.ref for manifest in plan.manifests]
+    assert {one.name for one in source_credits(Store(small.store), *refs)} == {"pasdedeux built-in duets"}

@@ -65,7 +65,9 @@ def outcome_of_fresh(run: Run, plan: Plan) -> Outcome:
     """Return the outcome of a study that is fresh; a run is recorded only when none of this study was before."""
     last = read_last_run(run.store, run.study.name)
     is_on_record = last is not None and all(
-        last.refs(stage.stage.name) == [m.ref for m in stage.manifests] for stage in plan.stages if stage.is_selected
+        [ref.place for ref in last.refs(stage.stage.name)] == [m.ref.place for m in stage.manifests]
+        for stage in plan.stages
+        if stage.is_selected
     )
     has_report = any("scores" in stage.stage.writes and stage.is_selected for stage in plan.stages)
     report = report_folder(run.store, last.run_id) if last is not None else None

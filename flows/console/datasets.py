@@ -12,7 +12,7 @@ from flows.console.display import counted
 from flows.planning import PlanError
 from flows.recorded import portable_files
 from flows.records import ENVIRONMENT_FILE, STUDY_FILE, mixture, read_last_run
-from storage_schema import ArtifactRef, Dataset, Store, create_dataset, in_use, list_datasets
+from storage_schema import ArtifactRef, Dataset, Store, create_dataset, in_use, list_datasets, source_credits
 from storage_schema.datasets import open_dataset
 
 __all__ = ["app"]
@@ -46,7 +46,8 @@ def create(
     """Make a dataset of what the last run of a study built."""
     opened = open_store(store)
     refs, files = _built(opened, study, stages or [])
-    same = [known for known in list_datasets(opened) if known.name == name and list(known.refs) == refs]
+    today = (list(refs), source_credits(opened, *refs))
+    same = [one for one in list_datasets(opened) if one.name == name and (list(one.refs), one.sources) == today]
     if same and version is None:
         dataset, words = same[-1], "exists already with this content"
     else:

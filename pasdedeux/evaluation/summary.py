@@ -11,6 +11,8 @@ from pasdedeux.verdict import Verdict
 
 __all__ = ["Credit", "Made", "Summary", "folded"]
 
+_NUM_SAID = 8
+"""Sentences on what was left out among the last lines of the console, at most; the report and the card have all."""
 _NUM_NAMED = 6
 """Things that share a sentence and are named in it, at most."""
 
@@ -84,7 +86,9 @@ class Summary:
     def lines(self) -> list[str]:
         """All of it, a line for each answer, then one for each verdict and one for what was left out."""
         verdicts = [f"{name}: {verdict_words(verdict)}" for name, verdict in self.verdicts.items()]
-        left_out = [f"left out: {sentence}" for sentence in self.left_out]
+        left_out = [f"left out: {sentence}" for sentence in self.left_out[:_NUM_SAID]]
+        if unsaid := len(self.left_out) - _NUM_SAID:
+            left_out += [f"left out: {unsaid} more, all of them in the report and the card"] if unsaid > 0 else []
         answers = [f"built: {self.built}", f"from: {self.origin}", f"is it good: {self.judgement}"]
         return [*answers, *verdicts, *left_out]
 

@@ -60,12 +60,14 @@ class GrowParameters(Parameters):
     num_segments: int = Field(3, ge=1, description="Segments of each take, each from the one before")
     scale: float = Field(1.0, gt=0, description="Scale of the values")
     source: Path | None = Field(None, description="A file whose bytes enter")
+    licence: str = Field("CC0-1.0", description="Licence of the takes")
 
 
 class SegmentParameters(Parameters):
     take: int
     segment: int
     scale: float
+    licence: str
 
 
 class BendParameters(Parameters):
@@ -97,7 +99,7 @@ def plan_grow(inputs: StageInputs, parameters: GrowParameters) -> list[Shard]:
                 version=1,
                 partition=f"t{take}",
                 name=f"s{segment}",
-                parameters=SegmentParameters(take=take, segment=segment, scale=parameters.scale),
+                parameters=parameters.part(SegmentParameters, take=take, segment=segment),
                 files=files,
                 after=before,
                 seed=inputs.seed,
@@ -129,7 +131,7 @@ def run_grow(shard: Shard, store: Store) -> ArtifactRef:
             }
         },
         facts={"kind": "take", "take_id": shard.partition, "takes": [shard.partition]},
-        sources=[SourceCredit(name=shard.partition, licence="CC0-1.0", credit="made for a test")],
+        sources=[SourceCredit(name=shard.partition, licence=options.licence, credit="made for a test")],
     )
 
 

@@ -1,0 +1,113 @@
+"""What was left out, and why, is one list: of every kind, in the card, on the page and in the console."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from flows.planning import stage_inputs
+from pasdedeux.evaluation.scores import Score
+from storage_schema import ArtifactRef, Manifest, Store
+from tasks import augmentation, ingest, training
+from tasks.augmentation import NobodyParameters
+from tasks.evaluation import evaluation_stage
+from tasks.evaluation.topic import Topic, TopicResult
+from tasks.graph import Graph, load_graph
+from tasks.ingest.shard_parameters import LeftOutParameters, VideoParameters
+from tasks.stage import Parameters, Shard, StageInputs
+from tasks.summary import summary_of
+from tasks.training import parameters as training_parameters
+from tests.builders.storage_rows import put, random_columns, take_rows
+
+Commit = Callable[[Store], ArtifactRef | Manifest]
+
+FAILED = "Take spin was left out, its capture fails: joints jump."
+
+
+def shard_of(stage: str, partition: str, parameters: Parameters, **more: object) -> Shard:
+    return Shard(stage=stage, version=1, partition=partition, name=partition, parameters=parameters, **more)
+
+
+def file_left_out(store: Store) -> ArtifactRef:
+    told = LeftOutParameters(left_out={"torn.bvh": "torn.bvh: line 3 is no number"})
+    return ingest.run_shard(shard_of("ingest", "folder", told), store)
+
+
+def take_left_out(store: Store) -> Manifest:
+    facts = {"kind": "take", "take_id": "spin", "takes": ["spin"], "num_persons": 2, "skipped": [FAILED]}
+    return put(store, "ingest", "spin", {"take_quality": random_columns("take_quality", 2, seed=0)}, facts)
+
+
+def video_of_a_take_left_out(store: Store) -> ArtifactRef:
+    take = take_left_out(store)
+    told = VideoParameters.model_construct(take_id="spin", count=1, purpose="video")
+    return ingest.run_shard(shard_of("ingest", "spin video", told, after=(take.ref.key,)), store)
+
+
+def take_of_one(store: Store) -> Manifest:
+    columns, facts = take_rows("solo", 1, 2)
+    return put(store, "ingest", "solo", {"poses": columns}, facts)
+
+
+def nobody_is_scaled(store: Store) -> ArtifactRef:
+    told = NobodyParameters(persons=("B",), num_persons=1)
+    return augmentation.run_shard(shard_of("augmentation", "solo", told), store)
+
+
+def model_without_torch(store: Store) -> ArtifactRef:
+    told = training_parameters.LeftOutParameters(name="paper_cvae")
+    return training.run_shard(shard_of("training", "random", told), store)
+
+
+KINDS = {
+    file_left_out: "torn.bvh: line 3 is no number",
+    take_left_out: FAILED,
+    video_of_a_take_left_out: FAILED,
+    take_of_one: "Take solo: one person; the stages that need pairs passed it over.",
+    nobody_is_scaled: "No variants of take solo: one person, and nobody of those who are scaled: B.",
+    model_without_torch: "Model paper_cvae is left out: torch is not installed",
+}
+
+
+def plan_toys(inputs: StageInputs, _: Parameters) -> list[Shard]:
+    return [TOPIC.shard(inputs, "all")]
+
+
+def run_toys(shard: Shard, store: Store) -> TopicResult:
+    return TopicResult(scores=[Score("toys", "counted", 3.0, "", split="all")])
+
+
+READS = ("poses", "variants", "models", "annotations")
+TOPIC = Topic("toys", "Toys", "How many there are.", READS, plan_toys, run_toys)
+EVALUATION = evaluation_stage([TOPIC])
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_what_was_left_out_is_said_in_card_page_and_console(tmp_path: Path, kind: Commit) -> None:
+    store = Store(tmp_path / "store")
+    kind(store)
+    graph = Graph((*(stage for stage in load_graph().stages if stage.name != "evaluation"), EVALUATION))
+    made: dict[str, list[Manifest]] = {name: [] for name in graph.upstream["evaluation"]}
+    for manifest in store.artifacts():
+        made[manifest.ref.stage].append(manifest)
+    planned = EVALUATION.plan(stage_inputs(EVALUATION, 0, made), EVALUATION.parameters())
+    *_, report = [store.manifest(EVALUATION.run_shard(shard, store)) for shard in planned]
+    page, card = (store.attachment(report.ref, name).decode() for name in ("report.html", "card.md"))
+    console = "\n".join(summary_of(list(store.artifacts())).lines())
+    for text in (html.unescape(page), card, console):
+        assert KINDS[kind] in text
+    assert "- Nothing." not in card
+    assert "Nothing was left out." not in page
+
+
+def test_a_store_in_which_nothing_was_left_out_says_so(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store")
+    columns, facts = take_rows("waltz", 2, 2)
+    take = put(store, "ingest", "waltz", {"poses": columns}, facts)
+    planned = EVALUATION.plan(StageInputs({"poses": [take]}, seed=0), EVALUATION.parameters())
+    *_, report = [store.manifest(EVALUATION.run_shard(shard, store)) for shard in planned]
+    assert "## Left out\n\n- Nothing." in store.attachment(report.ref, "card.md").decode()
+    assert not [line for line in summary_of([take]).lines() if line.startswith("left out")]

@@ -1,0 +1,73 @@
+"""Licences and credits are those that the sources have today; a version and its export keep those it was made with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from flows.console.app import run_command_line
+from storage_schema import Store, list_datasets
+from tests.builders.toy_runs import STUDY, build_here, write_study
+from tests.builders.toys import TOYS
+
+STRICTER = ("--set", "grow.licence=CC-BY-NC-ND-4.0")
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Build without Prefect and Dask."""
+    build_here(monkeypatch)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    return write_study(tmp_path, f'{STUDY}[bend]\nstep = 1\n[publish]\nname = "released"\n')
+
+
+def call(study: Path, command: str, *arguments: str) -> int:
+    return run_command_line([command, *arguments, "--store", str(study.parent / "store")], graph=TOYS)
+
+
+def exported(study: Path, reference: str) -> str:
+    out = study.parent / reference.replace(":", "-")
+    assert call(study, "export", reference, "--format", "csv", "--out", str(out)) == 0
+    return (out / "CREDITS.txt").read_text()
+
+
+def test_another_licence_is_a_new_version_and_reaches_exports_without_computing_what_is_after(
+    study: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(study, "run", str(study)) == 0
+    assert "licence: CC0-1.0" in exported(study, "models:toy")
+    capsys.readouterr()
+    assert call(study, "run", str(study), *STRICTER) == 0
+    out = capsys.readouterr().out
+    assert "released@2 is published" in out
+    assert "from: t0 (CC-BY-NC-ND-4.0); t1 (CC-BY-NC-ND-4.0)" in out
+    computed = [line.split()[0] for line in out.splitlines() if line.startswith(("bend", "judge")) and " 0  " in line]
+    assert computed == ["bend", "judge"], "what was made of the takes is not made again"
+    for reference in ("models:toy", "models:released@2"):
+        text = exported(study, reference)
+        assert "licence: CC-BY-NC-ND-4.0" in text
+        assert "CC0-1.0" not in text
+    text = exported(study, "models:released@1")
+    assert "licence: CC0-1.0" in text
+    assert "CC-BY-NC-ND-4.0" not in text
+    changes = (list_datasets(Store(study.parent / "store"))[-1].path / "CHANGES.md").read_text()
+    assert "| t0 | CC0-1.0; made for a test | CC-BY-NC-ND-4.0; made for a test |" in changes.replace('"', "")
+
+
+def test_a_licence_that_is_taken_back_is_taken_back(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for settings in ((), STRICTER, ()):
+        assert call(study, "run", str(study), *settings) == 0
+    assert "released@3 is published" in capsys.readouterr().out
+    assert "CC-BY-NC-ND-4.0" not in exported(study, "models:toy")
+
+
+def test_a_part_of_a_run_with_the_same_content_leaves_no_mixture(study: Path) -> None:
+    assert call(study, "run", str(study)) == 0
+    assert call(study, "run", str(study), *STRICTER, "--until", "grow") == 0
+    assert call(study, "dataset", "create", "mine", "--study", "toy", "--stage", "bend") == 0
+    (made,) = (one for one in list_datasets(Store(study.parent / "store")) if one.name == "mine")
+    assert {source.licence for source in made.sources} == {"CC-BY-NC-ND-4.0"}

@@ -15,7 +15,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.learning import load_model, read_weights
-from storage_schema import SourceCredit, Store, open_table, parse_reference
+from storage_schema import SourceCredit, Store, open_table, parse_reference, source_credits
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tests.builders.storage_rows import random_columns
@@ -138,7 +138,12 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
             continue
         *written, notice = export_reference(store, text, name, out)
         READ_BACK[name](written, text, store)
-        (source,) = {one for manifest in store.artifacts() if manifest.ref.key in text for one in manifest.sources}
+        (source,) = {
+            one
+            for manifest in store.artifacts()
+            if manifest.ref.key in text
+            for one in source_credits(store, manifest.ref)
+        }
         assert notice.name == "CREDITS.txt"
         assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
         num_written += 1

@@ -20,9 +20,8 @@ from pasdedeux.choreography import duet_torso_basis
 from pasdedeux.errors import InputError
 from pasdedeux.plausibility import ANGLES, JointLimits
 from pasdedeux.verdict import Level
-from storage_schema import ArtifactRef, Manifest, SourceCredit, Store
+from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import priors, views
-from tasks.ingest.known_sources import DUET_CREDIT
 from tasks.priors import read_limits
 from tasks.stage import Shard, StageInputs, verdict_of
 from tasks.torso_bases import read_torso_basis
@@ -37,11 +36,11 @@ def put_take(
     is_prior: bool,
     is_held_out: bool = False,
     frames: int = 60,
-    source: SourceCredit = MADE_UP,
+    is_built_in: bool = False,
 ) -> Manifest:
     joints = dancers(sum(map(ord, take_id)), frames).swapaxes(0, 1).reshape(-1, 17, 3)
     columns, facts = take_rows(take_id, 2, frames, is_held_out=is_held_out, pair17_m=joints)
-    return put(store, "ingest", take_id, {"poses": columns}, facts | {"is_prior": is_prior}, source=source)
+    return put(store, "ingest", take_id, {"poses": columns}, facts | {"is_prior": is_prior, "is_built_in": is_built_in})
 
 
 def put_annotations(store: Store, name: str, *, persons: int = 2) -> tuple[Manifest, dict[str, np.ndarray]]:
@@ -130,7 +129,7 @@ def test_priors_learn_from_prior_takes_only_and_read_back(tmp_path: Path) -> Non
     assert (limits.lower_rad <= JointLimits.published().lower_rad).all()
     table = store.read(ref, "joint_limits")
     assert list(table["joint"]) == [angle.joint for angle in ANGLES]
-    assert store.manifest(ref).sources == (MADE_UP,)
+    assert source_credits(store, ref) == (MADE_UP,)
 
 
 def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp_path: Path) -> None:
@@ -148,7 +147,7 @@ def test_priors_without_prior_takes_are_the_defaults_and_learned_from_nobody(tmp
 def test_the_default_basis_is_learned_from_the_duets_unless_those_are_what_it_would_lift(tmp_path: Path) -> None:
     store = Store(tmp_path)
     (elsewhere,) = run(priors, store, {"poses": [put_take(store, "salsa", is_prior=False)]})
-    duet = put_take(store, "waltz", is_prior=False, source=DUET_CREDIT)
+    duet = put_take(store, "waltz", is_prior=False, is_built_in=True)
     (on_duets,) = run(priors, store, {"poses": [duet]})
     assert store.manifest(elsewhere).facts["origin"].startswith("built-in duets")
     assert store.manifest(on_duets).facts["origin"].startswith("body proportions")

@@ -19,7 +19,7 @@ from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
 from pasdedeux.reconstruction.body import SHARED
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
-from storage_schema import ArtifactRef, Manifest, Store
+from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import projections, reconstruction
 from tasks.evaluation.reconstruction import search_notes
 from tasks.stage import StageInputs
@@ -110,7 +110,7 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
     assert np.flatnonzero(table["is_sequence_start"]).tolist() == [0, 72]
     np.testing.assert_allclose(mid_hip(np.asarray(table["op14_m"], dtype=float)), 0.0, atol=1e-6)
     assert set(table["origin"]) == {"take"}
-    assert [credit.name for credit in built[0].sources] == ["made up"]
+    assert [credit.name for credit in source_credits(store, built[0].ref)] == ["made up"]
 
 
 def test_draws_and_variants_enter_when_asked_with_all_the_takes_they_come_from(store: Store) -> None:

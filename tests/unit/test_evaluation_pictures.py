@@ -236,7 +236,6 @@ def test_the_card_names_every_source_with_its_licence() -> None:
         rows={"poses": 1200},
         takes=["waltz", "hug"],
         held_out=["hug"],
-        skipped=[],
         cautions=["synthetic"],
     )
     text = render_card(card)
@@ -264,7 +263,7 @@ def test_page_card_and_console_give_the_same_answers() -> None:
         "is it good: 1 warn",
         "chains: warn: chains do not mix; effective sample size 1.4 against 500 (kept)",
     ]
-    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, [], [], [], []))
+    card = render_card(DatasetCard("Duets", "d", SUMMARY, {}, [], [], []))
     assert [line.removeprefix("- ") for line in card.splitlines() if line.startswith("- ")][:3] == [
         *lines[:2],
         lines[3],

@@ -55,7 +55,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 20
+VERSION = 21
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""

@@ -18,6 +18,7 @@ from pasdedeux.evaluation.verdicts import part_name, verdict_columns
 from pasdedeux.verdict import Level
 from storage_schema import ArtifactRef, Manifest, Store
 from tasks.evaluation.topic import STAGE_NAME, VERSION, ScoresOf, Topic
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, commit, merge_takes, named_refs, verdict_of
 from tasks.summary import judge, summary_of
 
@@ -208,8 +209,8 @@ def _skipped(manifest: Manifest) -> list[str]:
     """Say in sentences what an artifact left out."""
     facts = manifest.facts
     found = list(facts.get("skipped", []))
-    if "poses" in manifest.tables and facts["num_persons"] != 2:
-        who = "one person" if facts["num_persons"] == 1 else f"{facts['num_persons']} people"
+    if "poses" in manifest.tables and (count := num_persons(manifest)) != 2:
+        who = "one person" if count == 1 else f"{count} people"
         found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
     if facts.get("num_skipped_frames"):
         named = ", ".join(facts["skipped_files"])

@@ -11,7 +11,7 @@ from threading import RLock
 from types import ModuleType
 from typing import Any
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "intrinsic"]
 
 _ONE_AT_A_TIME = RLock()
 """Held while kernels are put in their places, so that no thread calls one whose own kernels are not."""
@@ -20,6 +20,11 @@ _ONE_AT_A_TIME = RLock()
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return the decorator of kernels: `numba.njit` with these options, cached on disk and without the GIL."""
     return lambda function: _Kernel(function, options)
+
+
+def intrinsic(function: Callable[..., Any]) -> _Kernel:
+    """Return a part of kernels that is written in LLVM's own language: `numba.extending.intrinsic`."""
+    return _Intrinsic(function, {})
 
 
 class _Kernel:
@@ -56,4 +61,15 @@ class _Kernel:
             except BaseException:  # Ctrl-C between two: the next call begins anew
                 self._begun = None
                 raise
+        return self._begun
+
+
+class _Intrinsic(_Kernel):
+    """What kernels may call; from Python, nobody can."""
+
+    def _make(self) -> Any:
+        if self._begun is None:
+            from numba.extending import intrinsic
+
+            self._begun = intrinsic(self._function)
         return self._begun

@@ -15,6 +15,7 @@ from pasdedeux.sampling.bandwidth import SAME_MOMENT
 from pasdedeux.sampling.speeds import NEIGHBOUR_FRAMES
 from pasdedeux.skeletons import PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, TableData
+from tasks.poses import num_persons
 from tasks.stage import StageInputs
 
 __all__ = [
@@ -89,7 +90,7 @@ def annotated_pairs(inputs: StageInputs) -> list[Manifest]:
     usable = [
         manifest
         for manifest in inputs.of("annotations")
-        if not manifest.facts.get("is_held_out", False) and int(manifest.facts.get("num_persons", 2)) >= 2
+        if not manifest.facts.get("is_held_out", False) and num_persons(manifest) >= 2
     ]
     preferred = [manifest for manifest in usable if manifest.facts.get("purpose") in ("random_views", "given")]
     return preferred or usable

@@ -27,6 +27,7 @@ from pasdedeux.interaction.objects import MovingObjects
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import ArtifactRef, Manifest, Store
 from storage_schema.artifact_writer import ArtifactWriter
+from tasks.poses import num_persons, read_poses
 from tasks.stage import (
     VERDICT_FACT,
     EarlyPlan,
@@ -55,7 +56,7 @@ __all__ = [
     "run_shard",
 ]
 
-VERSION = 20
+VERSION = 21
 
 _SOLVED_TOGETHER = 16
 """Variants solved in one batch: a few dozen columns fill the matrix products, and memory stays small."""
@@ -108,7 +109,7 @@ def plan(inputs: StageInputs, parameters: AugmentationParameters) -> list[Shard]
         names = [variation.variant_id for variation in _variations(take, parameters, inputs.seed)]
         if not names:
             asked = tuple(sorted({who for chosen in parameters.sets or (parameters,) for who in chosen.persons}))
-            nobody = NobodyParameters(persons=asked, num_persons=take.facts["num_persons"])
+            nobody = NobodyParameters(persons=asked, num_persons=num_persons(take))
             shards.append(_shard(take, "nobody", nobody, inputs.seed))
         for start in range(0, len(names), size):
             batch = tuple(names[start : start + size])
@@ -179,7 +180,7 @@ def _shard(take: Manifest, name: str, parameters: Parameters, seed: int) -> Shar
 def _variations(take: Manifest, settings: VariationSettings, seed: int) -> list[Variation]:
     facts = take.facts
     streams = partial(stream, seed, "augmentation", facts["take_id"])
-    return make_variations(settings, streams, int(facts["num_persons"]))
+    return make_variations(settings, streams, num_persons(take))
 
 
 def run_shard(shard: Shard, store: Store) -> ArtifactRef:
@@ -239,21 +240,17 @@ def read_take(store: Store, ref: ArtifactRef) -> TakeMotion:
     """
     facts = store.manifest(ref).facts
     takes = store.read(ref, "takes", columns=["person", "body22_rest_m"])
-    poses = store.read(ref, "poses", columns=["time_s", "body22_m", "body22_world_unitquat"])
-    people, world = (
-        np.swapaxes(poses[name].astype(np.float64).reshape(takes.num_rows, -1, *poses[name].shape[1:]), 0, 1)
-        for name in ("body22_m", "body22_world_unitquat")
-    )
+    poses = read_poses(store, ref, "time_s", "body22_m", "body22_world_unitquat")
     return TakeMotion(
         source=Source(
-            np.ascontiguousarray(people),
+            poses["body22_m"],
             float(facts["rate_hz"]),
             f"take {facts['take_id']}",
             objects=_read_objects(store, ref),
         ),
-        rest_m=takes["body22_rest_m"].astype(np.float64),
-        world_unitquat=np.ascontiguousarray(world),
-        time_s=np.asarray(poses["time_s"][: len(people)]),
+        rest_m=takes["body22_rest_m"][np.argsort(takes["person"])].astype(np.float64),
+        world_unitquat=poses["body22_world_unitquat"],
+        time_s=poses["time_s"][:, 0],
     )
 
 

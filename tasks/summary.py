@@ -11,6 +11,7 @@ from pasdedeux.evaluation.summary import Credit, Made, Summary, folded
 from pasdedeux.evaluation.verdicts import Judged, by_stage
 from pasdedeux.verdict import Level, Verdict, summarise_verdicts
 from storage_schema import Manifest
+from tasks.poses import num_persons
 from tasks.stage import verdict_of, verdicts_of_parts
 
 __all__ = ["judge", "summary_of"]
@@ -63,8 +64,8 @@ def _left_out(manifest: Manifest) -> list[str]:
     """Say in sentences what an artifact, or the stage that made it, left out and why."""
     facts = manifest.facts
     found = list(facts.get("skipped", []))
-    if "poses" in manifest.tables and facts["num_persons"] != 2:
-        who = "one person" if facts["num_persons"] == 1 else f"{facts['num_persons']} people"
+    if "poses" in manifest.tables and (count := num_persons(manifest)) != 2:
+        who = "one person" if count == 1 else f"{count} people"
         found.append(f"Take {facts['take_id']}: {who}; the stages that need pairs passed it over.")
     if facts.get("num_skipped_frames"):
         named = ", ".join(facts["skipped_files"])

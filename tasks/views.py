@@ -12,6 +12,7 @@ from pasdedeux.cameras import DEPTH_RULES, ViewOptions, estimate_views
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place, pairs_by_place, place_columns
+from tasks.poses import num_persons
 from tasks.stage import EarlyPlan, Parameters, Shard, Stage, StageInputs, commit, merge_takes, named_refs
 from tasks.torso_bases import default_origin, read_torso_basis, shares_takes
 
@@ -102,7 +103,7 @@ def run_shard(shard: Shard, store: Store) -> ArtifactRef:
         len(pairs.places),
         len(without),
         estimates.trust[estimates.is_lifted],
-        int(annotations.facts.get("num_persons", 2)),
+        num_persons(annotations),
     )
     return commit(shard, store, tables={"views": columns}, facts=facts, verdict=verdict)
 

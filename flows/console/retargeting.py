@@ -40,6 +40,7 @@ from tasks.ingest import STAGE, IngestParameters
 from tasks.ingest.known_sources import known_source
 from tasks.ingest.shard_parameters import TakeParameters
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, layout_named, load_file
+from tasks.poses import num_persons
 from tasks.stage import StageInputs, verdict_of
 
 __all__ = ["FileOptions", "retarget_take"]
@@ -191,13 +192,13 @@ def _retarget(
     weights: Weights | None,
 ) -> None:
     manifest = store.manifest(ref)
-    take_id, num_persons = manifest.facts["take_id"], int(manifest.facts["num_persons"])
-    if len(targets) > num_persons:
-        who = "one person" if num_persons == 1 else f"{num_persons} people"
+    take_id, count = manifest.facts["take_id"], num_persons(manifest)
+    if len(targets) > count:
+        who = "one person" if count == 1 else f"{count} people"
         raise InputError(f"{len(targets)} bodies are given, but take {take_id} has {who}: --to once for each, A first")
     source = read_take(store, ref).source
     people = people_of_take(store, ref)
-    bone_scale = np.ones((num_persons, BODY22.num_joints))
+    bone_scale = np.ones((count, BODY22.num_joints))
     rows = []
     contradictions: list[tuple[Person, float]] = []
     for index, (person, target) in enumerate(zip(people, targets, strict=False)):

@@ -23,6 +23,7 @@ from storage_schema import ArtifactRef, Store
 from tasks.draw_sets import GROWN, draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
 from tasks.evaluation.truth import read_take_frames, read_takes
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC", "draws_from_first_seeds"]
@@ -51,7 +52,7 @@ class CoverageParameters(CoverageSettings):
 def _plan(inputs: StageInputs, settings: CoverageSettings) -> list[Shard]:
     """Plan one shard per part of the real frames, over the draws of every density and the grown seeds."""
     draws = draw_manifests(inputs)
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] == 2]
+    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) == 2]
     annotations = [
         manifest
         for manifest in inputs.of("annotations")
@@ -75,12 +76,17 @@ def _run(shard: Shard, store: Store) -> TopicResult:
     split, take_refs, draw_refs = options.split, shard.refs("takes"), shard.refs("draws")
     held_out = held_out_takes(store, take_refs)
     refuse_learned(store, draw_refs, held_out)
-    takes = read_takes(store, take_refs, "pair17_m")
+    learned = [ref for ref in take_refs if store.manifest(ref).facts["is_prior"]]
+    takes = read_takes(store, [ref for ref in take_refs if ref not in learned], "pair17_m")
+    notes = []
+    if learned:
+        names = ", ".join(sorted(str(store.manifest(ref).facts["take_id"]) for ref in learned))
+        notes.append(f"Coverage is not measured on {names}: priors learned from what people did there.")
     annotated = set(read_take_frames(store, shard.refs("annotations"), keys_only=True).values())
     generator = stream(shard.seed, TOPIC.name, split)
     truth, others = _split(takes, annotated, held_out, split)
     if not len(truth) or not len(others):
-        return TopicResult(notes=[f"Coverage of {split.replace('_', ' ')} frames: there are none."])
+        return TopicResult(notes=[*notes, f"Coverage of {split.replace('_', ' ')} frames: there are none."])
     truth = truth[generator.permutation(len(truth))[: options.num_truth_pairs]]
     draws = {name: found.pairs_m for name, found in read_draw_sets(store, draw_refs).items()}
     mapped = list(draws)
@@ -116,6 +122,7 @@ def _run(shard: Shard, store: Store) -> TopicResult:
         scores=scores,
         pictures=pictures,
         captions=captions,
+        notes=notes,
     )
 
 

@@ -23,6 +23,7 @@ from pasdedeux.learning.motion_predictor import HISTORY, HORIZON, MotionPredicto
 from storage_schema import Manifest, Store
 from tasks.evaluation.realism import LEFT_OUT, WITHOUT_TORCH, LearnedSettings
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of
 
@@ -43,7 +44,7 @@ class OneTraining(Parameters):
 
 def _plan(topic: Topic, shares: Sequence[str], inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     """Plan a shard for each repetition; interactions of one take cannot be split by take and are left out."""
-    takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
+    takes = [take for take in inputs.of("poses") if num_persons(take) == 2]
     kinds = [interaction_of(take) for take in takes]
     used = [take for take, kind in zip(takes, kinds, strict=True) if kinds.count(kind) > 1]
     if not settings.num_downstream_seeds or len({interaction_of(take) for take in used}) < 2:

@@ -23,6 +23,7 @@ from tasks.annotated_pairs import Place, SeenPair, annotated_pairs, read_seen_pa
 from tasks.draw_sets import draw_manifests, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned
 from tasks.evaluation.truth import read_take_frames, read_takes, true_pair
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC"]
@@ -42,12 +43,12 @@ def _plan(inputs: StageInputs, _: Parameters) -> list[Shard]:
     """Plan one shard over what was left out of the annotations that draws are made from, and of held-out takes."""
     learned = annotated_pairs(inputs)
     held_out = [one for one in inputs.of("annotations") if one.facts.get("is_held_out") and views_of([one], inputs)]
-    held_out = [one for one in held_out if int(one.facts.get("num_persons", 2)) == 2]
+    held_out = [one for one in held_out if num_persons(one) == 2]
     draws = draw_manifests(inputs)
     learned = [one for one in learned if views_of([one], inputs)]
     if not draws or not learned:
         return []
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] >= 2]
+    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) >= 2]
     every = [*learned, *held_out]
     views = [views_of([one], inputs)[0] for one in every]
     return [TOPIC.shard(inputs, "images", annotations=every, views=views, draws=draws, takes=takes)]

@@ -32,6 +32,7 @@ from tasks.annotated_pairs import PLACE_COLUMNS, Place, SeenPair, annotated_pair
 from tasks.draw_sets import GROWN, draw_manifests, read_all_draws, read_draw_sets
 from tasks.evaluation.topic import Topic, TopicResult, held_out_takes, refuse_learned, refuse_overlap
 from tasks.evaluation.truth import read_cameras, read_take_frames, read_takes, true_pair
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
 __all__ = ["TOPIC"]
@@ -60,8 +61,8 @@ class LiftedPairsSettings(Parameters):
 def _plan(inputs: StageInputs, settings: LiftedPairsSettings) -> list[Shard]:
     """Plan a shard over all lifted pairs, one that shows some, one over real pairs with joints and frames hidden."""
     lifted = list(inputs.of("lifted_pairs"))
-    takes = [manifest for manifest in inputs.of("poses") if manifest.facts["num_persons"] >= 2]
-    couples = [manifest for manifest in takes if manifest.facts["num_persons"] == 2]
+    takes = [manifest for manifest in inputs.of("poses") if num_persons(manifest) >= 2]
+    couples = [manifest for manifest in takes if num_persons(manifest) == 2]
     known = {ref for manifest in lifted for ref in manifest.inputs}
     shown = [manifest for manifest in inputs.of("annotations") if manifest.ref in known]
     annotations = [manifest for manifest in shown if manifest.facts["is_virtual"]]

@@ -21,6 +21,7 @@ from pasdedeux.skeletons import BODY22
 from storage_schema import Manifest, Store
 from tasks.augmentation import read_take
 from tasks.evaluation.topic import Topic, TopicResult
+from tasks.poses import num_persons
 from tasks.stage import Parameters, Shard, StageInputs, stream
 from tasks.training.items import StoredVariants, interaction_of, skeleton_name
 from tasks.training.run import load_stored
@@ -53,7 +54,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     that splits across these test, and features of two classifiers have no distances in common.
     """
     models = inputs.of("models")
-    takes = [take for take in inputs.of("poses") if take.facts.get("num_persons") == 2]
+    takes = [take for take in inputs.of("poses") if num_persons(take) == 2]
     if not (settings.num_realism_variants and models) or len({interaction_of(take) for take in takes}) < 2:
         return []
     if not has_torch():
@@ -61,7 +62,7 @@ def _plan(inputs: StageInputs, settings: LearnedSettings) -> list[Shard]:
     models = [model for model in models if skeleton_name(model) == BODY22.name]
     if not models:
         return [TOPIC.shard(inputs, OTHER_SKELETON)]
-    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
+    variants = [manifest for manifest in inputs.of("variants") if num_persons(manifest) == 2]
     return [TOPIC.shard(inputs, "all", settings.part(LearnedSettings), models=models, takes=takes, variants=variants)]
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.score_tables import TextTable
 from pasdedeux.evaluation.scores import Score, columns_of
@@ -22,13 +20,12 @@ __all__ = [
     "TopicResult",
     "commit_topic",
     "held_out_takes",
-    "read_people",
     "refuse_learned",
     "refuse_overlap",
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 42
+VERSION = 43
 
 ScoresOf = Mapping[str, Sequence[Score]]
 
@@ -120,13 +117,6 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
         },
         verdict=next((verdict for verdict in verdicts if verdict is not None), None),
     )
-
-
-def read_people(store: Store, ref: ArtifactRef, column: str) -> np.ndarray:
-    """Read one positions column of a take's poses as (frame, person, joint, 3), float64."""
-    num_persons = int(store.manifest(ref).facts["num_persons"])
-    data = store.read(ref, "poses", columns=[column])[column].astype(np.float64)
-    return np.swapaxes(data.reshape(num_persons, -1, *data.shape[1:]), 0, 1)
 
 
 def held_out_takes(store: Store, refs: Sequence[ArtifactRef]) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 from pasdedeux.cameras import PinholeCamera
 from storage_schema import ArtifactRef, Store
 from tasks.annotated_pairs import Place
-from tasks.evaluation.topic import read_people
+from tasks.poses import read_poses
 
 __all__ = ["TakeFrames", "rate_of", "read_cameras", "read_take_frames", "read_takes", "true_pair"]
 
@@ -43,7 +43,7 @@ def read_cameras(store: Store, refs: Iterable[ArtifactRef]) -> dict[str, Pinhole
 
 def read_takes(store: Store, refs: Iterable[ArtifactRef], column: str) -> dict[str, np.ndarray]:
     """Return one positions column of every take as (frame, person, joint, 3)."""
-    return {store.manifest(ref).facts["take_id"]: read_people(store, ref, column) for ref in refs}
+    return {store.manifest(ref).facts["take_id"]: read_poses(store, ref, column)[column] for ref in refs}
 
 
 def true_pair(place: Place, frames: TakeFrames, takes: Mapping[str, np.ndarray]) -> tuple[str, np.ndarray] | None:

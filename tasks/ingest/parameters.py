@@ -417,8 +417,11 @@ class IngestParameters(Parameters):
     held_out: tuple[str, ...] = Field(
         default=(), description="Takes kept for evaluation: never learned from or matched against"
     )
-    prior: tuple[str, ...] | None = Field(
-        default=None, description="Takes that priors learn from; every take that is not held out by default"
+    prior: tuple[str, ...] = Field(
+        default=(),
+        description="Takes that priors learn torsos and joint limits from; by default none, so that nothing that is "
+        "evaluated is learned from: published ranges of motion serve. A take that is held out cannot be one, and "
+        "coverage is not measured on those named",
     )
     virtual_video: VirtualVideoOptions = Field(
         default=VirtualVideoOptions(), description="Virtual cameras over the takes"
@@ -444,7 +447,7 @@ class IngestParameters(Parameters):
                 raise ValueError(f"two {kind}s are named '{double[0]}'; names must be unique")
         named = [
             *self.held_out,
-            *(self.prior or ()),
+            *self.prior,
             *(source.take_id for source in self.annotations if source.take_id),
         ]
         awaited = self.awaited()
@@ -453,7 +456,7 @@ class IngestParameters(Parameters):
                 near = difflib.get_close_matches(name, ids, n=1)
                 hint = f"; did you mean '{near[0]}'?" if near else f"; takes: {', '.join(ids) or 'none'}"
                 raise ValueError(f"'{name}' is not a take of this study{hint}")
-        both = sorted(set(self.held_out) & set(self.prior or ()))
+        both = sorted(set(self.held_out) & set(self.prior))
         if both:
             raise ValueError(f"take '{both[0]}' is held out and cannot be a prior take")
 
@@ -471,7 +474,7 @@ class IngestParameters(Parameters):
 
     def awaited(self) -> tuple[str, ...]:
         """Return the takes held out or for priors that are not there yet and can come into a watched folder."""
-        ids, named = set(self.take_ids()), dict.fromkeys([*self.held_out, *(self.prior or ())])
+        ids, named = set(self.take_ids()), dict.fromkeys([*self.held_out, *self.prior])
         return tuple(
             name for name in named if name not in ids and any(pair.may_bring(name) for pair in self.pairs.values())
         )
@@ -490,7 +493,3 @@ class IngestParameters(Parameters):
                 for take in family.take_names()
             ),
         ]
-
-    def is_prior(self, take_id: str) -> bool:
-        """Tell whether priors learn from a take."""
-        return take_id not in self.held_out if self.prior is None else take_id in self.prior

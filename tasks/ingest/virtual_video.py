@@ -26,6 +26,7 @@ from pasdedeux.skeletons.layouts import KeypointLayout
 from pasdedeux.verdict import Level, Verdict
 from storage_schema import ArtifactRef, Store
 from tasks.ingest.shard_parameters import VideoParameters
+from tasks.poses import read_poses
 from tasks.stage import Shard, commit, stream
 
 __all__ = ["UNIFORM_PITCH_DEG", "run_virtual_video"]
@@ -65,11 +66,9 @@ def run_virtual_video(shard: Shard, store: Store, parameters: VideoParameters) -
         return commit(
             shard, store, tables={}, facts={"kind": "sequences", "takes": [], "skipped": manifest.facts["skipped"]}
         )
-    poses = store.read(manifest.ref, "poses", columns=["person", "frame", "pair17_m", "op14_m"])
-    num_persons, num_frames = int(manifest.facts["num_persons"]), int(manifest.facts["num_frames"])
-    shape = (num_persons, num_frames)
-    pair17 = np.asarray(poses["pair17_m"], dtype=np.float64).reshape(*shape, PAIR17.num_joints, 3).swapaxes(0, 1)
-    op14 = np.asarray(poses["op14_m"], dtype=np.float64).reshape(*shape, OP14.num_joints, 3).swapaxes(0, 1)
+    poses = read_poses(store, manifest.ref, "pair17_m", "op14_m")
+    pair17, op14 = poses["pair17_m"], poses["op14_m"]
+    num_frames, num_persons = pair17.shape[:2]
 
     # A detector looks through the same cameras with the same noise; what it adds is drawn apart.
     rng = stream(shard.seed, "ingest", take_id, parameters.purpose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from storage_schema import Manifest
 from tasks.draw_sets import draw_manifests
 from tasks.lifting.parameters import VERSION, LiftingParameters, LiftingShard
+from tasks.poses import num_persons
 from tasks.stage import Shard, StageInputs, named_refs
 from tasks.torso_bases import shares_takes
 
@@ -20,7 +21,7 @@ def plan(inputs: StageInputs, parameters: LiftingParameters) -> list[Shard]:
     return [
         _shard(inputs, parameters, annotated, views[annotated.ref], draws)
         for annotated in inputs.of("annotations")
-        if annotated.ref in views and int(annotated.facts.get("num_persons", 2)) >= 2
+        if annotated.ref in views and num_persons(annotated) >= 2
     ]
 
 

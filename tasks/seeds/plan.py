@@ -9,6 +9,7 @@ from pasdedeux.errors import InputError
 from pasdedeux.sampling.prior import PriorSettings
 from storage_schema import ArtifactRef, Manifest
 from tasks.annotated_pairs import annotated_pairs, views_of
+from tasks.poses import num_persons
 from tasks.seeds.files import SeedFile, load_seed
 from tasks.seeds.parameters import (
     GROWN_OF_2D_ALONE,
@@ -193,4 +194,4 @@ def _shard(
 
 def _is_usable(manifest: Manifest) -> bool:
     facts = manifest.facts
-    return facts.get("kind") == "take" and not facts.get("is_held_out", False) and int(facts.get("num_persons", 1)) == 2
+    return facts.get("kind") == "take" and not facts.get("is_held_out", False) and num_persons(manifest) == 2

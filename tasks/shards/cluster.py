@@ -261,9 +261,12 @@ def _ends_with(run: str, rule: str) -> Any:
 
 def _check_workers(client: Client, address: str, store_root: str) -> None:
     """Refuse a cluster without workers, without this code, or without access to the store."""
-    if not client.scheduler_info(n_workers=-1)["workers"]:
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    if not workers:
         said = "".join(f"; the last that left: {why}" for why in refusals(client)[-1:])
         raise ClusterError(f"the Dask scheduler at {address} has no workers{said}")
+    for worker in sorted(workers):
+        _refuse_threads(worker, workers[worker]["nthreads"])
     try:
         can_write: Mapping[str, bool] = client.run(_can_write, store_root)
     except (ImportError, AttributeError) as error:
@@ -310,6 +313,15 @@ def refuse_other(mine: Mapping[str, str], theirs: Mapping[str, str], who: str) -
             )
 
 
+def _refuse_threads(worker: str, num_threads: int) -> None:
+    """Refuse a worker that would be given several shards at once: a process computes one at a time."""
+    if num_threads != 1:
+        raise ClusterError(
+            f"worker {worker} has {num_threads} threads, but a process computes one shard at a time; start workers "
+            "with --nthreads 1, and as many of them as there are cores"
+        )
+
+
 def only_fit(mine: Mapping[str, str], store_root: str) -> Any:
     """Return a Dask worker plugin by which a worker that comes later leaves where it is not fit for the run.
 
@@ -328,6 +340,7 @@ def _leave_if_unfit(mine: Mapping[str, str], store_root: str, worker: Any) -> No
     # A function of the module: what is inside the plugin travels as a copy, and so would the list.
     try:
         refuse_other(mine, installed(), f"worker {worker.address}")
+        _refuse_threads(worker.address, worker.state.nthreads)
         if not _can_write(store_root):
             raise _no_store(worker.address, store_root)
     except ClusterError as error:

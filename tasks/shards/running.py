@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import sys
+import threading
 import time
 import traceback
 import uuid
@@ -33,6 +34,7 @@ _FETCH_S = 2.0  # and for a result, which is a moment's work unless its worker i
 _SHORT_S = 0.3  # a worker has a second shard of this length waiting, so that it need not wait for the next
 _COUNT_AGAIN_S = 5.0  # how often the workers of somebody's cluster are counted: they come and go
 _NO_WORKER_S = 60.0  # how long it may have none after one had to leave
+_ONE_AT_A_TIME = threading.RLock()
 _GIVE_BACK_S = 0.1  # before a worker that leaves gives a shard back: the scheduler learns meanwhile that it does
 
 
@@ -60,7 +62,8 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     back from the worker even where the original error would not.
 
     The linear algebra has one thread, also where the process was started with more: sums of several threads are
-    rounded otherwise, and the bytes would differ.
+    rounded otherwise, and the bytes would differ. A process computes one shard at a time, whatever threads it has: that
+    limit holds for the whole process, and what shards share (evidence of annotations) has room for one search alone.
 
     A worker that is not fit for the run gives the shard back to the scheduler: another one computes it.
     """
@@ -73,7 +76,7 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
     try:
         store = Store(store_root)
         store.measure()
-        with _libraries(len(sys.modules)).limit(limits=1):
+        with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
         failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
@@ -210,7 +213,7 @@ class ClusterPool(Pool):
     def _count_workers(self) -> None:
         with _scheduler_is_there():
             workers = self.client.scheduler_info(n_workers=-1)["workers"].values()
-        self.num_workers = max(1, sum(worker["nthreads"] for worker in workers))
+        self.num_workers = max(1, len(workers))
         self._counted_at = time.monotonic()
         if workers:
             self._seen_at = self._counted_at

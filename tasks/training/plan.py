@@ -10,13 +10,14 @@ from pasdedeux.errors import InputError
 from pasdedeux.learning import Split, VariantKey, has_torch, make_split, model_class
 from storage_schema import Manifest
 from tasks.augmentation import planned_variations
+from tasks.poses import num_persons
 from tasks.stage import Shard, StageInputs, named_refs, stream
 from tasks.training.items import interaction_of
 from tasks.training.parameters import LeftOutParameters, SegmentParameters, TrainingParameters
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
 
-VERSION = 9
+VERSION = 10
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
@@ -28,7 +29,7 @@ def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:
     Raises:
         InputError: A split leaves nothing to train on, or nothing to test on.
     """
-    variants = [manifest for manifest in inputs.of("variants") if manifest.facts.get("num_persons") == 2]
+    variants = [manifest for manifest in inputs.of("variants") if num_persons(manifest) == 2]
     if not variants:
         return []
     used = {manifest.facts["take_id"] for manifest in variants}

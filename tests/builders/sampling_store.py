@@ -25,11 +25,13 @@ def pairs_of(take_id: str) -> np.ndarray:
     return random_pairs(np.random.default_rng(sum(map(ord, take_id))), NUM_FRAMES, spread_rad=0.1)
 
 
-def put_take(store: Store, take_id: str, *, is_held_out: bool = False, num_persons: int = 2) -> Manifest:
+def put_take(
+    store: Store, take_id: str, *, is_held_out: bool = False, is_prior: bool = False, num_persons: int = 2
+) -> Manifest:
     pairs = pairs_of(take_id)[:, :num_persons]
     joints = np.moveaxis(pairs, 1, 0).reshape(-1, 17, 3)
     columns, facts = take_rows(take_id, num_persons, NUM_FRAMES, is_held_out=is_held_out, pair17_m=joints)
-    return put(store, "ingest", take_id, {"poses": columns}, facts)
+    return put(store, "ingest", take_id, {"poses": columns}, {**facts, "is_prior": is_prior})
 
 
 def put_annotations(

@@ -147,4 +147,4 @@ def take_rows(
         "body22_world_unitquat": np.zeros((count, 22, 4)),
     }
     facts = {"kind": "take", "take_id": take_id, "takes": [take_id], "rate_hz": rate_hz, "is_held_out": is_held_out}
-    return {**columns, **given}, {**facts, "num_persons": num_persons, "num_frames": num_frames}
+    return {**columns, **given}, {**facts, "is_prior": False, "num_persons": num_persons, "num_frames": num_frames}

@@ -1,4 +1,4 @@
-"""Which sets of draws coverage is measured of."""
+"""Which sets of draws coverage is measured of, and on which takes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Any
 
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.evaluation.coverage import draws_from_first_seeds
-from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
+from tasks.evaluation.coverage import TOPIC, CoverageSettings, draws_from_first_seeds
+from tasks.stage import StageInputs
+from tests.builders.sampling_store import QUICK, inputs, put_take, run, with_seeds
 
 __all__ = ["inputs"]
 
@@ -20,3 +21,21 @@ def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_
     made = run(chains.plan(given, ChainsParameters(**options, variants=variants)), chains, store)
     found = draws_from_first_seeds(store, tuple(one.ref for one in made))
     assert {name: len(pairs) for name, pairs in found.items()} == {"prior_only_first_seed": 8}
+
+
+def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(inputs: Any) -> None:
+    store, tables = inputs
+    given = with_seeds(store, tables)
+    options = {**QUICK, "num_chains": 1, "densities": ("prior_only",), "starts": "seeds"}
+    draws = run(chains.plan(given, ChainsParameters(**options)), chains, store)
+    evaluated = {
+        **given.manifests,
+        "poses": [put_take(store, "learned", is_prior=True)],
+        "annotations": [],
+        "draws": draws,
+    }
+    for shard in TOPIC.plan(StageInputs(evaluated, 1), CoverageSettings()):
+        assert TOPIC.run(shard, store).notes == [
+            "Coverage is not measured on learned: priors learned from what people did there.",
+            f"Coverage of {shard.name} frames: there are none.",
+        ]

@@ -56,7 +56,7 @@ def test_a_pair_becomes_takes_poses_annotations_and_cameras(tmp_path: Path, pair
     facts = manifests["dance", "take"].facts
     assert facts["takes"] == ["dance"]
     assert (facts["num_persons"], facts["num_frames"], facts["rate_hz"]) == (2, 20, 30.0)
-    assert facts["is_prior"]
+    assert not facts["is_prior"], "nothing is learned from a take that is not named"
     assert not facts["is_held_out"]
 
     ref = manifests["dance", "take"].ref

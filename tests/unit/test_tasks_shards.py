@@ -7,11 +7,13 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from distributed import CancelledError, Client, Future
+from distributed import CancelledError, Client, Future, LocalCluster
 from distributed.comm.core import CommClosedError
 
 from flows.machine import cluster_settings
@@ -29,6 +31,7 @@ from tasks.shards import (
     ShardDone,
     ShardError,
     connect,
+    run,
     worker_environment,
 )
 from tasks.shards.profiles import cluster_class
@@ -345,6 +348,32 @@ def test_workers_with_other_pinned_instructions_are_refused(
         connect(ClusterSettings(scheduler=client.scheduler_info()["address"]), store_root=str(tmp_path)),
     ):
         pass
+
+
+def test_workers_with_several_threads_are_refused(tmp_path: Path) -> None:
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
+        pytest.raises(ClusterError, match=r"has 2 threads, but a process computes one shard at a time; .*--nthreads 1"),
+        connect(ClusterSettings(scheduler=cluster.scheduler_address), store_root=str(tmp_path)),
+    ):
+        pass
+
+
+def test_threads_of_a_process_compute_one_shard_after_the_other(tmp_path: Path) -> None:
+    """What shards share - evidence of annotations, the one thread of BLAS - has room for one."""
+    both = threading.Barrier(2)
+    are_alone = []
+
+    def run_alone(shard: Shard, store: Store) -> ArtifactRef:
+        with suppress(threading.BrokenBarrierError):
+            both.wait(timeout=0.3)
+        are_alone.append(both.broken)
+        return run_grow(shard, store)
+
+    with ThreadPoolExecutor(2) as threads:
+        for _ in threads.map(lambda shard: run(run_alone, shard, str(tmp_path)), shards(num_takes=2, num_segments=1)):
+            pass
+    assert are_alone == [True, True]
 
 
 def test_a_given_kernel_cache_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,8 @@ from pasdedeux.projections.camera import OrthographicCamera
 from pasdedeux.projections.sources import resample_positions
 from pasdedeux.reconstruction.reconstruct import Method, Searcher
 from storage_schema import Store
-from tasks.evaluation.topic import Topic, TopicResult, read_people, refuse_overlap
+from tasks.evaluation.topic import Topic, TopicResult, refuse_overlap
+from tasks.poses import read_poses
 from tasks.reconstruction import read_database
 from tasks.stage import Parameters, Shard, StageInputs, stream
 
@@ -108,7 +109,7 @@ def _database(shard: Shard, store: Store) -> Searcher:
 def _people(shard: Shard, store: Store, rate_hz: float) -> list[UnseenMotion]:
     """Return the motion of every person of the shard's take at the database's rate."""
     take, options = shard.ref("take"), shard.options(TakeParameters)
-    people = read_people(store, take, "op14_m")
+    people = read_poses(store, take, "op14_m")["op14_m"]
     from_hz = float(store.manifest(take).facts["rate_hz"])
     return [
         UnseenMotion(

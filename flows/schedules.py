@@ -22,7 +22,7 @@ from prefect.workers.process import ProcessWorker
 
 from flows.dataset import dataset
 
-__all__ = ["deploy"]
+__all__ = ["deploy", "zombies"]
 
 _HEARTBEAT_S = 30
 _ZOMBIE_AFTER = timedelta(seconds=4 * _HEARTBEAT_S)
@@ -33,7 +33,7 @@ def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: ti
     """Put a deployment of the dataset flow on Prefect's server, in place of one of the same name; return its full name.
 
     A store has a work queue of its own that lets one build run at a time; a build that is due while one of the same
-    study waits or runs is not started.  An automation marks builds whose process has vanished as crashed.
+    study waits or runs is not started.  An automation marks builds whose process has vanished as crashed, no others.
 
     Args:
         name: Of the deployment: the study's.
@@ -57,7 +57,8 @@ def deploy(name: str, parameters: dict[str, Any], *, cron: str | None, every: ti
         concurrency_limit=ConcurrencyLimitConfig(limit=1, collision_strategy=ConcurrencyLimitStrategy.CANCEL_NEW),
         work_pool_name=pool,
         work_queue_name=queue,
-        job_variables={"env": {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": str(_HEARTBEAT_S)}},
+        # What runs it imports Prefect before our code, whatever its worker was started with.
+        job_variables={"env": {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": str(_HEARTBEAT_S), "DO_NOT_TRACK": "1"}},
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     deployment.apply()
@@ -80,12 +81,23 @@ def _ensure_queue(client: SyncPrefectClient, pool: str, queue: str) -> None:
 
 
 def _ensure_automation(client: SyncPrefectClient) -> None:
-    """Make the automation for builds that stopped to give heartbeats without having ended."""
-    if client.read_automations_by_name(_ZOMBIES):
-        return
+    """Make the automation for builds that stopped to give heartbeats without having ended, or put it right."""
+    there = client.read_automations_by_name(_ZOMBIES)
+    for one in there:
+        client.update_automation(one.id, zombies())
+    if not there:
+        client.create_automation(zombies())
+
+
+def zombies() -> AutomationCore:
+    """Return the automation that marks runs of our deployments, and of nobody else's, as crashed."""
     ends = [f"prefect.flow-run.{end}" for end in ("Completed", "Failed", "Cancelled", "Crashed")]
     trigger = EventTrigger(
         match=ResourceSpecification({"prefect.resource.id": "prefect.flow-run.*"}),
+        match_related=[
+            ResourceSpecification({"prefect.resource.role": "flow", "prefect.resource.name": dataset.name}),
+            ResourceSpecification({"prefect.resource.role": "deployment"}),
+        ],
         for_each={"prefect.resource.id"},
         after={"prefect.flow-run.heartbeat"},
         expect={"prefect.flow-run.heartbeat", *ends},
@@ -94,4 +106,4 @@ def _ensure_automation(client: SyncPrefectClient) -> None:
         within=_ZOMBIE_AFTER,
     )
     action = ChangeFlowRunState(state=StateType.CRASHED, message="its process gave no sign of life any more")
-    client.create_automation(AutomationCore(name=_ZOMBIES, trigger=trigger, actions=[action]))
+    return AutomationCore(name=_ZOMBIES, trigger=trigger, actions=[action])

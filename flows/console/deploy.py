@@ -31,7 +31,7 @@ app = typer.Typer(rich_markup_mode=None)
 _DEPLOY = """Put a study on Prefect's server as a build that a worker runs, on a schedule or when it is asked for.
 
 \b
-  export PREFECT_API_URL=http://127.0.0.1:4200/api
+  export DO_NOT_TRACK=1 PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_API_URL=http://127.0.0.1:4200/api
   prefect server start --background
   pasdedeux deploy duets --store /data/store --cron "0 2 * * *"
   prefect worker start --pool pasdedeux
@@ -79,8 +79,8 @@ def deploy(
     address = get_current_settings().api.url
     if address is None:
         raise PlanError(
-            "no Prefect server is named: start one (prefect server start --background) and set PREFECT_API_URL, "
-            "for example to http://127.0.0.1:4200/api"
+            "no Prefect server is named: start one (PREFECT_SERVER_ANALYTICS_ENABLED=false prefect server start "
+            "--background) and set PREFECT_API_URL, for example to http://127.0.0.1:4200/api"
         )
     check_server(address)
     from flows.schedules import deploy as put

@@ -21,10 +21,6 @@ from pasdedeux.errors import InputError
 __all__ = ["FetchError", "Fetched", "app", "fetch_cmu", "takes_of_study"]
 
 CMU_BASE_URL = "http://mocap.cs.cmu.edu"
-CMU_CREDIT = """The data used in this project was obtained from mocap.cs.cmu.edu.
-The database was created with funding from NSF EIA-0196217.
-Free for all uses; the data itself may not be resold.
-"""
 _MAX_FILE_BYTES = 200 << 20
 _NUM_ATTEMPTS = 4
 _NO_ANSWER_S = 30.0
@@ -75,7 +71,7 @@ def cmu(
         state = "was there" if item.was_there else "fetched"
         typer.echo(f"{state:<10}{item.path.name:<14}{item.num_bytes / 1e6:8.2f} MB")
     typer.echo(f"{count} files in {out}")
-    typer.echo(CMU_CREDIT.strip())
+    typer.echo(_credit().strip())
 
 
 def fetch_cmu(
@@ -102,7 +98,7 @@ def fetch_cmu(
     base = base_url.rstrip("/")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "CREDITS.txt").write_text(CMU_CREDIT, encoding="utf-8")
+        (out / "CREDITS.txt").write_text(_credit(), encoding="utf-8")
     except OSError as error:
         raise FetchError(f"folder {out} cannot be written: {error.strerror}") from None
     for subject, takes in wanted.items():
@@ -131,6 +127,12 @@ def takes_of_study(name_or_path: str) -> dict[str, list[str]]:
     return wanted
 
 
+def _credit() -> str:
+    from tasks.ingest.known_sources import CMU_CREDIT  # all of ingest comes with it, which `--help` must not wait for
+
+    return f"{CMU_CREDIT.credit}\n{CMU_CREDIT.licence}.\n"
+
+
 def _numbers(text: str, what: str) -> list[str]:
     """Return the numbers of a list such as 1,60,61 as the site writes them: with at least two digits."""
     numbers = [item.strip() for item in text.split(",") if item.strip()]
@@ -154,6 +156,8 @@ def _listed_takes(base: str, subject: str, wait_s: float) -> list[str]:
 def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> Fetched:
     if path.exists() and _fault(path.read_bytes(), skeleton) is None:
         return Fetched(path=path, num_bytes=path.stat().st_size, was_there=True)
+    from tasks.ingest.known_sources import note_fetched  # as for the credit
+
     data = _download(url, wait_s)
     fault = _fault(data, skeleton)
     if fault is not None:
@@ -162,6 +166,7 @@ def _fetch_file(url: str, path: Path, skeleton: Path | None, wait_s: float) -> F
     try:
         coming.write_bytes(data)
         coming.replace(path)
+        note_fetched(path)
     except OSError as error:
         raise FetchError(f"{path} cannot be written: {error.strerror}") from None
     finally:

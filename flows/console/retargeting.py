@@ -145,7 +145,8 @@ def _read_target(path: Path, units_m: Iterator[float]) -> TargetBody:
         else:
             return read_body(path.name, data)
         layout = layout_named("auto", rest.skeleton.joint_names, {})
-        unit_m = rest.metres_per_unit or next(units_m, None) or known_source(path.name, layout.name).metres_per_unit
+        known = known_source(path.name, layout.name, stated_hz=rest.rate_hz)
+        unit_m = rest.metres_per_unit or next(units_m, None) or known.metres_per_unit
         if unit_m is None:
             guess = guess_unit(rest)
             if guess.confidence < MIN_UNIT_CONFIDENCE:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import tempfile
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,7 +28,7 @@ from flows.console.context import (
 from flows.console.display import cost_lines, counted, make_listener, outcome_lines, plan_lines, summary_lines
 from flows.costs import Faults, estimate_cost, planned_work, scaled_to_takes
 from flows.execution import outcome_of_fresh
-from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes
+from flows.machine import GIB, WORKER_MEMORY_GB, cluster_settings, free_bytes, nearest_folder
 from flows.outcomes import Outcome, Run
 from flows.planning import Plan, PlanError, Selection, make_plan, refuse_nothing
 from flows.publishing import publish, refuse_failed_gates
@@ -232,7 +234,17 @@ def _build(run: Run, plan: Plan, cluster: ClusterSettings, *, is_quiet: bool) ->
 
 
 def _refuse_full_disk(store: Store) -> None:
-    """Refuse to begin where next to nothing can be written."""
+    """Refuse to begin where nothing, or next to nothing, can be written."""
+    folder = nearest_folder(store.root)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise PlanError(
+                f"the store {store.root} cannot be made: nothing can be written in {folder}; name a folder of your own "
+                "with --store"
+            ) from None
     free = free_bytes(store.root)
     if free < MIN_FREE_BYTES:
         raise PlanError(f"the disk of {store.root} has {free / 1e6:.0f} MB left; free some space first")

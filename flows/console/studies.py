@@ -122,7 +122,8 @@ def new(
     """Write a commented study to start from."""
     from flows.console.study_new import write_new_study
 
-    write_new_study(file, sources or [])
+    for line in write_new_study(file, sources or []).in_lines():
+        typer.echo(line)
     typer.echo(f"{file} is written; look through it, then: pasdedeux plan {file}")
 
 

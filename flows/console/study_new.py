@@ -17,25 +17,59 @@ from pasdedeux.formats.registry import ANNOTATION_FORMATS, MOTION_FORMATS, is_co
 from pasdedeux.people.video import why_no_video
 from tasks.ingest.annotations import find_annotations
 from tasks.ingest.cameras import refuse_film
-from tasks.ingest.known_sources import known_source
+from tasks.ingest.known_sources import KnownSource, known_source, usual_rate_hz, was_fetched
 from tasks.ingest.parameters import AnnotationOptions
 from tasks.ingest.sources import MIN_UNIT_CONFIDENCE, find_companion, load_file, read_again
 from tasks.seeds.parameters import GROWN_OF_2D_ALONE, LIFTED_OF_2D_ALONE
 from tasks.views import ViewsParameters
 
-__all__ = ["new_study", "write_new_study"]
+__all__ = ["NewStudy", "new_study", "write_new_study"]
 
-SURE, LIKELY = 0.9, 0.5
+SURE, LIKELY = 0.9, 0.6
+ONE_TAKE = 0.98
+"""Of the length of the longer of two files that the shorter has at least, where both are taken to be of one take."""
+_SAID = 12
+"""Takes that are named on the screen, of many."""
 _SUFFIXES = {end for kind in (*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()) for end in kind.suffixes}
 
 
 @dataclass(frozen=True)
+class NewStudy:
+    """A study to start from.
+
+    Args:
+        text: What its file says.
+        found: What was found in the files, a line each.
+        doubts: What is doubted of that, a line each.
+    """
+
+    text: str
+    found: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    def in_lines(self) -> list[str]:
+        """Return what was found and what is doubted, of many files the first."""
+        found = [f"found {line}" for line in self.found[:_SAID]]
+        return (
+            found
+            + [f"found {len(self.found) - _SAID} more"] * (len(self.found) > _SAID)
+            + [f"in doubt: {line}" for line in self.doubts]
+        )
+
+
+@dataclass(frozen=True)
 class _Motion:
-    """A motion file, its length, and what can be told of it."""
+    """A motion file, its length, its digest, and what can be told of it."""
 
     path: Path
     num_frames: int
+    sha256: str
     guess: MotionGuess
+
+    @property
+    def is_fetched(self) -> bool:
+        """Whether `fetch` brought it from CMU."""
+        return was_fetched(self.path, self.sha256)
 
 
 @dataclass(frozen=True)
@@ -69,25 +103,25 @@ class _Annotations:
         )
 
 
-def write_new_study(path: Path, files: Sequence[Path] = ()) -> str:
-    """Write a commented study to a new file and give its text.
+def write_new_study(path: Path, files: Sequence[Path] = ()) -> NewStudy:
+    """Write a commented study to a new file.
 
     Raises:
         InputError: The file is there already, a source cannot be read, or nothing can be written there.
     """
     if path.exists():
         raise InputError(f"{path} is there already; choose another name or remove it")
-    text = new_study(_identifier(path.stem), files, base=path.parent)
+    made = new_study(_identifier(path.stem), files, base=path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(made.text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
-    return text
+    return made
 
 
-def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> str:
-    """Return the text of a study over these files; over the built-in duets without any.
+def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None) -> NewStudy:
+    """Return a study over these files; over the built-in duets without any.
 
     Two motion files are a take; of more, those whose take and length match are (60_01 with 61_01, and 62_01 where there
     is one).  ASF files serve the AMC files beside them; folders are looked through.
@@ -98,7 +132,7 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
         base: Folder that the study will lie in; paths inside it are written relative to it.
 
     Raises:
-        InputError: A file does not exist or is none of the known formats.
+        InputError: A file does not exist, is given twice, or is none of the known formats.
     """
     sources = [source for path in _spread(files) if (source := _look_at(path)) is not None]
     motions = [source for source in sources if isinstance(source, _Motion)]
@@ -126,17 +160,24 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
             '# id = "dance"',
             '# files = ["a.bvh", "b.bvh"]',
         ]
+    found: list[str] = []
+    doubted: dict[str, list[str]] = {}
     for take_id, people in takes.items():
         lines += ["", *_take(take_id, people, base)]
+        found.append(_found(take_id, people))
+        for doubt in _doubts(people, motions):
+            doubted.setdefault(doubt, []).append(take_id)
     for source in annotations:
         lines += ["", *_annotations(source, base)]
+        found.append(f"2D poses {source.path.name}: {source.note}")
+    doubts = tuple(f"{_named(take_ids)}: {doubt}" for doubt, take_ids in doubted.items())
     are_pairs = any(one.num_persons >= 2 for one in annotations)
     if are_pairs:
         lines += ["", *_assumptions()]
     if annotations and not takes:
         are_videos = any(one.is_video for one in annotations)
         lines += ["", *(_from_2d_alone(are_videos=are_videos) if are_pairs else _one_person_alone())]
-        return "\n".join([*lines, ""])
+        return NewStudy("\n".join([*lines, ""]), tuple(found), doubts)
     lines += [
         "",
         "[ingest.virtual_video]  # virtual cameras that see the takes",
@@ -146,13 +187,15 @@ def new_study(name: str, files: Sequence[Path] = (), *, base: Path | None = None
         "noise_px = 1.0          # for a person 600 px tall",
         "",
     ]
-    return "\n".join(lines)
+    return NewStudy("\n".join(lines), tuple(found), doubts)
 
 
 def _spread(files: Sequence[Path]) -> list[Path]:
     """Return the files, folders of motion files replaced by what lies in them; a folder of JSON stays one source."""
     found: list[Path] = []
-    for path in files:
+    for number, path in enumerate(files):
+        if path.resolve() in (other.resolve() for other in files[:number]):
+            raise InputError(f"{path} is given twice; a person has a file of their own, so name each file once")
         if not path.exists():
             raise InputError(f"file {path} does not exist")
         inside = sorted(item for item in path.iterdir() if item.suffix.lower() in _SUFFIXES) if path.is_dir() else []
@@ -179,7 +222,7 @@ def _look_at(path: Path) -> _Motion | _Annotations | None:
             return _Annotations.read(path)
         companion = find_companion(path, kind)
         motion = kind.read(loaded.data, read_again(companion) if companion else b"")
-        return _Motion(path, motion.num_frames, guess_motion(motion))
+        return _Motion(path, motion.num_frames, loaded.file.sha256, guess_motion(motion))
     except InputError as error:
         raise type(error)(f"{path.name}: {error}") from None
 
@@ -212,18 +255,31 @@ def _take(take_id: str, people: Sequence[_Motion], base: Path | None) -> list[st
     first = people[0].guess
     lengths = [source.num_frames for source in people]
     if len(set(lengths)) > 1:
-        lines.append(f'on_unequal = "trim"      # the files have {" and ".join(map(str, lengths))} frames')
+        said = f"the files have {' and '.join(map(str, lengths))} frames"
+        is_near = min(lengths) >= ONE_TAKE * max(lengths)
+        lines.append(
+            f'on_unequal = "trim"      # {said}'
+            if is_near
+            else f'# on_unequal = "trim"    # {said}: ARE THEY OF ONE TAKE? Then switch this on'
+        )
     if first.layout is None:
         lines.append("# layout: its joints fit no known layout; write one under [ingest.mappings]")
     else:
         lines.append(f"layout = {_quoted(first.layout)}    # told from the names of the joints: sure")
     up = common_up_axis([one.guess.up for one in people])
     lines.append(f"up_axis = {_quoted(up.axis)}         # bodies stand along it: {_words(up.confidence)}")
-    known_rate = known_source(people[0].path.name, first.layout or "").rate_hz
-    if known_rate is not None:
-        lines.append(f"rate_hz = {known_rate:g}         # known of CMU's files{_against(first.rate_hz, known_rate)}")
+    known = _known(people[0])
+    if known.rate_hz is not None:
+        lines.append(
+            f"rate_hz = {known.rate_hz:g}         # known of CMU's files{_against(first.rate_hz, known.rate_hz)}"
+        )
     elif first.rate_hz is None:
-        lines.append("# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed")
+        usual = usual_rate_hz(people[0].path.name)
+        lines.append(
+            "# rate_hz = 120       # the files state none: A GUESS - SET IT, it is needed"
+            if usual is None
+            else f"rate_hz = {usual:g}         # the file states none, CMU's of this name has it: A GUESS - CHECK IT"
+        )
     else:
         seconds = people[0].num_frames / first.rate_hz
         lines.append(
@@ -233,7 +289,7 @@ def _take(take_id: str, people: Sequence[_Motion], base: Path | None) -> list[st
     for source in people:
         unit = source.guess.unit
         lines.append("[[ingest.takes.persons]]")
-        known_unit = known_source(source.path.name, source.guess.layout or "").metres_per_unit
+        known_unit = _known(source).metres_per_unit
         if known_unit is not None:
             lines.append(f"metres_per_unit = {known_unit:g}   # known of CMU's salsa BVH: sure")
         elif unit.confidence >= MIN_UNIT_CONFIDENCE:
@@ -244,6 +300,68 @@ def _take(take_id: str, people: Sequence[_Motion], base: Path | None) -> list[st
             why = f"{unit.reason}; this would make it {USUAL_HEIGHT_M} m: A GUESS - SET IT, it is needed"
             lines.append(f"# metres_per_unit = {value:.10g}   # {source.path.name}: {why}")
     return lines
+
+
+def _found(take_id: str, people: Sequence[_Motion]) -> str:
+    """Say what a take is: its files, its length, how tall its people are."""
+    first = people[0]
+    rate_hz = _known(first).rate_hz or first.guess.rate_hz or usual_rate_hz(first.path.name)
+    lasts = "" if rate_hz is None else f" ({first.num_frames / rate_hz:.1f} s at {rate_hz:g} Hz)"
+    tall = " and ".join(f"{_height_m(one):.2f}" for one in people)
+    names = " and ".join(one.path.name for one in people)
+    return f"take {take_id}: {names}, {first.num_frames} frames{lasts}, about {tall} m tall"
+
+
+def _doubts(people: Sequence[_Motion], motions: Sequence[_Motion]) -> list[str]:
+    """Return what is doubted of a take, in words; a second person who is a copy of the first is refused."""
+    doubts = []
+    for one in people:
+        other = next(motion for motion in motions if motion.sha256 == one.sha256)
+        if other is not one and other in people:
+            raise InputError(
+                f"{other.path} and {one.path} are the same, byte for byte; a person has a file of their own"
+            )
+        if other is not one:
+            doubts.append(f"{one.path.name} is the same as {other.path.name}, byte for byte")
+    lengths = [one.num_frames for one in people]
+    numbers = {one.path.stem.rpartition("_")[2] for one in people if one.path.stem.rpartition("_")[0]}
+    if len(set(lengths)) > 1:
+        doubts.append(f"its files have {' and '.join(map(str, lengths))} frames: are they of one take?")
+    if len(numbers) > 1 and all(number.isdigit() for number in numbers):
+        doubts.append(f"by their names its files are of takes {' and '.join(sorted(numbers))}")
+    if len(people) == 1 and len(motions) > 1:
+        doubts.append("it has one person: no other file of this take and this length was given")
+    first = people[0]
+    if _known(first).rate_hz is None and first.guess.rate_hz is None:
+        usual = usual_rate_hz(first.path.name)
+        why = f"{usual:g} Hz is a guess from its name; check" if usual else "set"
+        doubts.append(f"no file states its frame rate; {why} rate_hz")
+    up = common_up_axis([one.guess.up for one in people])
+    if up.confidence < LIKELY:
+        doubts.append(f"its up axis {up.axis} is a guess; check up_axis")
+    for one in people:
+        unit = one.guess.unit
+        if _known(one).metres_per_unit is not None or unit.confidence >= LIKELY:
+            continue
+        todo = "check" if unit.confidence >= MIN_UNIT_CONFIDENCE else "set"
+        doubts.append(f"{one.path.name}: {unit.reason}; {todo} metres_per_unit")
+    return doubts
+
+
+def _named(take_ids: Sequence[str]) -> str:
+    """Name takes, of many the first."""
+    more = f" and {len(take_ids) - _SAID} more" if len(take_ids) > _SAID else ""
+    return f"take{'s' if len(take_ids) > 1 else ''} {', '.join(take_ids[:_SAID])}{more}"
+
+
+def _known(source: _Motion) -> KnownSource:
+    layout, stated_hz = source.guess.layout or "", source.guess.rate_hz
+    return known_source(source.path.name, layout, stated_hz=stated_hz, is_fetched=source.is_fetched)
+
+
+def _height_m(source: _Motion) -> float:
+    known, unit = _known(source).metres_per_unit, source.guess.unit
+    return unit.height_m if known is None else unit.height_m / unit.metres_per_unit * known
 
 
 def _against(stated_hz: float | None, known_hz: float) -> str:

@@ -59,8 +59,10 @@ def recognise_format(data: bytes) -> MotionFormat | AnnotationFormat:
     """Return the format of a file, told from its content, never from its name.
 
     Raises:
-        FormatError: It is none of them; what each is recognised by is said.
+        FormatError: It is empty, or none of them; what each is recognised by is said.
     """
+    if not data.strip():
+        raise FormatError("this file is empty")
     start = FileStart(data)
     known: list[MotionFormat | AnnotationFormat] = [*MOTION_FORMATS.values(), *ANNOTATION_FORMATS.values()]
     for one in known:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 from storage_schema import SourceCredit
 
-__all__ = ["CMU_CREDIT", "DUET_CREDIT", "KnownSource", "known_performance", "known_source"]
+__all__ = [
+    "CMU_CREDIT",
+    "DUET_CREDIT",
+    "KnownSource",
+    "known_performance",
+    "known_source",
+    "note_fetched",
+    "usual_rate_hz",
+    "was_fetched",
+]
 
 CMU_CREDIT = SourceCredit(
     name="CMU Graphics Lab Motion Capture Database",
@@ -19,8 +30,10 @@ DUET_CREDIT = SourceCredit(
     name="pasdedeux built-in duets", licence="Apache-2.0", credit="Closed-form choreography of the pasdedeux package"
 )
 
+FETCHED_FILE = "CMU.sha256"
+"""Lies beside files that `pasdedeux fetch` brought from CMU, and has their digests."""
 _CMU_NAME = re.compile(r"^(\d{1,3})_(\d{1,3})\.(amc|bvh)$", re.IGNORECASE)
-_AMC_RATE_HZ = 120.0
+_USUAL_RATE_HZ = 120.0
 _SALSA_RATE_HZ = 60.0
 """Subjects 60 and 61 were captured at 60 Hz; the headers of their BVH files say 120."""
 _SALSA_METRES_PER_UNIT = {"60": 1.263, "61": 1.191}
@@ -36,25 +49,52 @@ class KnownSource:
     metres_per_unit: float | None = None
 
 
-def known_source(file_name: str, layout: str) -> KnownSource:
-    """Return what is known of a file of this name whose joints fit this layout.
+def known_source(file_name: str, layout: str, *, stated_hz: float | None, is_fetched: bool = False) -> KnownSource:
+    """Return what is known of a file of this name whose joints fit this layout and that states this rate.
 
-    AMC files named like CMU's state no rate: it is 120 Hz, 60 Hz for subjects 60 and 61.  The BVH release of those two
-    subjects states a wrong rate, and its unit differs between them.
+    An AMC file states no rate: it is known of one that `pasdedeux fetch` brought from CMU.  A name alone tells nothing.
+    The BVH release of subjects 60 and 61 states a wrong rate, 120 Hz, and its unit differs between them.
     """
-    match = _CMU_NAME.match(file_name)
-    if match is None:
-        return KnownSource()
-    subject, kind = match.group(1).lstrip("0"), match.group(3).lower()
-    is_salsa = subject in _SALSA_METRES_PER_UNIT
-    if kind == "amc":
-        return KnownSource(rate_hz=_SALSA_RATE_HZ if is_salsa else _AMC_RATE_HZ)
-    if is_salsa and layout == _BVH_LAYOUT:
+    subject = _cmu_subject(file_name)
+    if is_fetched:
+        return KnownSource(rate_hz=usual_rate_hz(file_name))
+    is_lying = layout == _BVH_LAYOUT and stated_hz is not None and abs(stated_hz - _USUAL_RATE_HZ) < 0.1
+    if is_lying and file_name.lower().endswith(".bvh") and subject in _SALSA_METRES_PER_UNIT:
         return KnownSource(rate_hz=_SALSA_RATE_HZ, metres_per_unit=_SALSA_METRES_PER_UNIT[subject])
     return KnownSource()
+
+
+def usual_rate_hz(file_name: str) -> float | None:
+    """Return the rate that CMU's AMC file of this name has; None for a name unlike theirs."""
+    subject = _cmu_subject(file_name)
+    if subject is None or not file_name.lower().endswith(".amc"):
+        return None
+    return _SALSA_RATE_HZ if subject in _SALSA_METRES_PER_UNIT else _USUAL_RATE_HZ
+
+
+def note_fetched(path: Path) -> None:
+    """Note beside a file that `pasdedeux fetch` brought it from CMU: name and digest, as `sha256sum --check` reads."""
+    notes = path.with_name(FETCHED_FILE)
+    lines = notes.read_text(encoding="utf-8").splitlines() if notes.is_file() else []
+    lines = [line for line in lines if not line.endswith(f"  {path.name}")]
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    notes.write_text("".join(f"{line}\n" for line in [*lines, f"{digest}  {path.name}"]), encoding="utf-8")
+
+
+def was_fetched(path: Path, sha256: str) -> bool:
+    """Tell whether `pasdedeux fetch` brought a file of this content from CMU, as is noted beside it."""
+    try:
+        return sha256 in path.with_name(FETCHED_FILE).read_text(encoding="utf-8").split()
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def known_performance(file_name: str) -> str | None:
     """Name the performance that a file of this name holds, the same for its AMC and its BVH; None where unknown."""
     match = _CMU_NAME.match(file_name)
     return f"CMU {match.group(1).lstrip('0')}_{match.group(2).lstrip('0')}" if match else None
+
+
+def _cmu_subject(file_name: str) -> str | None:
+    match = _CMU_NAME.match(file_name)
+    return match.group(1).lstrip("0") if match else None

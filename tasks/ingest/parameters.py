@@ -115,8 +115,12 @@ class CommonOptions(Parameters):
     persons: tuple[PersonOptions, ...] = Field(
         default=(), max_length=26, description="Options of each file, in their order"
     )
-    licence: str | None = Field(default=None, description="Licence of the source; known for CMU, else 'not stated'")
-    credit: str | None = Field(default=None, description="Credit line of the source; known for CMU, else 'not stated'")
+    licence: str | None = Field(
+        default=None, description="Licence of the source; that of CMU for what `fetch` brought, else 'not stated'"
+    )
+    credit: str | None = Field(
+        default=None, description="Credit line of the source; that of CMU for what `fetch` brought, else 'not stated'"
+    )
 
     @field_validator("frames")
     @classmethod

@@ -203,7 +203,7 @@ def _take_shard(seed: int, parameters: IngestParameters, take: TakeOptions) -> S
     num_frames = _common_length(take, people)
     if parameters.take_seconds is not None:
         num_frames = min(num_frames, max(2, round(parameters.take_seconds * people[0].told.rate_hz)))
-    source = credit_of(people[0].told.layout, take.licence, take.credit)
+    source = credit_of(people, take.licence, take.credit)
     objects, contacts = (load_file(path) if path else None for path in (take.objects, take.contacts))
     _check_things(take.id, people, objects, contacts)
     layouts = {person.told.layout for person in people}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +16,7 @@ from pasdedeux.formats.registry import MOTION_FORMATS, find_format
 from pasdedeux.formats.working_poses import check_layout
 from pasdedeux.skeletons.layouts import LAYOUTS, Layout, find_layout, joints_missing
 from storage_schema import SourceCredit
-from tasks.ingest.known_sources import CMU_CREDIT, known_source
+from tasks.ingest.known_sources import CMU_CREDIT, known_source, usual_rate_hz, was_fetched
 from tasks.ingest.parameters import CommonOptions, PersonOptions
 from tasks.ingest.shard_parameters import PersonParameters
 from tasks.stage import SourceFile
@@ -142,10 +142,13 @@ def find_person(path: Path, take: CommonOptions, person: PersonOptions, mappings
         head = _head(kind.name, loaded.file, companion)
         layout_name = person.layout or take.layout
         layout = layout_named(layout_name, head.rest.skeleton.joint_names, mappings)
-        known = known_source(path.name, layout.name)
+        is_fetched = was_fetched(path, loaded.file.sha256)
+        known = known_source(path.name, layout.name, stated_hz=head.rest.rate_hz, is_fetched=is_fetched)
         rate = person.rate_hz or take.rate_hz or known.rate_hz or head.rest.rate_hz
         if rate is None:
-            raise InputError("the file states no frame rate; set rate_hz for this take")
+            usual = usual_rate_hz(path.name)
+            hint = f" (CMU's file of this name has {usual:g} Hz)" if usual else ""
+            raise InputError(f"the file states no frame rate; set rate_hz for this take{hint}")
         stated = person.metres_per_unit or take.metres_per_unit or known.metres_per_unit
         unit = guess_unit(head.rest) if stated is None else UnitGuess(stated, 1.0, "it is known", 0.0)
         if unit.confidence < MIN_UNIT_CONFIDENCE:
@@ -190,15 +193,14 @@ def find_companion(path: Path, kind: MotionFormat, named: Path | None = None) ->
     return load_file(found).file
 
 
-def credit_of(layout: str, licence: str | None, credit: str | None) -> SourceCredit:
-    """Return licence and credit of a take: what the study says, else what is known of the source."""
-    is_cmu = layout.startswith("cmu_")
-    if is_cmu and licence is None and credit is None:
-        return CMU_CREDIT
+def credit_of(people: Sequence[PersonSource], licence: str | None, credit: str | None) -> SourceCredit:
+    """Return licence and credit of a take: what the study says, else CMU's where `fetch` brought all of its people."""
+    is_cmu = all(was_fetched(Path(person.files[0].path), person.files[0].sha256) for person in people)
+    known = CMU_CREDIT if is_cmu else SourceCredit(name=OWN_FILES, licence=NOT_STATED, credit=NOT_STATED)
     return SourceCredit(
-        name=CMU_CREDIT.name if is_cmu else OWN_FILES,
-        licence=licence or (CMU_CREDIT.licence if is_cmu else NOT_STATED),
-        credit=credit or (CMU_CREDIT.credit if is_cmu else NOT_STATED),
+        name=CMU_CREDIT.name if credit == CMU_CREDIT.credit else known.name,
+        licence=licence or known.licence,
+        credit=credit or known.credit,
     )
 
 

@@ -7,7 +7,7 @@ import signal
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from pasdedeux.settings import Settings
 from tasks.shards.errors import ClusterError, in_one_line
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, SpecCluster
     from distributed.deploy.cluster import Cluster
 
 __all__ = ["ClusterProfile", "await_workers", "cluster_class", "read_profile", "started"]
@@ -32,7 +32,7 @@ class ClusterProfile(Settings):
     cluster: str = Field(
         pattern=r"^\w+(\.\w+)+$",
         description="Class of a Dask cluster: dask_jobqueue.SLURMCluster, dask_jobqueue.PBSCluster, "
-        "dask_kubernetes.operator.KubeCluster, ...",
+        "dask_kubernetes.operator.KubeCluster, tasks.shards.jobs_here.JobsHere, ...",
     )
     options: dict[str, Any] = Field({}, description="Arguments of that class; memory of a worker is among them")
     min_workers: int = Field(1, ge=1, description="Workers that are kept as long as the run lasts")
@@ -65,16 +65,32 @@ def started(profile: ClusterProfile) -> Iterator[Any]:
     """Start the cluster for this block; it keeps to its number of workers by itself.
 
     Raises:
-        ClusterError: The class is not installed or is none, or the cluster cannot be started.
+        ClusterError: The class is not installed or is none, or the cluster or its first jobs cannot be started.
     """
+    from distributed import SpecCluster
+
     kind = cluster_class(profile.cluster)
     try:
         cluster = kind(**profile.options)
     except Exception as error:  # noqa: BLE001 - whatever a scheduler of jobs says becomes one sentence
         raise ClusterError(f"{profile.cluster} cannot be started: {in_one_line(error)}") from None
+    if isinstance(cluster, SpecCluster):
+        # Adapting submits jobs in a callback whose error nobody sees, and not again: the first are waited for here.
+        try:
+            cluster.sync(_scaled, cluster, profile.min_workers, callback_timeout=profile.start_s)
+        except Exception as error:  # noqa: BLE001 - as above
+            with suppress(Exception):
+                cluster._created.clear()  # it asserts of every job that it has ended, also of those that never began
+                cluster.close()
+            raise ClusterError(f"{profile.cluster} cannot start its jobs: {in_one_line(error)}") from None
     with cluster:
         cluster.adapt(minimum=profile.min_workers, maximum=max(profile.min_workers, profile.max_workers))
         yield cluster
+
+
+async def _scaled(cluster: SpecCluster, num_workers: int) -> None:
+    cluster.scale(num_workers)
+    await cluster._correct_state()
 
 
 def await_workers(client: Client, profile: ClusterProfile) -> None:

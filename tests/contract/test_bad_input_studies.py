@@ -145,6 +145,14 @@ def test_next_to_no_room_is_refused_before_any_work(
     assert found == f"the disk of {tmp_path / 'store'} has 1 MB left; free some space first"
 
 
+def test_a_folder_that_cannot_be_written_to_is_not_called_full(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = call_in_process(capsys, "run", write(tmp_path, ONE_TAKE), "--store", "/proc/store")
+    assert found.code == 2
+    assert found.err.startswith("error: the store /proc/store cannot be made: nothing can be written in /proc; name")
+
+
 FILL = """
 import errno, os, sys
 from storage_schema.durable import HashingFile

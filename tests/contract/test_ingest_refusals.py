@@ -40,7 +40,7 @@ def test_frames_that_one_take_holds_out_and_another_learns_from_are_refused(pair
 
 
 def test_amc_and_bvh_of_one_cmu_performance_are_known_for_the_same(data_dir: Path) -> None:
-    alone = {"id": "alone", "files": [data_dir / "cmu_asfamc" / "60_01.amc"]}
+    alone = {"id": "alone", "files": [data_dir / "cmu_asfamc" / "60_01.amc"], "rate_hz": 60}
     salsa = {"folder": data_dir / "cmu_salsa_bvh", "subjects": ["60", "61"], "id": "salsa_{take}"}
     with pytest.raises(InputError, match=r"alone and salsa_01 share frames of 60_01.amc, also 60_01.bvh, but only one"):
         planned(takes=[alone], pairs={"salsa": salsa | {"takes": ["01"]}}, held_out=["salsa_01"])

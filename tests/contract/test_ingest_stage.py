@@ -364,8 +364,7 @@ def test_salsa_stands_on_the_floor_face_to_face(tmp_path: Path, data_dir: Path) 
                 "folder": data_dir / "cmu_salsa_bvh",
                 "subjects": ["60", "61"],
                 "takes": ["10"],
-                "rate_hz": 60.0,
-                "persons": [{"metres_per_unit": 1.263}, {"metres_per_unit": 1.191}],
+                "credit": "From mocap.cs.cmu.edu",
             }
         },
         virtual_video={"num_random_views": 20},

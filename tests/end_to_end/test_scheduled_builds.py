@@ -11,10 +11,15 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
+from prefect.server.events.schemas.automations import EventTrigger as ServerTrigger
+from prefect.server.events.schemas.events import ReceivedEvent
 
+from flows.dataset import dataset
 from flows.records import describe_runs
+from flows.schedules import zombies
 from storage_schema import Store, list_datasets
 from tests.builders.toy_runs import ROOT, wait_until
 
@@ -125,6 +130,10 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert all(row["computed"] == 0 for row in tables[0]), "the next finds it fresh"
     assert [one["status"] for one in describe_runs(Store(store))] == ["finished"]
     links = {one["data"] for one in artifacts if one["key"] == "pasdedeux-duets-dataset"}
+    heartbeats = _get(environment, "/events/filter", {"filter": {"event": {"name": ["prefect.flow-run.heartbeat"]}}})
+    flows = {(_flow(event), _is_watched(event)) for event in heartbeats["events"]}
+    assert (dataset.name, True) in flows
+    assert all(is_watched is (name == dataset.name) for name, is_watched in flows), "stages have no end of their own"
     (version,) = list_datasets(Store(store))
     wanted = {"event": {"prefix": ["prefect.asset.materialization.succeeded"]}}
     wait_until(lambda: len(_materialised(environment, wanted)) > 1, "the assets")
@@ -132,6 +141,38 @@ def test_a_schedule_fires_builds_and_the_next_build_finds_everything_fresh(
     assert len(assets) == len(set(assets)), "the second build makes nothing"
     assert {"pasdedeux://duets/poses", f"pasdedeux://duets/versions/{version.version}"} <= set(assets)
     assert links == {f"[{version.label}]({(version.path / 'CHANGES.md').as_uri()})"}
+
+
+def _flow(event: dict[str, Any]) -> str:
+    (found,) = [one for one in event["related"] if one["prefect.resource.role"] == "flow"]
+    return str(found["prefect.resource.name"])
+
+
+def _is_watched(event: dict[str, Any]) -> bool:
+    """Tell whether the automation for builds that vanished minds an event, by the rule of Prefect's server."""
+    trigger = ServerTrigger.model_validate(zombies().trigger.model_dump(mode="json"))
+    return trigger.covers(ReceivedEvent.model_validate(event))
+
+
+@pytest.mark.parametrize(
+    ("flow", "deployment", "is_watched"),
+    [(dataset.name, True, True), (dataset.name, False, False), ("payroll", True, False)],
+)
+def test_only_runs_of_our_deployments_are_marked_as_crashed(flow: str, deployment: bool, is_watched: bool) -> None:
+    related = [
+        {"prefect.resource.id": "prefect.flow.1", "prefect.resource.role": "flow", "prefect.resource.name": flow}
+    ]
+    if deployment:
+        related.append({"prefect.resource.id": "prefect.deployment.2", "prefect.resource.role": "deployment"})
+    for name in ("heartbeat", "Completed"):
+        event = {
+            "id": str(uuid4()),
+            "occurred": "2030-01-01T00:00:00Z",
+            "event": f"prefect.flow-run.{name}",
+            "resource": {"prefect.resource.id": "prefect.flow-run.3", "prefect.resource.name": "quiet-owl"},
+            "related": related,
+        }
+        assert _is_watched(event) is is_watched
 
 
 def test_a_schedule_without_a_server_is_refused_with_what_to_do(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
+from flows.console import deploy
 from flows.dataset import dataset
 from tasks.shards.profiles import ClusterProfile, cluster_class, read_profile
 from tests.builders.toy_runs import ROOT
@@ -121,3 +122,19 @@ def test_a_unit_is_closed_and_its_secrets_are_in_a_file_of_its_own(path: Path) -
     assert "--host 127.0.0.1" in service["ExecStart"] or " worker start " in service["ExecStart"]
     for name in unit["Unit"].get("Requires", "").split():
         assert (path.parent / name).is_file()
+
+
+TELEMETRY_OFF = ("DO_NOT_TRACK=1", "PREFECT_SERVER_ANALYTICS_ENABLED=false")
+
+
+def test_prefects_telemetry_is_off_wherever_a_server_is_started() -> None:
+    image = (DEPLOY / "Dockerfile").read_text().split("\nWORKDIR")[0]
+    assert all(word in image for word in TELEMETRY_OFF)
+    assert COMPOSE["services"]["prefect"]["build"] == COMPOSE["services"]["builder"]["build"]
+    assert all("DO_NOT_TRACK=1" in path.read_text() for path in (DEPLOY / "systemd").glob("*.service"))
+    shown = re.findall(r"```sh\n(.*?)```", (DEPLOY / "README.md").read_text(), re.DOTALL)
+    files = [(DEPLOY / "systemd" / "prefect-server.service").read_text(), deploy._DEPLOY, *shown]
+    starting = [text for text in files if "server start" in text]
+    assert len(starting) == 3
+    for text in starting:
+        assert all(word in text.split("server start")[0] for word in TELEMETRY_OFF)

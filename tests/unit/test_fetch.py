@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -77,6 +78,8 @@ def test_all_listed_takes_come_with_their_skeleton_and_credit(site: Site, tmp_pa
     assert [item.path.name for item in found] == ["60.asf", "60_01.amc", "60_02.amc"]
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
     assert "mocap.cs.cmu.edu" in (tmp_path / "CREDITS.txt").read_text()
+    noted = dict(reversed(line.split()) for line in (tmp_path / "CMU.sha256").read_text().splitlines())
+    assert noted == {item.path.name: hashlib.sha256(item.path.read_bytes()).hexdigest() for item in found}
 
 
 def test_what_is_there_is_not_brought_again(site: Site, tmp_path: Path) -> None:
@@ -119,7 +122,7 @@ def test_a_file_whose_writing_breaks_off_between_two_frames_is_not_taken_for_who
         patch.setattr(Path, "write_bytes", broken)
         with pytest.raises(FetchError, match=r"60_01.amc cannot be written: No space"):
             list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CREDITS.txt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
     list(fetch_cmu({"60": ["01"]}, tmp_path, base_url=site.url, wait_s=0.0))
     assert (tmp_path / "60_01.amc").read_bytes() == AMC.encode()
 
@@ -135,7 +138,7 @@ def test_faults_of_the_site_are_named_and_leave_no_file(site: Site, tmp_path: Pa
     site.files["/subjects/60/60_03.amc"] = b"<html>down for maintenance</html>"
     with pytest.raises(FetchError, match=r"60_03.amc did not send a motion file: line 1"):
         list(fetch_cmu({"60": ["03"]}, tmp_path, base_url=site.url, wait_s=0.0))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CREDITS.txt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["60.asf", "CMU.sha256", "CREDITS.txt"]
     site.files["/search.php?subjectnumber=60"] = b"nothing"
     with pytest.raises(FetchError, match="lists no takes of subject 60; name them with --takes"):
         list(fetch_cmu({"60": None}, tmp_path, base_url=site.url, wait_s=0.0))
@@ -158,7 +161,12 @@ def test_the_takes_of_a_study_come_where_no_subjects_are_named(site: Site, tmp_p
         app, ["cmu", "--study", str(study), "--out", str(tmp_path / "cmu"), "--base-url", site.url]
     )
     assert found.exit_code == 0, found.output
-    assert sorted(path.name for path in (tmp_path / "cmu").iterdir()) == ["60.asf", "60_02.amc", "CREDITS.txt"]
+    assert sorted(path.name for path in (tmp_path / "cmu").iterdir()) == [
+        "60.asf",
+        "60_02.amc",
+        "CMU.sha256",
+        "CREDITS.txt",
+    ]
 
 
 def test_the_database_that_ships_has_people_with_a_partner_and_alone() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -33,6 +34,19 @@ def test_the_server_answers_inside_the_block_and_is_gone_after_it() -> None:
             assert answer.read() == b"true"
     with pytest.raises(ServerError, match="does not answer"):
         check_server(address)
+
+
+@pytest.mark.slow
+def test_the_server_of_a_run_sends_no_telemetry_and_neither_does_what_talks_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("DO_NOT_TRACK", "PREFECT_SERVER_ANALYTICS_ENABLED"):
+        monkeypatch.delenv(name)
+    with starting_server() as server:
+        with urllib.request.urlopen(f"{server.wait()}/admin/settings", timeout=30) as answer:
+            assert json.loads(answer.read())["server"]["analytics_enabled"] is False
+        assert os.environ["DO_NOT_TRACK"] == "1"
+        assert b"DO_NOT_TRACK=1" in Path(f"/proc/{server.process.pid}/environ").read_bytes().split(b"\0")
 
 
 def test_the_server_ends_when_the_process_that_started_it_is_gone() -> None:

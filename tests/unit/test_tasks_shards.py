@@ -36,6 +36,7 @@ from tasks.shards import (
 )
 from tasks.shards.profiles import cluster_class
 from tasks.stage import Shard, StageInputs
+from tests.builders.toy_runs import ROOT
 from tests.builders.toys import GrowParameters, plan_grow, run_grow
 
 MEMORY_BYTES = 700 * 1024**2
@@ -273,26 +274,47 @@ def test_workers_that_do_not_see_the_store_are_refused(client: Client, tmp_path:
         pass
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # dask-jobqueue leaves its jobs' pipes
-def test_jobs_of_a_profile_compute_the_same_with_their_memory_limit(tmp_path: Path) -> None:
+def test_jobs_of_the_profile_for_this_machine_compute_the_same_with_its_threads_and_memory(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    where = cluster_settings(None, cluster=ROOT / "deploy" / "clusters" / "here.toml")
+    with connect(where, store_root=str(tmp_path / "far")) as client:
+        worker = next(iter(client.scheduler_info()["workers"].items()))
+        assert worker[0].startswith("tcp://127.0.0.1:")
+        assert worker[1]["memory_limit"] == 2 * 1024**3
+        assert set(client.run(os.getenv, "OPENCV_FOR_THREADS_NUM").values()) == {"1"}
+        found = compute(run_grow, shards(), ClusterPool(client, str(tmp_path / "far"), is_shared=True))
+    own = compute(run_grow, shards(), here(tmp_path / "near"))
+    assert {key: done.ref for key, done in found.items()} == {key: done.ref for key, done in own.items()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("tasks.shards.jobs_here.JobsHere", "ended with code 3; it said: no such module"),
+        ("dask_jobqueue.SLURMCluster", "cannot start its jobs: .*invalid partition"),
+    ],
+)
+def test_what_a_job_says_that_gets_no_worker_is_in_the_error_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, words: str
+) -> None:
+    (tmp_path / "sbatch").write_text("#!/bin/sh\necho invalid partition >&2; exit 1\n")
+    (tmp_path / "sbatch").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     path = tmp_path / "jobs.toml"
     path.write_text(f"""
-cluster = "dask_jobqueue.local.LocalCluster"
+cluster = "{kind}"
 [options]
 cores = 1
 processes = 1
 memory = "1GiB"
 interface = "lo"
-log_directory = "{tmp_path}"
+scheduler_options = {{ dashboard_address = "127.0.0.1:0" }}
+job_script_prologue = ["echo no such module >&2; exit 3"]
 """)
-    (tmp_path / "far").mkdir()
-    with connect(cluster_settings(None, cluster=path), store_root=str(tmp_path / "far")) as client:
-        (worker,) = client.scheduler_info()["workers"].items()
-        assert worker[0].startswith("tcp://127.0.0.1:")
-        assert worker[1]["memory_limit"] == 1024**3
-        found = compute(run_grow, shards(), ClusterPool(client, str(tmp_path / "far"), is_shared=True))
-    own = compute(run_grow, shards(), here(tmp_path / "near"))
-    assert {key: done.ref for key, done in found.items()} == {key: done.ref for key, done in own.items()}
+    where, began = cluster_settings(None, cluster=path), time.monotonic()
+    with pytest.raises(ClusterError, match=words), connect(where, store_root=str(tmp_path)):
+        pass
+    assert time.monotonic() - began < 60
 
 
 def test_a_library_of_clusters_does_not_take_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

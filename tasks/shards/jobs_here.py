@@ -1,0 +1,59 @@
+"""Jobs of dask-jobqueue on this machine, run as a cluster runs them: by a shell, with what they say kept in a file."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import tempfile
+from contextlib import suppress
+
+from dask_jobqueue.local import LocalCluster, LocalJob
+from distributed.core import Status
+
+__all__ = ["JobsHere"]
+
+_LOOK_AGAIN_S = 0.1
+_SAID_BYTES = 2000
+"""Of the end of what a job said that an error tells."""
+
+
+class _JobHere(LocalJob):
+    """A job.
+
+    Dask-jobqueue's own takes the words of the script for one command, so that a prologue in the language of a shell
+    fails, and leaves the worker before a pipe that nobody reads.
+    """
+
+    async def _submit_job(self, script_filename: str) -> str:
+        """Start the script and wait for its worker; RuntimeError with what it said where it ends without one."""
+        with tempfile.TemporaryFile() as said:
+            self._process = subprocess.Popen(
+                ["sh", script_filename], stdin=subprocess.DEVNULL, stdout=said, stderr=said, start_new_session=True
+            )
+            while b"Registered to:" not in _read(said.fileno()):
+                code = self._process.poll()
+                if code is not None:
+                    words = _read(said.fileno())[-_SAID_BYTES:].decode(errors="replace")
+                    raise RuntimeError(f"a job ended with code {code}; it said: {words}")
+                await asyncio.sleep(_LOOK_AGAIN_S)
+        return str(self._process.pid)
+
+    async def close(self) -> None:
+        """End the job with all its processes."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self.status = Status.closed
+
+
+class JobsHere(LocalCluster):
+    """A Dask cluster whose jobs are processes of this machine."""
+
+    job_cls = _JobHere
+
+
+def _read(file: int) -> bytes:
+    """Return all that stands in a file that another process writes to."""
+    return os.pread(file, os.fstat(file).st_size, 0)

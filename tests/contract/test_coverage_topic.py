@@ -1,13 +1,19 @@
-"""Which sets of draws coverage is measured of."""
+"""Which sets of draws coverage is measured of, and that nothing is evaluated on what it learned from."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+from pasdedeux.errors import InputError
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.evaluation.coverage import draws_from_first_seeds
+from tasks.evaluation import coverage, reconstruction
+from tasks.evaluation.coverage import CoverageParameters, draws_from_first_seeds
+from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, run, with_seeds
+from tests.builders.storage_rows import put
 
 __all__ = ["inputs"]
 
@@ -20,3 +26,16 @@ def test_draws_of_the_first_seed_stand_alone_where_a_density_has_many_seeds_and_
     made = run(chains.plan(given, ChainsParameters(**options, variants=variants)), chains, store)
     found = draws_from_first_seeds(store, tuple(one.ref for one in made))
     assert {name: len(pairs) for name, pairs in found.items()} == {"prior_only_first_seed": 8}
+
+
+def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
+    store, tables = inputs
+    leaky = put(store, "chains", "leaky", {}, {"takes": ["one", "kept_back"]})
+    motions = put(store, "reconstruction", "film", {}, {"database_takes": ["one", "two"], "sequence_takes": ["two"]})
+    nothing, held_out = StageInputs({}, seed=1), CoverageParameters(split="held_out")
+    for topic, shard in (
+        (coverage.TOPIC, coverage.TOPIC.shard(nothing, "held_out", held_out, takes=tables["poses"], draws=[leaky])),
+        (reconstruction.TOPIC, reconstruction.TOPIC.shard(nothing, "film", motions=[motions])),
+    ):
+        with pytest.raises(InputError, match=r"learned from (kept_back|two), which it is evaluated on"):
+            topic.run(shard, store)

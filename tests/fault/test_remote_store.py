@@ -38,7 +38,7 @@ from storage_schema.errors import DatasetExists
 from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import Outside, build_here, digests, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
 
@@ -425,12 +425,16 @@ def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
 
 
 def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:
-    ref = commit_rows(Store(server.place), name="one")
+    first = put(Store(server.place), "judge", "one", {"scores": random_columns("scores", 3, seed=0)}, {})
     elsewhere()
     other = Store(server.place)
-    again = commit_rows(other, name="one")
-    assert again == ref
-    assert other.manifest(ref).ref == ref
+    for seed in (0, 1):  # the same bytes, and others: what is there has readers
+        again = put(other, "judge", "one", {"scores": random_columns("scores", 3, seed=seed)}, {})
+        assert again == first
+    elsewhere()
+    Store(server.place).refresh()
+    ref = next(Store(server.place).artifacts()).ref
+    assert ref == first.ref
     Store(server.place).discard(ref)
     assert RemoteStore(server.place).entries("manifests") == []
 

@@ -33,7 +33,7 @@ from storage_schema import (
     open_table,
     verify,
 )
-from storage_schema.bucket import RemoteStore
+from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.errors import DatasetExists
 from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
@@ -305,6 +305,14 @@ def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
         remote.delete(["lease"])
 
 
+def test_a_lease_is_renewed_as_long_as_its_holder_lives(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.lease._BEAT_S", 0.05)
+    remote = RemoteStore(server.place)
+    with in_use(Store(server.place)):
+        first = remote.read("lease")
+        wait_until(lambda: remote.read("lease") != first, "the lease to be renewed", limit_s=20.0)
+
+
 def test_a_lease_that_cannot_be_read_is_somebodys_until_it_does_not_change(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -422,6 +430,13 @@ def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
     monkeypatch.setattr(mirror.remote, "entries", overtaken)
     mirror.refresh()
     assert len(list(mirror.root.glob("*/??/*/manifest.json"))) == 2
+
+
+def test_a_commit_that_is_cut_off_shows_nothing(server: S3Server) -> None:
+    server.fault = lambda method, path: "error" if method == "PUT" and "/parts/" in path else ""
+    with pytest.raises(RemoteError, match="cannot write parts/"):
+        commit_rows(Store(server.place), name="one")
+    assert RemoteStore(server.place).entries("manifests") == []
 
 
 def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:

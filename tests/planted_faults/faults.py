@@ -148,7 +148,7 @@ FAULTS = (
     Fault("a change between frames costs nothing", "pasdedeux/reconstruction/temporal.py",
           "cost[before] + weight[frame] * distance", "cost[before] + 0.0 * distance",
           "unit/test_projection_time.py::test_viterbi_finds_the_cheapest_of_all_paths"),
-    Fault("the size of the search's own motion is left in", "pasdedeux/reconstruction/reliability.py",
+    Fault("the left-out misfit is that of the own motion", "pasdedeux/reconstruction/reliability.py",
           "motion[np.maximum(found.row, 0)] != motion[rows][:, None]", "found.row >= 0",
           "unit/test_reliability.py::test_the_left_out_misfit_is_that_of_a_search_without_the_own_motion"),
     # Images and files

@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= store
 
-.PHONY: demo test lint setup blender soak clean
+.PHONY: demo test lint setup blender soak faults clean
 
 $(VENV)/.installed: pyproject.toml deploy/constraints.txt
 	$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}; say make PYTHON=python3.11"'
@@ -35,6 +35,10 @@ test: $(VENV)/.tested lint
 # Half an hour in which something of a toy build is killed every 20 s; not among the tests.
 soak: $(VENV)/.tested
 	$(BIN)/python -m tests.fault.soak --minutes 30 --every 20
+
+# Plants faults in copies of the sources and tells which of them no test notices, a quarter of an hour; not among the tests.
+faults: $(VENV)/.tested
+	$(BIN)/python -m tests.planted_faults
 
 # Loads files of `pasdedeux reconstruct` into Blender; its module is large and GPL, so it has an environment of its own.
 blender:

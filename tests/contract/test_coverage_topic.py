@@ -1,14 +1,19 @@
-"""Which sets of draws coverage is measured of, and on which takes."""
+"""Which draws coverage is measured of, on which takes, and that nothing is evaluated on what it learned from."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+from pasdedeux.errors import InputError
 from tasks import chains
 from tasks.chains import ChainsParameters
-from tasks.evaluation.coverage import TOPIC, CoverageSettings, draws_from_first_seeds
+from tasks.evaluation import coverage, reconstruction
+from tasks.evaluation.coverage import TOPIC, CoverageParameters, CoverageSettings, draws_from_first_seeds
 from tasks.stage import StageInputs
 from tests.builders.sampling_store import QUICK, inputs, put_take, run, with_seeds
+from tests.builders.storage_rows import put
 
 __all__ = ["inputs"]
 
@@ -39,3 +44,16 @@ def test_coverage_is_not_measured_on_takes_that_priors_learned_from_and_says_so(
             "Coverage is not measured on learned: priors learned from what people did there.",
             f"Coverage of {shard.name} frames: there are none.",
         ]
+
+
+def test_what_learned_from_a_take_is_not_evaluated_on_it(inputs: Any) -> None:
+    store, tables = inputs
+    leaky = put(store, "chains", "leaky", {}, {"takes": ["one", "kept_back"]})
+    motions = put(store, "reconstruction", "film", {}, {"database_takes": ["one", "two"], "sequence_takes": ["two"]})
+    nothing, held_out = StageInputs({}, seed=1), CoverageParameters(split="held_out")
+    for topic, shard in (
+        (coverage.TOPIC, coverage.TOPIC.shard(nothing, "held_out", held_out, takes=tables["poses"], draws=[leaky])),
+        (reconstruction.TOPIC, reconstruction.TOPIC.shard(nothing, "film", motions=[motions])),
+    ):
+        with pytest.raises(InputError, match=r"learned from (kept_back|two), which it is evaluated on"):
+            topic.run(shard, store)

@@ -99,3 +99,22 @@ def test_2d_poses_are_judged_by_what_is_seen_and_what_was_left_out(tmp_path: Pat
     (tmp_path / "walk" / "w_000000000003_keypoints.json").write_text("{")
     cut = judged(run(Store(tmp_path / "b"), planned(annotations=[section]))["walk", "annotations"])
     assert (cut.level, cut.reason) == (Level.WARN, "1 of 6 frames could not be read and were left out")
+
+
+def test_every_so_many_th_moment_is_left_out_of_what_draws_are_made_from(tmp_path: Path) -> None:
+    write_openpose(tmp_path / "walk", count=61)
+    source = {"id": "walk", "path": tmp_path / "walk", "rate_hz": 30.0, "left_out_every": 2}
+    view = {"num_random_views": 7, "left_out_every": 3}
+    shards = planned(annotations=[source], duets=[{"name": "hug", "duration_s": 1.0}], virtual_video=view)
+    store = Store(tmp_path / "store")
+    made = run(store, [shard for shard in shards if shard.name != "video"])
+    walk, views = (
+        store.read(made[name].ref, "annotations", columns=["sequence_id", "frame", "is_held_out"])
+        for name in (("walk", "annotations"), ("hug", "random_views"))
+    )
+    assert {frame for frame, is_out in zip(walk["frame"], walk["is_held_out"], strict=True) if is_out} == {
+        *range(30, 60)
+    }
+    out = {name for name, is_out in zip(views["sequence_id"], views["is_held_out"], strict=True) if is_out}
+    assert len(set(views["sequence_id"])) == 7
+    assert out == set(sorted(set(views["sequence_id"]))[1::3])

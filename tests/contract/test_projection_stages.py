@@ -11,13 +11,14 @@ import pytest
 from pasdedeux.cameras import look_at_camera
 from pasdedeux.errors import InputError
 from pasdedeux.evaluation.reconstruction_metrics import root_centred_error_m
-from pasdedeux.kinematics import bone_lengths
+from pasdedeux.kinematics import bone_lengths, forward_kinematics
+from pasdedeux.kinematics.rotations import normalise
 from pasdedeux.projections.camera import OrthographicCamera, PinholeCamera, pitch_of_height
 from pasdedeux.projections.pairs import pair_database, search_pairs
 from pasdedeux.projections.retarget import mid_hip
 from pasdedeux.projections.search import build_index
 from pasdedeux.projections.sources import op14_from_working
-from pasdedeux.reconstruction.body import SHARED
+from pasdedeux.reconstruction.body import REFERENCE_REST_M, SHARED
 from pasdedeux.skeletons import BODY22, OP14, PAIR17
 from storage_schema import ArtifactRef, Manifest, Store, source_credits
 from tasks import projections, reconstruction
@@ -109,6 +110,14 @@ def test_takes_that_are_not_held_out_become_poses_at_the_rate_of_the_database(st
     assert table.num_rows == 2 * 72  # 90 frames at 30 Hz, 24 Hz
     assert np.flatnonzero(table["is_sequence_start"]).tolist() == [0, 72]
     np.testing.assert_allclose(mid_hip(np.asarray(table["op14_m"], dtype=float)), 0.0, atol=1e-6)
+    played, _ = forward_kinematics(
+        BODY22, REFERENCE_REST_M, np.zeros((144, 3)), np.asarray(table["body22_unitquat"], dtype=float)
+    )
+    across = [
+        joints[:, skeleton.index("left_hip")] - joints[:, skeleton.index("right_hip")]
+        for joints, skeleton in ((played, BODY22), (np.asarray(table["op14_m"], dtype=float), OP14))
+    ]
+    np.testing.assert_allclose(*map(normalise, across), atol=0.05, err_msg="rotations face where the pose does")
     assert set(table["origin"]) == {"take"}
     assert [credit.name for credit in source_credits(store, built[0].ref)] == ["made up"]
 

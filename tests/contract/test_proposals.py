@@ -17,7 +17,7 @@ from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.density import Evaluation, PairDensity
 from pasdedeux.sampling.diagnostics import effective_sample_size, invariants
 from pasdedeux.sampling.likelihood import InteractionLikelihood
-from pasdedeux.sampling.parameters import POSITION_INDICES, PairChart, gauge_fix
+from pasdedeux.sampling.parameters import POSITION_INDICES, ROTATION_INDICES, PairChart, gauge_fix
 from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import PROPOSALS, Context, Correction, Proposal, ProposalInputs, Proposed
 from pasdedeux.sampling.speeds import Speeds
@@ -128,9 +128,38 @@ def test_draws_have_the_moments_of_a_skewed_and_a_truncated_target(name: str) ->
     assert worst_error(draws, {**KNOWN, **KNOWN_BONES}) < NUM_ERRORS
 
 
-def test_a_proposal_that_states_a_wrong_ratio_is_caught() -> None:
+def test_steps_as_wide_as_annotations_move_keep_a_skewed_target_and_without_their_ratio_they_do_not() -> None:
+    """Where speeds decide how wide steps are, the ratio decides where draws lie."""
     right = proposal("velocity", root_position_m=0.3, joint_rotation_rad=1e-3)
-    assert worst_error(sample(WithoutRatio(right), right, num_draws=400, thin=40), KNOWN) > 2 * NUM_ERRORS
+    errors = [
+        worst_error(sample(propose, right, num_draws=300, thin=25), KNOWN) for propose in (right, WithoutRatio(right))
+    ]
+    assert errors[0] < NUM_ERRORS
+    assert errors[1] > 2 * NUM_ERRORS
+
+
+def test_the_ratio_of_a_step_is_that_of_its_density_back_and_forth() -> None:
+    """Of a root, whose shift is plain to see: a normal density of the deviations at either end."""
+    propose = proposal("velocity", max_blocks=1)
+    rng = np.random.default_rng(3)
+    start, ratios = CHART.seed_parameters(), []
+    here = propose.prepare(start)
+    while len(ratios) < 5:
+        proposed = propose(start, here, rng)
+        if proposed.blocks is None or proposed.blocks.tolist() != [0] or proposed.correct is None:
+            continue
+        correction = proposed.correct()
+        turned = np.linalg.norm(proposed.parameters[ROTATION_INDICES[0]])
+        shifted = np.linalg.norm(proposed.parameters[POSITION_INDICES[0]] - start[POSITION_INDICES[0]])
+        logs = []
+        for context in (correction.context, here):
+            turn, shift = (values[0] for values in speeds().mean(context))
+            for length, deviation in ((turned, np.hypot(0.2, np.sqrt(turn))), (shifted, np.hypot(0.7, np.sqrt(shift)))):
+                logs.append(-3.0 * np.log(deviation) - 0.5 * (length / deviation) ** 2)
+        ratios.append(logs[0] + logs[1] - logs[2] - logs[3])
+        assert correction.log_ratio == pytest.approx(ratios[-1], abs=1e-9)
+        assert proposed.log_ratio >= correction.log_ratio
+    assert np.ptp(ratios) > 0.5
 
 
 @pytest.mark.parametrize("name", PROPOSALS)

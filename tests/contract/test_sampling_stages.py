@@ -32,6 +32,7 @@ from tests.builders.sampling_store import (
     run,
     with_seeds,
 )
+from tests.builders.storage_rows import put
 
 __all__ = ["inputs"]
 
@@ -126,6 +127,21 @@ def test_held_out_annotations_never_enter_a_chain(inputs: Any) -> None:
     made = run(planned[:1], chains, store)
     assert made[0].facts["takes"] == ["one", "two"]
     assert made[0].facts["num_annotations_skipped"] == 0
+
+
+def test_images_that_are_left_out_never_enter_a_chain(inputs: Any) -> None:
+    store, tables = inputs
+    annotations, views = tables["annotations"][0], tables["views"][0]
+    rows = store.read(annotations.ref, "annotations")
+    out = ["one/view00003", "one/view00007"]
+    columns = {name: rows[name] for name in rows.column_names}
+    columns["is_held_out"] = np.isin(np.array(list(rows["sequence_id"])), out)
+    cut = put(store, "ingest", "cut", {"annotations": columns}, dict(annotations.facts))
+    whole, left = (
+        gather(store, annotations=[one.ref], views=[views.ref], num_hypotheses=1) for one in (annotations, cut)
+    )
+    assert {place.sequence_id for place in set(whole.places) - set(left.places)} == set(out)
+    assert not {place.sequence_id for place in left.frames}.intersection(out)
 
 
 def test_stills_numbered_like_a_video_have_no_speed(inputs: Any) -> None:

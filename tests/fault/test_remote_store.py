@@ -33,12 +33,12 @@ from storage_schema import (
     open_table,
     verify,
 )
-from storage_schema.bucket import RemoteStore
+from storage_schema.bucket import RemoteError, RemoteStore
 from storage_schema.errors import DatasetExists
 from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import Outside, build_here, digests, run_toys, wait_until, write_study
 from tests.builders.toys import TOYS
 
@@ -305,6 +305,14 @@ def test_a_run_whose_lease_was_taken_ends_before_it_commits_again(
         remote.delete(["lease"])
 
 
+def test_a_lease_is_renewed_as_long_as_its_holder_lives(server: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("storage_schema.lease._BEAT_S", 0.05)
+    remote = RemoteStore(server.place)
+    with in_use(Store(server.place)):
+        first = remote.read("lease")
+        wait_until(lambda: remote.read("lease") != first, "the lease to be renewed", limit_s=20.0)
+
+
 def test_a_lease_that_cannot_be_read_is_somebodys_until_it_does_not_change(
     server: S3Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -424,13 +432,24 @@ def test_what_another_process_brings_while_a_mirror_is_refreshed_stays(
     assert len(list(mirror.root.glob("*/??/*/manifest.json"))) == 2
 
 
+def test_a_commit_that_is_cut_off_shows_nothing(server: S3Server) -> None:
+    server.fault = lambda method, path: "error" if method == "PUT" and "/parts/" in path else ""
+    with pytest.raises(RemoteError, match="cannot write parts/"):
+        commit_rows(Store(server.place), name="one")
+    assert RemoteStore(server.place).entries("manifests") == []
+
+
 def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Callable[[], None]) -> None:
-    ref = commit_rows(Store(server.place), name="one")
+    first = put(Store(server.place), "judge", "one", {"scores": random_columns("scores", 3, seed=0)}, {})
     elsewhere()
     other = Store(server.place)
-    again = commit_rows(other, name="one")
-    assert again == ref
-    assert other.manifest(ref).ref == ref
+    for seed in (0, 1):  # the same bytes, and others: what is there has readers
+        again = put(other, "judge", "one", {"scores": random_columns("scores", 3, seed=seed)}, {})
+        assert again == first
+    elsewhere()
+    Store(server.place).refresh()
+    ref = next(Store(server.place).artifacts()).ref
+    assert ref == first.ref
     Store(server.place).discard(ref)
     assert RemoteStore(server.place).entries("manifests") == []
 

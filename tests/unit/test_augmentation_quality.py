@@ -1,10 +1,12 @@
 """Figures of variants, as a whole and frame by frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pasdedeux.augmentation import Augmenter, Source, uniform_variations
-from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityMeter
+from pasdedeux.augmentation.quality import FrameLimits, Measured, QualityLimits, QualityMeter
 from pasdedeux.augmentation.source import points_of
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.skeletons import BODY22
@@ -53,6 +55,17 @@ def test_the_source_itself_passes_in_every_frame() -> None:
     measured = _measure(source, source.positions_m)
     assert not measured.frames.judge(FrameLimits()).any()
     assert measured.frames.jerk_ratio.max() <= 1.0
+
+
+def test_a_figure_beyond_its_limits_is_a_warning_or_a_failure_and_named() -> None:
+    source, limits = Source(swaying_pair(FRAMES), 30.0), QualityLimits()
+    quality = _measure(source, source.positions_m).quality
+    assert quality.judge(limits).level is Level.PASS
+    for name, (warn, fail) in limits:
+        for value, level in ((warn, Level.PASS), (0.5 * (warn + fail), Level.WARN), (1.1 * fail, Level.FAIL)):
+            found = replace(quality, **{name: value}).judge(limits)
+            assert found.level is level
+            assert (" is above " in found.reason) == (level is not Level.PASS)
 
 
 @pytest.mark.parametrize(

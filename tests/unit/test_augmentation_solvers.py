@@ -152,7 +152,8 @@ def test_bones_are_exact_and_contacts_kept() -> None:
             bone_lengths(BODY22, variant.positions_m), np.broadcast_to(wanted, (30, 2, 22)), atol=1e-9
         )
         assert variant.quality.bone_error_m < 1e-6
-        assert variant.quality.contact_drift_m < 0.25 * variant.quality.contact_drift_fk_m
+        # Plain forward kinematics is off by 23 mm and more, the mesh without its contacts by 1.3 to 13.5 mm.
+        assert variant.quality.contact_drift_m < 0.001
         assert variant.energy <= variant.energy_fk
 
 

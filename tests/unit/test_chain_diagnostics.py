@@ -50,6 +50,22 @@ def test_a_chain_that_walks_away_does_not_mix() -> None:
     assert found.verdict.value < 10.0
 
 
+def test_chains_that_each_stay_in_a_place_of_their_own_do_not_mix() -> None:
+    """Every draw is independent of the one before; chains are apart, or go nowhere."""
+    pairs = random_pairs(np.random.default_rng(4), 800).reshape(2, 400, 2, 17, 3)
+    apart = pairs + np.array([0.0, 0.8])[:, None, None, None, None] * np.array([[[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]]])
+    still = SEED + np.random.default_rng(5).normal(scale=1e-4, size=pairs.shape)
+    for draws, level, has_rhat, has_way in (
+        (pairs, Level.PASS, True, True),
+        (apart, Level.WARN, False, True),
+        (still, Level.WARN, True, False),
+    ):
+        for found in diagnose(draws, np.zeros((2, 400)), np.ones((2, 400)), thin=1, log_ceiling=5.0):
+            assert found.ess_min >= 100.0
+            assert (found.rhat_max < 1.1, found.travelled_m > 0.01) == (has_rhat, has_way)
+            assert found.verdict.level is level
+
+
 def test_a_chain_that_accepts_nothing_is_stuck_wherever_it_is() -> None:
     found = report(np.full(20, 5.0), num_accepted=0)
     assert found.verdict.level is Level.FAIL

@@ -62,6 +62,12 @@ def test_nothing_new_makes_no_new_version(study: Path, capsys: pytest.CaptureFix
     published = json.loads(capsys.readouterr().out)["published"]
     assert (published["dataset"], published["failures"]) == ("released@1", [])
     assert len(versions(study)) == 1
+    (study.parent / "source.txt").write_text("whose bytes change nothing but keys")
+    store = Store(study.parent / "store")
+    assert run(study, "--set", f"grow.source={study.parent / 'source.txt'}") == 0
+    assert len(list(store.artifacts("grow"))) == 12, "every key is another one"
+    assert "released@1 stays: nothing has changed" in capsys.readouterr().out
+    assert len(versions(study)) == 1
 
 
 def test_the_changelog_says_what_came_went_and_changed_and_the_scores(study: Path) -> None:

@@ -52,10 +52,13 @@ def test_openpose_layouts_are_told_from_the_number_of_values(layout: str, count:
     assert frame.person_id.tolist() == [0, 1]
 
 
-def test_not_detected_is_missing_and_never_the_origin() -> None:
-    frame = read_openpose_frame(openpose_text("coco18", missing=(3, 4)))
-    assert np.isnan(frame.keypoints_px[0, [3, 4]]).all()
-    assert (frame.confidence[0, [3, 4]] == 0).all()
+def test_what_is_at_the_origin_or_has_no_confidence_is_missing() -> None:
+    content = json.loads(openpose_text("coco18", missing=(3,)))
+    numbers = content["people"][0]["pose_keypoints_2d"]
+    numbers[3 * 4 + 2], numbers[3 * 5 : 3 * 5 + 2] = 0.0, [0.0, 0.0]
+    frame = read_openpose_frame(json.dumps(content))
+    assert np.isnan(frame.keypoints_px[0, [3, 4, 5]]).all()
+    assert (frame.confidence[0, [3, 4, 5]] == 0).all()
     assert np.isfinite(frame.keypoints_px[0, [0, 1, 2]]).all()
 
 

@@ -38,9 +38,7 @@ def test_only_files_that_are_known_to_lie_are_put_right(
 def test_rate_and_licence_of_cmu_are_those_of_files_that_fetch_brought_and_of_no_other(tmp_path: Path) -> None:
     path = write_walk(tmp_path)
     take = TakeOptions(id="walk", files=(path,))
-    with pytest.raises(
-        InputError, match=r"set rate_hz .* \(CMU's file of this name has 120 Hz\)"
-    ):
+    with pytest.raises(InputError, match=r"set rate_hz .* \(CMU's file of this name has 120 Hz\)"):
         find_person(path, take, PersonOptions(), {})
     assert credit_of([find_person(path, take, PersonOptions(rate_hz=60), {})], None, None).licence == NOT_STATED
     note_fetched(path)

@@ -160,8 +160,12 @@ def test_prior_of_a_standing_pair_is_one_and_falls_with_penetration_and_bad_angl
     )
     bent = seed.copy()
     bent[block_indices(PAIR17.index("left_ankle"))[:2]] = 2.0
-    assert prior.terms(bent, chart.positions(bent)).num_invalid > 0
+    invalid = prior.terms(bent, chart.positions(bent)).num_invalid
+    assert invalid > 0
     assert prior.terms(bent, chart.positions(bent)).log_prior < -1.0
+    for allowed in (invalid, invalid - 1):
+        strict = PhysicalPrior(chart, LIMITS, PriorSettings(max_invalid_angles=allowed))
+        assert np.isfinite(strict.terms(bent, chart.positions(bent)).log_prior) == (allowed == invalid)
 
 
 def test_prior_is_the_plain_form_of_the_equation() -> None:

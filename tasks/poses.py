@@ -29,8 +29,8 @@ def read_poses(store: Store, ref: ArtifactRef, *columns: str) -> dict[str, np.nd
     expected = np.repeat(frames, count), np.tile(np.arange(count), len(frames))
     if not (np.array_equal(frame[order], expected[0]) and np.array_equal(person[order], expected[1])):
         raise InputError(
-            f"the poses of take {manifest.facts['take_id']} do not have each of {count} people once in every frame; build it "
-            "again with --force"
+            f"the poses of take {manifest.facts['take_id']} do not have each of {count} people once in every frame; "
+            "build it again with --force"
         )
     return {
         name: np.asarray(table[name], dtype=np.float64)[order].reshape(len(frames), count, *table[name].shape[1:])

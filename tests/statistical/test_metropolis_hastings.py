@@ -14,7 +14,7 @@ from pasdedeux.benchmarks.synthetic import standing_pair
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
 from pasdedeux.sampling.chain import ChainState, generator_from_json, generator_to_json, run_segment, step
-from pasdedeux.sampling.density import Evaluation, PairDensity
+from pasdedeux.sampling.density import Evaluation, PairDensity, TargetSettings
 from pasdedeux.sampling.diagnostics import effective_sample_size, rhat
 from pasdedeux.sampling.parameters import NUM_PER_PERSON, POSITION_INDICES, ROTATION_INDICES, PairChart
 from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
@@ -207,7 +207,7 @@ def test_where_nothing_is_known_bones_point_everywhere_alike_and_people_fill_a_b
     chart, bound_m = PairChart(standing_pair()), 1.5
     anything = PriorSettings(alpha=0.0, sigma_p_m=1e6, max_invalid_angles=2 * NUM_ANGLES)
     prior = PhysicalPrior(chart, JointLimits.published(), anything)
-    target = PairDensity(chart, prior, None, truncation=np.inf, max_apart_m=bound_m)
+    target = PairDensity(chart, prior, None, TargetSettings(max_apart_m=bound_m))
     propose = GaussianBlocks(StepSettings(root_position_m=0.6, joint_rotation_rad=1.2, max_blocks=4))
     chains = []
     for chain in range(3):

@@ -21,13 +21,13 @@ from pasdedeux.interaction.graph import delaunay_edges
 from pasdedeux.interaction.triangulation import delaunay_edges_fast
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.plausibility.ranges import NUM_ANGLES
-from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank
+from pasdedeux.sampling.annotations import AnnotatedPairs, GatheredPairs, ViewBank
 from pasdedeux.sampling.chain import ChainState, run_segment
 from pasdedeux.sampling.coverage import Coverage
-from pasdedeux.sampling.density import Likelihood, PairDensity
-from pasdedeux.sampling.likelihood import InteractionLikelihood
+from pasdedeux.sampling.density import DensityInputs, ImageLikelihood, Likelihood, PairDensity, TargetSettings
+from pasdedeux.sampling.likelihood import InteractionKind, InteractionLikelihood
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
-from pasdedeux.sampling.prior import PhysicalPrior, PriorSettings
+from pasdedeux.sampling.prior import PhysicalPrior
 from pasdedeux.sampling.proposals import GaussianBlocks
 
 __all__ = ["BENCHMARKS"]
@@ -43,6 +43,23 @@ def _problem() -> tuple[np.ndarray, AnnotatedPairs, ViewBank]:
     pairs = random_pairs(rng, 4000, spread_rad=0.2)
     annotations = random_annotations(rng, pairs, NUM_ANNOTATIONS)
     return pairs, annotations, random_bank(rng, annotations, NUM_VIEWS, num_candidates=NUM_CANDIDATES)
+
+
+def default_target(
+    seed_m: np.ndarray, *, max_invalid_angles: int
+) -> tuple[PairDensity, PhysicalPrior, ImageLikelihood]:
+    """Return what a study samples round a pair where it sets nothing, but for the limit of angles; made-up annotations.
+
+    Joints of made-up pairs turn as they like.
+    """
+    _, annotations, _ = _problem()
+    count = len(annotations.directions)
+    gathered = GatheredPairs(annotations, np.ones(count), 0, np.ones((count, 2)))
+    kind, settings = InteractionKind(), TargetSettings(max_invalid_angles=max_invalid_angles)
+    chart, limits = PairChart(seed_m), JointLimits.published()
+    likelihood = kind.likelihood(kind.settings(), DensityInputs(seed_m, np.random.default_rng(1), gathered))
+    target = kind.target(chart, limits, likelihood, settings)
+    return target, PhysicalPrior(chart, limits, kind.prior(settings)), likelihood
 
 
 def _samples() -> np.ndarray:
@@ -84,11 +101,9 @@ def _exact() -> BenchmarkResult:
 
 
 def _density() -> BenchmarkResult:
-    """The published density: prior and likelihood, every one evaluated to the end."""
-    chart = PairChart(standing_pair())
-    prior = PhysicalPrior(chart, JointLimits.published(), PriorSettings(max_invalid_angles=2 * NUM_ANGLES))
-    likelihood = InteractionLikelihood(*_problem()[1:])
-    target = PairDensity(chart, prior, likelihood, truncation=np.inf)
+    """The density that studies sample: prior and likelihood, every one evaluated to the end."""
+    target, prior, likelihood = default_target(standing_pair(), max_invalid_angles=2 * NUM_ANGLES)
+    chart = target.chart
     parameters = random_parameters(np.random.default_rng(2), NUM_SAMPLES, spread_rad=0.2)
     turns, slow_turns = itertools.cycle(parameters), itertools.cycle(parameters)
 
@@ -110,12 +125,9 @@ def _density() -> BenchmarkResult:
 
 
 def _chain() -> BenchmarkResult:
-    """Steps of a chain of the full density; the plain form has no early end and no compiled likelihood."""
-    pairs, annotations, bank = _problem()
-    chart = PairChart(gauge_fix(pairs[0]))
-    prior = PhysicalPrior(chart, JointLimits.published(), PriorSettings(max_invalid_angles=NUM_ANGLES))
-    likelihood = InteractionLikelihood(annotations, bank)
-    target = PairDensity(chart, prior, likelihood)
+    """Steps of a chain of the density that studies sample; the plain form has no early end."""
+    target, prior, likelihood = default_target(gauge_fix(_problem()[0][0]), max_invalid_angles=NUM_ANGLES)
+    chart = target.chart
     propose, rng = GaussianBlocks(), np.random.default_rng(3)
     state = ChainState(chart.seed_parameters(), target.seed_evaluation)
 

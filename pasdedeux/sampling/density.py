@@ -142,11 +142,10 @@ class PairDensity:
         chart: Parameters round the seed.
         prior: Physical prior.
         likelihood: Likelihood; None samples the prior alone.
-        truncation: c of eq. 11, above 1; inf leaves the density as it is.
-        max_apart_m: Greatest distance of the mid-hips, metres, or the seed's where that is more.
+        settings: How far round the seed it reaches; that of studies by default.
 
     Raises:
-        InputError: The seed's density is 0, with the term that made it so, or `truncation` is not above 1.
+        InputError: The seed's density is 0, with the term that made it so.
     """
 
     def __init__(
@@ -154,25 +153,22 @@ class PairDensity:
         chart: PairChart,
         prior: PhysicalPrior,
         likelihood: Likelihood | None,
-        *,
-        truncation: float = 100.0,
-        max_apart_m: float = math.inf,
+        settings: TargetSettings | None = None,
     ) -> None:
-        if not truncation > 1.0:
-            raise InputError(f"the truncation c must be above 1, found {truncation:g}")
+        settings = settings or TargetSettings()
         self.chart = chart
         self._prior = prior
         self._likelihood = likelihood
         seed = chart.seed_parameters()
         pair_m = chart.positions_fast(seed)
-        self._max_apart_m = max(max_apart_m, _apart_m(pair_m))
+        self._max_apart_m = max(settings.max_apart_m, _apart_m(pair_m))
         terms = prior.terms(seed, pair_m)
         log_likelihood = 0.0 if likelihood is None else likelihood.log_likelihood(pair_m)
         self.log_seed = terms.log_prior + log_likelihood
         """Log of the seed's density before truncation."""
         if not np.isfinite(self.log_seed):
             raise InputError(_why_zero(terms, prior, log_likelihood))
-        window = float(np.log(truncation))
+        window = math.inf if isinstance(settings.truncation, str) else math.log(settings.truncation)
         self.log_floor = self.log_seed - window
         """Log density below which the target is 0."""
         self.log_ceiling = self.log_seed + window
@@ -290,9 +286,7 @@ class DensityKind(ABC, Generic[S]):
         Raises:
             InputError: The seed has density 0, with the term that made it so.
         """
-        prior = PhysicalPrior(chart, limits, self.prior(settings))
-        truncation = math.inf if isinstance(settings.truncation, str) else settings.truncation
-        return PairDensity(chart, prior, likelihood, truncation=truncation, max_apart_m=settings.max_apart_m)
+        return PairDensity(chart, PhysicalPrior(chart, limits, self.prior(settings)), likelihood, settings)
 
 
 class PriorOnlyKind(DensityKind[Settings]):

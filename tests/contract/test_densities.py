@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pasdedeux.benchmarks.chains import default_target
 from pasdedeux.benchmarks.synthetic import random_annotations
 from pasdedeux.kinematics.rotations import normalise, rotmat_from_unitquat
 from pasdedeux.plausibility import JointLimits
 from pasdedeux.sampling.annotations import GatheredPairs
 from pasdedeux.sampling.density import DensityInputs, ImageSettings, Likelihood, Reads, TargetSettings
+from pasdedeux.sampling.likelihood import InteractionSettings
 from pasdedeux.sampling.parameters import PairChart, gauge_fix
+from pasdedeux.sampling.prior import PriorSettings
 from pasdedeux.sampling.proposals import PROPOSALS
 from tasks.chains import DENSITIES, ChainsParameters
 from tests.builders.poses import dancers
@@ -74,6 +77,22 @@ def test_a_density_of_annotations_says_which_are_nearest(name: str) -> None:
         nearest = likelihood.nearest(pair)
         assert nearest.shape == (4,)
         assert ((nearest >= -1) & (nearest < 150)).all()
+
+
+def test_the_benchmark_times_what_a_study_samples_that_sets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = inputs()
+    assert given.annotated is not None
+    monkeypatch.setattr("pasdedeux.benchmarks.chains._problem", lambda: (KNOWN, given.annotated.pairs, None))
+    timed, _, likelihood = default_target(gauge_fix(KNOWN[0]), max_invalid_angles=PriorSettings().max_invalid_angles)
+    section = ChainsParameters()
+    (kind,) = (DENSITIES[name] for name in section.densities if DENSITIES[name].reads is Reads.ANNOTATIONS)
+    settings = section.part(kind.settings)
+    assert isinstance(settings, InteractionSettings)
+    sampled = kind.target(timed.chart, JointLimits.published(), likelihood, section.part(TargetSettings))
+    seed = timed.chart.seed_parameters()
+    assert timed(seed) == sampled(seed)
+    assert (timed.log_floor, timed.log_ceiling) == (sampled.log_floor, sampled.log_ceiling)
+    assert (likelihood.sigma_l, len(likelihood.directions)) == (given.annotated.left_out.sigma_l, settings.num_views)
 
 
 def test_the_section_has_the_settings_of_every_kind_with_one_meaning_each() -> None:

@@ -13,9 +13,9 @@ from pasdedeux.kinematics import bone_lengths
 from pasdedeux.kinematics.rotations import multiply, normalise, rotmat_from_unitquat, unitquat_from_rotvec
 from pasdedeux.plausibility.joint_limits import JointLimits
 from pasdedeux.sampling.annotations import AnnotatedPairs, ViewBank, build_bank
-from pasdedeux.sampling.density import PairDensity
+from pasdedeux.sampling.density import PairDensity, TargetSettings
 from pasdedeux.sampling.image_kernels import pair_axes
-from pasdedeux.sampling.likelihood import InteractionLikelihood
+from pasdedeux.sampling.likelihood import InteractionKind, InteractionLikelihood
 from pasdedeux.sampling.parameters import (
     LENGTH_INDICES,
     MIRRORED_LENGTH,
@@ -66,9 +66,11 @@ def annotated() -> tuple[AnnotatedPairs, ViewBank]:
     return annotations, random_bank(rng, annotations, 8, num_candidates=80)
 
 
-def density_of(annotated: tuple[AnnotatedPairs, ViewBank], **options: float) -> PairDensity:
+def density_of(annotated: tuple[AnnotatedPairs, ViewBank], **settings: float) -> PairDensity:
     chart = PairChart(SEED)
-    return PairDensity(chart, PhysicalPrior(chart, LIMITS), InteractionLikelihood(*annotated), **options)
+    return PairDensity(
+        chart, PhysicalPrior(chart, LIMITS), InteractionLikelihood(*annotated), TargetSettings(**settings)
+    )
 
 
 def test_seed_parameters_give_the_seed() -> None:
@@ -200,7 +202,7 @@ def test_prior_is_zero_for_stretched_or_untied_bones() -> None:
 
 def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
     chart = PairChart(SEED)
-    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, max_apart_m=1.5)
+    density = PairDensity(chart, PhysicalPrior(chart, LIMITS), None, TargetSettings(max_apart_m=1.5))
     near, far, turned = (chart.seed_parameters() for _ in range(3))
     near[POSITION_INDICES[1]] = near[POSITION_INDICES[0]] + [1.49, 0.0, 0.0]
     far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [1.51, 0.0, 0.0]
@@ -208,14 +210,25 @@ def test_people_too_far_apart_and_turned_over_bones_have_density_zero() -> None:
     assert np.isfinite(density(near).log_density)
     assert density(far).log_density == density(turned).log_density == -np.inf
     wide = PairChart(chart.positions(far))
-    assert np.isfinite(
-        PairDensity(wide, PhysicalPrior(wide, LIMITS), None, max_apart_m=1.5)(wide.seed_parameters()).log_density
-    )
+    wider = PairDensity(wide, PhysicalPrior(wide, LIMITS), None, TargetSettings(max_apart_m=1.5))
+    assert np.isfinite(wider(wide.seed_parameters()).log_density)
+
+
+def test_a_density_that_is_told_nothing_is_the_one_that_studies_sample(
+    annotated: tuple[AnnotatedPairs, ViewBank],
+) -> None:
+    chart, likelihood = PairChart(SEED), InteractionLikelihood(*annotated)
+    own = PairDensity(chart, PhysicalPrior(chart, LIMITS), likelihood)
+    study = InteractionKind().target(chart, LIMITS, likelihood, TargetSettings())
+    assert (own.log_floor, own.log_ceiling) == (study.log_floor, study.log_ceiling) == (-np.inf, np.inf)
+    far = chart.seed_parameters()
+    far[POSITION_INDICES[1]] = far[POSITION_INDICES[0]] + [TargetSettings().max_apart_m + 0.01, 0.0, 0.0]
+    assert own(far).log_density == study(far).log_density == -np.inf
 
 
 def test_density_ignores_rigid_motion_of_the_pair(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
     rng = np.random.default_rng(11)
-    density = density_of(annotated, truncation=np.inf)
+    density = density_of(annotated)
     compared = 0
     for _ in range(20):
         parameters = random_parameters(rng, scale=0.03)
@@ -227,7 +240,7 @@ def test_density_ignores_rigid_motion_of_the_pair(annotated: tuple[AnnotatedPair
 
 def test_density_is_cut_below_and_flat_above_the_seed(annotated: tuple[AnnotatedPairs, ViewBank]) -> None:
     rng = np.random.default_rng(12)
-    free, cut = density_of(annotated, truncation=np.inf), density_of(annotated, truncation=10.0)
+    free, cut = density_of(annotated), density_of(annotated, truncation=10.0)
     assert cut.log_ceiling - cut.log_floor == pytest.approx(2 * np.log(10.0))
     seen = set()
     for _ in range(200):

@@ -6,14 +6,22 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
+from storage_schema.errors import (
+    BadName,
+    CorruptArtifact,
+    DatasetExists,
+    MissingArtifact,
+    StorageError,
+    UnknownReference,
+)
 from storage_schema.keys import canonical_json
 from storage_schema.manifest import ArtifactRef, refuse_newer
 from storage_schema.staging import StagingFolder
@@ -25,6 +33,7 @@ __all__ = [
     "add_dataset",
     "create_dataset",
     "dataset_from_json",
+    "dataset_with",
     "digest_of",
     "list_datasets",
     "newest_version",
@@ -133,6 +142,34 @@ def open_dataset(store: Store, label: str) -> Dataset:
         there = ", ".join(path.name for path in _folders(store)) or "none"
         raise UnknownReference(f"there is no dataset '{label}' in the store {store}; there are: {there}")
     return _read(named[-1])
+
+
+def dataset_with(store: Store, ref: ArtifactRef) -> str | None:
+    """Return the label of a dataset that names this content of an artifact or was computed from it; None for none.
+
+    Raises:
+        CorruptArtifact: The list of a dataset cannot be read: what it needs is not known.
+    """
+    if store.mirror is not None:
+        store.mirror.bring_datasets()
+    return next((path.name for path in _folders(store) if _place(ref) in _needed(store, path)), None)
+
+
+@lru_cache(maxsize=64)
+def _needed(store: Store, path: Path) -> frozenset[tuple[str, str, str]]:
+    """Return the places of what a dataset names and of all that it was computed from, which never change."""
+    waiting, seen = list(_read(path).refs), set()
+    while waiting:
+        ref = waiting.pop()
+        if _place(ref) not in seen:
+            seen.add(_place(ref))
+            with suppress(MissingArtifact, CorruptArtifact):  # what is lost already
+                waiting += store.manifest(ref).inputs
+    return frozenset(seen)
+
+
+def _place(ref: ArtifactRef) -> tuple[str, str, str]:
+    return ref.stage, ref.key, ref.content_digest
 
 
 def digest_of(refs: Sequence[ArtifactRef]) -> str:

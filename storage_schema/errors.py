@@ -12,6 +12,7 @@ __all__ = [
     "DatasetExists",
     "FullDisk",
     "MissingArtifact",
+    "NamedByDataset",
     "NewerSchema",
     "NotAStore",
     "SchemaError",
@@ -42,6 +43,10 @@ class MissingArtifact(StorageError):
 
 class CorruptArtifact(StorageError):
     """What lies in the store is not what its manifest says."""
+
+
+class NamedByDataset(StorageError):
+    """An artifact that a dataset needs was computed again with other bytes: the old one stays."""
 
 
 class SchemaError(StorageError):

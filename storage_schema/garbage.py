@@ -51,6 +51,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
         CorruptArtifact: A manifest may not be read, or that of what is kept is none: what it needs is not known.
     """
     store.check_version()
+    store.clear_leftovers()
     found = {stored.place: stored for stored in _all(store)}
     waiting = [place for place in needed if place in found]
     waiting += [place for place, stored in found.items() if stored.made_at >= since]

@@ -118,10 +118,10 @@ class Mirror:
         with closing(StagingFolder(self.root / "tmp")) as staging:
             return self.remote.fetch(f"parts/{sha256}", staging.path / "part")
 
-    def commit(self, staged: Path, ref: ArtifactRef, is_valid: Callable[[Manifest], bool]) -> ArtifactRef:
+    def commit(self, staged: Path, ref: ArtifactRef, stays: Callable[[Manifest], bool]) -> ArtifactRef:
         """Put an artifact into the bucket, its manifest last; gives the one that is there in the end.
 
-        One that is there and not valid, or whose manifest is none, is replaced.
+        One that is there and does not stay, or whose manifest is none, is replaced in one step.
         """
         self._check_not_lost()
         text = (staged / MANIFEST_NAME).read_bytes()
@@ -130,11 +130,14 @@ class Mirror:
         _at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
         place = f"manifests/{ref.stage}/{ref.key}"
         while not self.remote.create(place, text):
-            with suppress(FileNotFoundError, CorruptArtifact):
-                there = Manifest.from_json(self.remote.read(place), where=f"{self.url}/{place}")
-                if is_valid(there):
-                    return there.ref
-            self.remote.delete([place])
+            with suppress(FileNotFoundError):  # taken away since
+                data, tag = self.remote.read_tagged(place)
+                with suppress(CorruptArtifact):
+                    there = Manifest.from_json(data, where=f"{self.url}/{place}")
+                    if stays(there):
+                        return there.ref
+                if self.remote.replace(place, text, tag) is not None:
+                    break
         return ref
 
     def add_dataset(self, folder: Path, label: str) -> bool:
@@ -145,7 +148,7 @@ class Mirror:
         place, data = f"datasets/{label}", packed.getvalue()
         if self.remote.create(place, data) or self.remote.read(place) == data:  # or it was we, and the answer was lost
             return True
-        self._bring_datasets()
+        self.bring_datasets()
         return False
 
     def withdraw(self, targets: Iterable[Path]) -> None:
@@ -256,7 +259,7 @@ class Mirror:
                 # What came later was put here by another process of this machine; the other time is the bucket's.
                 if path not in wanted and not path.name.startswith(".") and path.stat().st_ctime < began:
                     self._forget(path)
-        self._bring_datasets()
+        self.bring_datasets()
         self._pushed |= {path: _state(path) for path in records}
 
     def _bring_file(self, path: Path, entry: ObjectMeta) -> None:
@@ -272,7 +275,8 @@ class Mirror:
             with suppress(FileNotFoundError):  # dropped by another process
                 os.utime(path, ns=(_mark(entry), _mark(entry)))
 
-    def _bring_datasets(self) -> None:
+    def bring_datasets(self) -> None:
+        """Have the datasets here that the bucket has, and no others."""
         entries = [entry for entry in self.remote.entries("datasets") if _DATASET.fullmatch(entry["path"])]
         names = {entry["path"].rpartition("/")[2] for entry in entries}
         for folder in (self.root / "datasets").glob("*@*"):

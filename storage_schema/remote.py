@@ -152,7 +152,7 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
                 raise remote.corrupt(entry.sha256)
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
-        store.put_in_place(staging.path, ref)
+        store.put_in_place(staging, ref)
     return True
 
 

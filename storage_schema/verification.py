@@ -61,6 +61,7 @@ def verify(store: Store) -> Verification:
         NewerSchema: The store was written by a newer program.
     """
     store.check_version()
+    store.clear_leftovers()
     folders = store.folders()
     problems: list[Problem] = []
     num_files = num_bytes = 0

@@ -34,7 +34,7 @@ from storage_schema import (
     verify,
 )
 from storage_schema.bucket import RemoteStore
-from storage_schema.errors import DatasetExists
+from storage_schema.errors import DatasetExists, NamedByDataset
 from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
@@ -433,6 +433,28 @@ def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Call
     assert other.manifest(ref).ref == ref
     Store(server.place).discard(ref)
     assert RemoteStore(server.place).entries("manifests") == []
+
+
+def test_what_is_made_again_takes_its_place_in_one_step_unless_a_dataset_needs_the_old_one(
+    server: S3Server, elsewhere: Callable[[], None]
+) -> None:
+    def make(text: bytes) -> ArtifactRef:
+        return commit_rows(Store(server.place), name="one", attachments={"note.txt": text}, replaces=True)
+
+    first = make(b"1")
+    elsewhere()
+    server.requests.clear()
+    second = make(b"2")
+    assert second != first
+    assert {asked.split()[0] for asked in server.requests} <= {"GET", "HEAD", "PUT"}, "nothing was gone in between"
+    elsewhere()
+    assert Store(server.place).find(first.stage, first.key) == Store(server.place).manifest(second)
+    create_dataset(Store(server.place), "toys", [second])
+    elsewhere()
+    assert make(b"2") == second
+    with pytest.raises(NamedByDataset, match="dataset toys@1 needs the old one, which stays"):
+        make(b"3")
+    assert verify(Store(server.place)).is_ok
 
 
 def test_a_dataset_has_its_name_once(server: S3Server, elsewhere: Callable[[], None]) -> None:

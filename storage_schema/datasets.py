@@ -23,25 +23,28 @@ from storage_schema.errors import (
     UnknownReference,
 )
 from storage_schema.keys import canonical_json
-from storage_schema.manifest import ArtifactRef, refuse_newer
+from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older
 from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = [
+    "DATASET_FILE",
     "Dataset",
     "add_dataset",
     "create_dataset",
     "dataset_from_json",
+    "dataset_labels",
     "dataset_with",
     "digest_of",
     "list_datasets",
+    "needed_by",
     "newest_version",
     "open_dataset",
 ]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-_FILE = "dataset.json"
+DATASET_FILE = "dataset.json"
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,11 @@ def list_datasets(store: Store) -> list[Dataset]:
     return list(map(_read, _folders(store)))
 
 
+def dataset_labels(store: Store) -> list[str]:
+    """Return `name@version` of all datasets of a store, also of those that cannot be read."""
+    return [path.name for path in _folders(store)]
+
+
 def newest_version(store: Store, name: str) -> Dataset | None:
     """Return the numbered version of a dataset with the greatest number; None where there is none.
 
@@ -155,17 +163,23 @@ def dataset_with(store: Store, ref: ArtifactRef) -> str | None:
     return next((path.name for path in _folders(store) if _place(ref) in _needed(store, path)), None)
 
 
-@lru_cache(maxsize=64)
-def _needed(store: Store, path: Path) -> frozenset[tuple[str, str, str]]:
-    """Return the places of what a dataset names and of all that it was computed from, which never change."""
-    waiting, seen = list(_read(path).refs), set()
+def needed_by(store: Store, dataset: Dataset) -> Mapping[tuple[str, str, str], Manifest | None]:
+    """Return what a dataset names and all that it was computed from by stage, key, content; None for what is lost."""
+    waiting, found = list(dataset.refs), dict[tuple[str, str, str], Manifest | None]()
     while waiting:
         ref = waiting.pop()
-        if _place(ref) not in seen:
-            seen.add(_place(ref))
-            with suppress(MissingArtifact, CorruptArtifact):  # what is lost already
-                waiting += store.manifest(ref).inputs
-    return frozenset(seen)
+        if _place(ref) not in found:
+            found[_place(ref)] = None
+            with suppress(MissingArtifact, CorruptArtifact):
+                found[_place(ref)] = manifest = store.manifest(ref)
+                waiting += manifest.inputs
+    return found
+
+
+@lru_cache(maxsize=64)
+def _needed(store: Store, path: Path) -> frozenset[tuple[str, str, str]]:
+    """Return the places of what a dataset needs, which never changes."""
+    return frozenset(needed_by(store, _read(path)))
 
 
 def _place(ref: ArtifactRef) -> tuple[str, str, str]:
@@ -190,7 +204,7 @@ def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, data in attachments.items():
             write_file(staging.path / name, data)
-        write_file(staging.path / _FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+        write_file(staging.path / DATASET_FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
         sync_folder(staging.path)
         make_folder(dataset.path.parent)
         if store.mirror is not None and not store.mirror.add_dataset(staging.path, dataset.label):
@@ -211,17 +225,21 @@ def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection
     Raises:
         CorruptArtifact: It cannot be read.
         NewerSchema: It was written by a newer program.
+        OlderSchema: It was written under an older schema, and has another form.
     """
+    version = SCHEMA_VERSION
     try:
         values: dict[str, Any] = {name: value for name, value in json.loads(read()).items() if name not in less}
-        refuse_newer(values.pop("schema_version"), str(path))
+        version = int(values.pop("schema_version"))
+        refuse_newer(version, str(path))
         return Dataset(**{**values, "refs": tuple(ArtifactRef(**ref) for ref in values["refs"]), "path": path})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        refuse_older(version, f"dataset {path.name}", "")
         raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
 
 
 def _read(path: Path) -> Dataset:
-    return dataset_from_json((path / _FILE).read_bytes, path)
+    return dataset_from_json((path / DATASET_FILE).read_bytes, path)
 
 
 def _next_version(store: Store, name: str) -> str:
@@ -249,5 +267,5 @@ def _version(path: Path) -> str:
 
 def _check_names(*names: str) -> None:
     for name in names:
-        if not _NAME.fullmatch(name) or name == _FILE:
+        if not _NAME.fullmatch(name) or name == DATASET_FILE:
             raise BadName(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")

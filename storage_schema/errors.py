@@ -15,6 +15,7 @@ __all__ = [
     "NamedByDataset",
     "NewerSchema",
     "NotAStore",
+    "OlderSchema",
     "SchemaError",
     "StorageError",
     "UnknownReference",
@@ -55,6 +56,12 @@ class SchemaError(StorageError):
 
 class NewerSchema(_InputError):
     """The store was written by a newer version of the program."""
+
+
+class OlderSchema(MissingArtifact):
+    """What is asked for was written under an older schema: says which release of the program reads it."""
+
+    is_input: ClassVar[bool] = True
 
 
 class NotAStore(_InputError):

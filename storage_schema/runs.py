@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -202,7 +202,9 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     path = _latest_path(store, study)
     store.prepare()
     with write_errors(store.root), _in_line(path):
-        before = read_latest(store, study)
+        before = None
+        with suppress(CorruptArtifact):  # a damaged record gives way
+            before = read_latest(store, study)
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)
         values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}

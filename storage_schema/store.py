@@ -8,7 +8,6 @@ in one rename after everything in it has reached the disk, so an artifact is who
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import logging
 import os
@@ -173,6 +172,21 @@ class Store(StoreReader):
         with write_errors(self.root):
             self.remove_folders([self.folder(ref.stage, ref.key)])
 
+    def drop_damaged(self, manifest: Manifest) -> bool:
+        """Remove an artifact where files of it are not what it says, so that the next run computes it again.
+
+        For who builds; tells whether anything was removed.  In a mirror a damaged copy of a whole file goes alone.
+        """
+        if self.mirror is not None:
+            folder = self.folder(manifest.ref.stage, manifest.ref.key)
+            dropped = [self.mirror.drop_changed(folder / name, one) for name, one in manifest.data_files.items()]
+            if any(dropped):
+                return True
+        is_damaged = bool(self.damaged_files(manifest))
+        if is_damaged:
+            self.discard(manifest.ref)
+        return is_damaged
+
     def prepare(self) -> None:
         """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
         if self._is_checked and (self.root / STORE_FILE).is_file():
@@ -180,10 +194,9 @@ class Store(StoreReader):
         with write_errors(self.root):
             make_folder(self.root)
             if not (self.root / STORE_FILE).is_file():
-                text = json.dumps({"schema_version": SCHEMA_VERSION}) + "\n"
                 if self.mirror is not None:
-                    self.mirror.remote.create(f"records/{STORE_FILE}", text.encode())
-                replace_file(self.root / STORE_FILE, text.encode(), staging_root=self.staging_root)
+                    self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())
+                replace_file(self.root / STORE_FILE, _store_text(), staging_root=self.staging_root)
         self.check_version()
         self.clear_leftovers()
 
@@ -193,7 +206,7 @@ class Store(StoreReader):
             return os.access(self.root, os.W_OK)
         with suppress(StorageError, FileNotFoundError):
             self.mirror.remote.changed_at("lease")
-            self.mirror.remote.write(f"parts/{hashlib.sha256().hexdigest()}", b"")  # which gc takes away
+            self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())  # which is there: asks for the right
             return True
         return False
 
@@ -239,7 +252,7 @@ class Store(StoreReader):
         """Return the manifest under a key, also one of other columns, where its files are there; else None."""
         with suppress(MissingArtifact, CorruptArtifact):
             found = self.load(ref.stage, ref.key)
-            return found if self._has_files(found) else None
+            return found if self.has_files(found) else None
         return None
 
     def _stays(self, found: Manifest, ref: ArtifactRef, *, replaces: bool) -> bool:
@@ -284,3 +297,7 @@ class Store(StoreReader):
                     parents.add(target.parent)
             for parent in parents:
                 sync_folder(parent)
+
+
+def _store_text() -> bytes:
+    return f"{json.dumps({'schema_version': SCHEMA_VERSION})}\n".encode()

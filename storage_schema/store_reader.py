@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from storage_schema.arrow import schema_digest
-from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore
+from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore, StorageError
 from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest, refuse_newer
 from storage_schema.parquet_files import iter_table, read_table
@@ -193,9 +193,10 @@ class StoreReader:
 
     def _is_whole(self, manifest: Manifest) -> bool:
         """Tell whether every file is there with the right size, and every table has the declared columns."""
-        return not self.outdated_tables(manifest) and self._has_files(manifest)
+        return not self.outdated_tables(manifest) and self.has_files(manifest)
 
-    def _has_files(self, manifest: Manifest) -> bool:
+    def has_files(self, manifest: Manifest) -> bool:
+        """Tell whether every file of an artifact is there with the right size."""
         if self.mirror is not None:
             return True  # its manifest came last
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
@@ -254,7 +255,7 @@ class StoreReader:
                 return self.file_sha256(manifest.ref, name, entry) != entry.sha256
             except FileNotFoundError:
                 return True
-            except OSError:
+            except (OSError, StorageError):
                 return False
 
         return [n for n, entry in manifest.data_files.items() if is_damaged(n, entry) and is_damaged(n, entry)]

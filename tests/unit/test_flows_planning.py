@@ -174,6 +174,8 @@ def test_a_damaged_record_of_the_last_run_costs_words_only(study: Path, store: P
     run_toys(study, store)
     (store / "runs" / "latest" / "toy.json").write_text("{")
     assert states(plan_toys(study, store)) == FRESH
+    assert run_toys(study, store, "bend.step=2").num_computed == 7
+    assert verify(Store(store)).is_ok
 
 
 def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:

@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 STAGE_NAME = "evaluation"
-VERSION = 42
+VERSION = 43
 
 ScoresOf = Mapping[str, Sequence[Score]]
 

@@ -31,6 +31,7 @@ from storage_schema.version import SCHEMA_VERSION
 __all__ = [
     "DATASET_FILE",
     "Dataset",
+    "Needed",
     "add_dataset",
     "create_dataset",
     "dataset_from_json",
@@ -45,6 +46,10 @@ __all__ = [
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 DATASET_FILE = "dataset.json"
+
+Place = tuple[str, str, str]
+"""Stage, key and content of an artifact."""
+Needed = Mapping[Place, Manifest | None]
 
 
 @dataclass(frozen=True)
@@ -163,9 +168,9 @@ def dataset_with(store: Store, ref: ArtifactRef) -> str | None:
     return next((path.name for path in _folders(store) if _place(ref) in _needed(store, path)), None)
 
 
-def needed_by(store: Store, dataset: Dataset) -> Mapping[tuple[str, str, str], Manifest | None]:
+def needed_by(store: Store, dataset: Dataset) -> Needed:
     """Return what a dataset names and all that it was computed from by stage, key, content; None for what is lost."""
-    waiting, found = list(dataset.refs), dict[tuple[str, str, str], Manifest | None]()
+    waiting, found = list(dataset.refs), dict[Place, Manifest | None]()
     while waiting:
         ref = waiting.pop()
         if _place(ref) not in found:
@@ -177,12 +182,12 @@ def needed_by(store: Store, dataset: Dataset) -> Mapping[tuple[str, str, str], M
 
 
 @lru_cache(maxsize=64)
-def _needed(store: Store, path: Path) -> frozenset[tuple[str, str, str]]:
+def _needed(store: Store, path: Path) -> frozenset[Place]:
     """Return the places of what a dataset needs, which never changes."""
     return frozenset(needed_by(store, _read(path)))
 
 
-def _place(ref: ArtifactRef) -> tuple[str, str, str]:
+def _place(ref: ArtifactRef) -> Place:
     return ref.stage, ref.key, ref.content_digest
 
 

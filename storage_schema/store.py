@@ -259,7 +259,8 @@ class Store(StoreReader):
         """Tell whether an artifact that is there keeps its place against a new one under its key."""
         is_valid = not self.outdated_tables(found)
         if found.ref.content_digest == ref.content_digest:
-            return is_valid and not (replaces and self.damaged_files(found))
+            # Into a bucket the parts have just come again.
+            return is_valid and (not replaces or self.mirror is not None or not self.damaged_files(found))
         if is_valid and not replaces:
             self._say_other_bytes(ref, found.ref)
             return True

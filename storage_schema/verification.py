@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from storage_schema.datasets import DATASET_FILE, Dataset, dataset_labels, needed_by, open_dataset
+from storage_schema.datasets import DATASET_FILE, Dataset, Needed, dataset_labels, needed_by, open_dataset
 from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
 from storage_schema.keys import content_digest
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
@@ -95,8 +95,9 @@ def verify(store: Store) -> Verification:
         except CorruptArtifact as error:
             problems.append(Problem(ProblemKind.UNREADABLE, "datasets", label, DATASET_FILE, str(error)))
         else:
-            problems.extend(_check_dataset(store, dataset))
-            notes.extend(_outdated(store, dataset))
+            needed = needed_by(store, dataset)
+            problems.extend(_check_dataset(store, dataset, needed))
+            notes.extend(_outdated(store, dataset, needed))
     problems.extend(_check_records(store))
     return Verification(len(folders), num_files, num_bytes, tuple(problems), tuple(notes))
 
@@ -131,9 +132,9 @@ def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> 
     return None
 
 
-def _check_dataset(store: Store, dataset: Dataset) -> Iterator[Problem]:
+def _check_dataset(store: Store, dataset: Dataset, needed: Needed) -> Iterator[Problem]:
     named = {(ref.stage, ref.key) for ref in dataset.refs}
-    for (stage, key, _), manifest in needed_by(store, dataset).items():
+    for (stage, key, _), manifest in needed.items():
         if (manifest is None and not _is_older(store, stage, key)) or (manifest and not store.has_files(manifest)):
             how = "names this artifact" if (stage, key) in named else "was computed from this artifact"
             detail = f"dataset {dataset.label} {how}, which is missing, incomplete or of other content in the store"
@@ -150,10 +151,10 @@ def _is_older(store: Store, stage: str, key: str) -> bool:
     return False
 
 
-def _outdated(store: Store, dataset: Dataset) -> Iterator[str]:
+def _outdated(store: Store, dataset: Dataset, needed: Needed) -> Iterator[str]:
     """Say which release reads tables of a dataset whose columns are not those of this one."""
     releases: dict[str, set[str]] = {}
-    for manifest in filter(None, needed_by(store, dataset).values()):
+    for manifest in filter(None, needed.values()):
         for table in store.outdated_tables(manifest):
             releases.setdefault(manifest.code_version, set()).add(table)
     for release, tables in releases.items():
@@ -170,6 +171,8 @@ def _check_records(store: Store) -> Iterator[Problem]:
                 raise TypeError(f"it is no JSON object but a {type(values).__name__}")
             if path.parent.name == "latest":
                 read_latest(store, path.stem)
+        except OlderSchema:
+            continue  # the next run of its study writes it anew
         except (OSError, ValueError, TypeError, CorruptArtifact) as error:
             advice = "the next run of the study writes it anew" if path.parent.name == "latest" else "it can be removed"
             detail = f"this record of a run cannot be read ({error}); {advice}"

@@ -14,6 +14,7 @@ from storage_schema import (
     lineage,
     new_run,
     open_table,
+    read_latest,
     record_latest,
     source_files,
     verify,
@@ -112,6 +113,11 @@ def test_what_an_older_schema_wrote_is_no_damage_and_its_release_is_named(store:
     ref = commit_rows(store, inputs=(take,))
     create_dataset(store, "released", [ref])
     as_of(store, ref, schema_version=0, what_there_was_then=1)
+    record = store.root / "runs" / "latest" / "duets.json"
+    record.parent.mkdir(parents=True)
+    record.write_text('{"schema_version": 0, "shards": []}')
+    with pytest.raises(OlderSchema):
+        read_latest(store, "duets")
     found = verify(store)
     assert found.is_ok
     (note,) = found.notes

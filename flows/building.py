@@ -183,11 +183,9 @@ class Build:
             plan = plan_stage(stage, run.study, inputs, run.store, is_forced=is_forced)
             shards = tuple(replace(i, state=State.MISSING) if i.shard.key in begun else i for i in plan.shards)
             plan = replace(plan, is_asked=first.is_asked, shards=shards)
-        for manifest in plan.manifests:
-            if is_forced:
-                run.store.discard(manifest.ref)
-            elif manifest.ref.key not in begun:
-                self._tell(manifest)
+        for item in plan.shards:
+            if item.manifest is not None and not item.shard.replaces and item.shard.key not in begun:
+                self._tell(item.manifest)
         run.listener.stage_started(plan)
         work = self._in_work[name] = _StageInWork(plan)
         self._schedule.add(stage.run_shard, plan.todo)

@@ -215,7 +215,10 @@ class Plan:
             return ()
         shown = ", ".join(names) if len(names) <= 3 else f"{names[0]} and {len(names) - 1} more stages"
         since = f"since {shown} {'was' if len(names) == 1 else 'were'} computed"
-        advice = "if results change, raise the stage's version in its `Stage(...)`, or use --force STAGE"
+        advice = (
+            "if results change, raise the stage's version in its `Stage(...)`; --force STAGE computes again in place, "
+            "and leaves what a dataset needs as it is"
+        )
         return (f"the program's sources have changed {since}, the stage versions have not; {advice}",)
 
     def to_json(self) -> dict[str, Any]:
@@ -335,6 +338,8 @@ def _plan_stage(
 
     shards: list[ShardPlan] = []
     seen: dict[str, Shard] = {}
+    digests: dict[str, str] = {}
+    behind: set[str] = set()
     for shard in stage.plan(inputs, parameters):
         twin = seen.setdefault(shard.key, shard)
         if twin is not shard:
@@ -342,10 +347,19 @@ def _plan_stage(
                 f"stage {stage.name} plans {shard.partition} {shard.name} twice (also as {twin.partition} {twin.name})"
             )
         manifest = store.find(stage.name, shard.key)
-        if manifest is not None and not is_forced:
-            shards.append(ShardPlan(shard, State.FRESH, manifest=manifest))
-        elif manifest is not None:
-            shards.append(ShardPlan(shard, State.STALE, "forced", manifest))
+        if manifest is not None:
+            # A forced run that was killed has made what this came after, and not this, again.
+            digests[shard.key] = manifest.ref.content_digest
+            if shard.after and (
+                behind.intersection(shard.after)
+                or any(digests.get(ref.key, ref.content_digest) != ref.content_digest for ref in manifest.inputs)
+            ):
+                behind.add(shard.key)
+            if is_forced or shard.key in behind:
+                reason = "forced" if is_forced else "a shard before it was computed again with other bytes"
+                shards.append(ShardPlan(replace(shard, replaces=True), State.STALE, reason, manifest))
+            else:
+                shards.append(ShardPlan(shard, State.FRESH, manifest=manifest))
         else:
             is_stale, reason = reasons().why_not_fresh(shard)
             shards.append(ShardPlan(shard, State.STALE if is_stale else State.MISSING, reason))

@@ -54,13 +54,14 @@ _RUN = "run.json"
 
 
 def read_last_run(store: Store, study: str) -> LatestRun | None:
-    """Return what the last run of a study made; None when there was none or its record is damaged.
+    """Return what the last run of a study made; None when there was none or its record cannot be read.
 
-    The record only serves to explain: what is fresh is decided by keys. So a damaged one costs words, not work.
+    The record only serves to explain: what is fresh is decided by keys.  So one that is damaged, or of an older schema,
+    costs words, not work.
     """
     try:
         return read_latest(store, study)
-    except CorruptArtifact:
+    except (CorruptArtifact, MissingArtifact):
         return None
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import pyarrow as pa
 
-__all__ = ["Column", "Table", "array", "boolean", "float64", "integer", "text", "text_list"]
+__all__ = ["Column", "Table", "array", "boolean", "float64", "integer", "is_plain_name", "text", "text_list"]
+
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_.-]{1,200}")
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,11 @@ class Table:
         if unknown:
             raise ValueError(f"table '{self.name}': sorted by unknown columns {sorted(unknown)}")
 
+    @property
+    def id_columns(self) -> list[str]:
+        """Return the columns that name takes, sequences and variants: their values are plain names."""
+        return [column.name for column in self.columns if column.name.endswith("_id") and column.type == pa.string()]
+
     def column(self, name: str) -> Column:
         """Return the column of this name, or a KeyError that lists the known ones."""
         for column in self.columns:
@@ -61,6 +69,11 @@ class Table:
                 return column
         known = ", ".join(column.name for column in self.columns)
         raise KeyError(f"table '{self.name}' has no column '{name}'; known columns: {known}")
+
+
+def is_plain_name(name: str) -> bool:
+    """Tell whether an id can be part of a file's name everywhere, and leads nowhere else."""
+    return _PLAIN_NAME.fullmatch(name) is not None
 
 
 def text(name: str, meaning: str, *, is_nullable: bool = False) -> Column:

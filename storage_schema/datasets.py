@@ -6,35 +6,52 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from storage_schema.ancestry import source_credits
 from storage_schema.credits import SourceCredit
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import BadName, CorruptArtifact, DatasetExists, StorageError, UnknownReference
+from storage_schema.errors import (
+    BadName,
+    CorruptArtifact,
+    DatasetExists,
+    MissingArtifact,
+    StorageError,
+    UnknownReference,
+)
 from storage_schema.keys import canonical_json
-from storage_schema.manifest import ArtifactRef, refuse_newer
+from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older
 from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = [
+    "DATASET_FILE",
     "Dataset",
+    "Needed",
     "add_dataset",
     "create_dataset",
     "dataset_from_json",
+    "dataset_labels",
+    "dataset_with",
     "digest_of",
     "list_datasets",
+    "needed_by",
     "newest_version",
     "open_dataset",
 ]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-_FILE = "dataset.json"
+DATASET_FILE = "dataset.json"
+
+Place = tuple[str, str, str]
+"""Stage, key and content of an artifact."""
+Needed = Mapping[Place, Manifest | None]
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,11 @@ def list_datasets(store: Store) -> list[Dataset]:
     return list(map(_read, _folders(store)))
 
 
+def dataset_labels(store: Store) -> list[str]:
+    """Return `name@version` of all datasets of a store, also of those that cannot be read."""
+    return [path.name for path in _folders(store)]
+
+
 def newest_version(store: Store, name: str) -> Dataset | None:
     """Return the numbered version of a dataset with the greatest number; None where there is none.
 
@@ -139,6 +161,40 @@ def open_dataset(store: Store, label: str) -> Dataset:
     return _read(named[-1])
 
 
+def dataset_with(store: Store, ref: ArtifactRef) -> str | None:
+    """Return the label of a dataset that names this content of an artifact or was computed from it; None for none.
+
+    Raises:
+        CorruptArtifact: The list of a dataset cannot be read: what it needs is not known.
+    """
+    if store.mirror is not None:
+        store.mirror.bring_datasets()
+    return next((path.name for path in _folders(store) if _place(ref) in _needed(store, path)), None)
+
+
+def needed_by(store: Store, dataset: Dataset) -> Needed:
+    """Return what a dataset names and all that it was computed from by stage, key, content; None for what is lost."""
+    waiting, found = list(dataset.refs), dict[Place, Manifest | None]()
+    while waiting:
+        ref = waiting.pop()
+        if _place(ref) not in found:
+            found[_place(ref)] = None
+            with suppress(MissingArtifact, CorruptArtifact):
+                found[_place(ref)] = manifest = store.manifest(ref)
+                waiting += manifest.inputs
+    return found
+
+
+@lru_cache(maxsize=64)
+def _needed(store: Store, path: Path) -> frozenset[Place]:
+    """Return the places of what a dataset needs, which never changes."""
+    return frozenset(needed_by(store, _read(path)))
+
+
+def _place(ref: ArtifactRef) -> Place:
+    return ref.stage, ref.key, ref.content_digest
+
+
 def digest_of(refs: Sequence[ArtifactRef], sources: Sequence[SourceCredit]) -> str:
     """Return the sha256 over the stages, keys and content digests of artifacts, and the licences and credits."""
     return hashlib.sha256(canonical_json([[asdict(one) for one in part] for part in (refs, sources)])).hexdigest()
@@ -157,7 +213,7 @@ def add_dataset(store: Store, dataset: Dataset, attachments: Mapping[str, bytes]
     with write_errors(store.root), closing(StagingFolder(store.staging_root)) as staging:
         for name, data in attachments.items():
             write_file(staging.path / name, data)
-        write_file(staging.path / _FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+        write_file(staging.path / DATASET_FILE, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
         sync_folder(staging.path)
         make_folder(dataset.path.parent)
         if store.mirror is not None and not store.mirror.add_dataset(staging.path, dataset.label):
@@ -178,21 +234,25 @@ def dataset_from_json(read: Callable[[], bytes], path: Path, *, less: Collection
     Raises:
         CorruptArtifact: It cannot be read.
         NewerSchema: It was written by a newer program.
+        OlderSchema: It was written under an older schema, and has another form.
     """
+    version = SCHEMA_VERSION
     try:
         values: dict[str, Any] = {name: value for name, value in json.loads(read()).items() if name not in less}
-        refuse_newer(values.pop("schema_version"), str(path))
+        version = int(values.pop("schema_version"))
+        refuse_newer(version, str(path))
         lists = {
             "refs": tuple(ArtifactRef(**ref) for ref in values["refs"]),
             "sources": tuple(SourceCredit(**source) for source in values["sources"]),
         }
         return Dataset(**{**values, **lists, "path": path})
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        refuse_older(version, f"dataset {path.name}", "")
         raise CorruptArtifact(f"dataset {path.name} cannot be read: {error!r}") from error
 
 
 def _read(path: Path) -> Dataset:
-    return dataset_from_json((path / _FILE).read_bytes, path)
+    return dataset_from_json((path / DATASET_FILE).read_bytes, path)
 
 
 def _next_version(store: Store, name: str) -> str:
@@ -220,5 +280,5 @@ def _version(path: Path) -> str:
 
 def _check_names(*names: str) -> None:
     for name in names:
-        if not _NAME.fullmatch(name) or name == _FILE:
+        if not _NAME.fullmatch(name) or name == DATASET_FILE:
             raise BadName(f"'{name}' cannot name a dataset, its version or its files: use letters, digits, . _ -")

@@ -12,8 +12,10 @@ __all__ = [
     "DatasetExists",
     "FullDisk",
     "MissingArtifact",
+    "NamedByDataset",
     "NewerSchema",
     "NotAStore",
+    "OlderSchema",
     "SchemaError",
     "StorageError",
     "UnknownReference",
@@ -44,12 +46,22 @@ class CorruptArtifact(StorageError):
     """What lies in the store is not what its manifest says."""
 
 
+class NamedByDataset(StorageError):
+    """An artifact that a dataset needs was computed again with other bytes: the old one stays."""
+
+
 class SchemaError(StorageError):
     """Values do not fit the table they are written to or read from: says which column and what is allowed."""
 
 
 class NewerSchema(_InputError):
     """The store was written by a newer version of the program."""
+
+
+class OlderSchema(MissingArtifact):
+    """What is asked for was written under an older schema: says which release of the program reads it."""
+
+    is_input: ClassVar[bool] = True
 
 
 class NotAStore(_InputError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -10,7 +11,8 @@ from datetime import UTC, datetime
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from storage_schema.errors import CorruptArtifact, MissingArtifact
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
+from storage_schema.manifest import MANIFEST_NAME, Manifest
 from storage_schema.store import Store
 
 __all__ = ["StageKey", "Stored", "Sweep", "find_unneeded", "folder_bytes", "remove_unneeded"]
@@ -51,6 +53,7 @@ def find_unneeded(store: Store, needed: Iterable[StageKey], since: datetime) -> 
         CorruptArtifact: A manifest may not be read, or that of what is kept is none: what it needs is not known.
     """
     store.check_version()
+    store.clear_leftovers()
     found = {stored.place: stored for stored in _all(store)}
     waiting = [place for place in needed if place in found]
     waiting += [place for place, stored in found.items() if stored.made_at >= since]
@@ -94,6 +97,7 @@ def _all(store: Store) -> Iterator[Stored]:
             continue  # somebody's own folder: a store may lie among other things
         inputs: tuple[StageKey, ...] = ()
         is_damaged = True
+        manifest: Manifest | None = None
         with suppress(FileNotFoundError):  # another process has just removed it
             made_at = datetime.fromtimestamp(folder.stat().st_mtime, UTC)
             try:
@@ -101,12 +105,18 @@ def _all(store: Store) -> Iterator[Stored]:
                 made_at = datetime.fromisoformat(manifest.created_at)
                 inputs = tuple((ref.stage, ref.key) for ref in manifest.inputs)
                 is_damaged = False
+            except OlderSchema:  # whose form is not known, but for what all have
+                with suppress(ValueError, KeyError, TypeError):
+                    values = json.loads((folder / MANIFEST_NAME).read_bytes())
+                    made_at = datetime.fromisoformat(values["created_at"])
+                    inputs = tuple((ref["stage"], ref["key"]) for ref in values["inputs"])
+                    is_damaged = False
             except (MissingArtifact, ValueError):
                 pass
             except CorruptArtifact as error:
                 if isinstance(error.__cause__, OSError):
                     raise
             num_bytes = folder_bytes(folder)
-            if store.mirror is not None and not is_damaged:
+            if store.mirror is not None and manifest is not None:
                 num_bytes = manifest.num_bytes + len(manifest.to_json())
             yield Stored(place, num_bytes, made_at, inputs, is_damaged)

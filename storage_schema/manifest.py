@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import orjson
 
 from storage_schema.credits import SourceCredit
-from storage_schema.errors import CorruptArtifact, NewerSchema, StorageError
+from storage_schema.errors import CorruptArtifact, NewerSchema, OlderSchema, StorageError
 from storage_schema.keys import content_digest
 from storage_schema.version import SCHEMA_VERSION
 
@@ -143,14 +143,16 @@ class Manifest:
 
         Raises:
             NewerSchema: It was written by a newer version of the program.
+            OlderSchema: It was written under an older schema.
             CorruptArtifact: It is not a manifest.
         """
         try:
             values = orjson.loads(text)
             refuse_newer(values["schema_version"], where)
+            refuse_older(values["schema_version"], where, values.get("code_version", ""))
             return with_fields(cls, _parsed(values))
         except (ValueError, KeyError, TypeError, AttributeError, StorageError) as error:
-            if isinstance(error, NewerSchema):
+            if isinstance(error, NewerSchema | OlderSchema):
                 raise
             raise CorruptArtifact(f"{where} is not a manifest: {error}") from error
 
@@ -161,6 +163,15 @@ def refuse_newer(found: int, where: str) -> None:
         raise NewerSchema(
             f"{where} was written by a newer program (schema version {found}, this one knows up to {SCHEMA_VERSION}); "
             "update pasdedeux or use another store"
+        )
+
+
+def refuse_older(found: int, where: str, release: str) -> None:
+    """Raise OlderSchema when `found`, written by this release of the program, is below the version it writes now."""
+    if found < SCHEMA_VERSION:
+        raise OlderSchema(
+            f"{where} was written under schema version {found}, this program reads {SCHEMA_VERSION}; pasdedeux "
+            f"{release or 'of that time'} reads it, and a run of its study with this one computes it anew beside it"
         )
 
 

@@ -27,9 +27,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
+from storage_schema.bucket import AT_ONCE, RemoteStore
 from storage_schema.durable import make_folder, write_errors
-from storage_schema.errors import CorruptArtifact, StorageError
+from storage_schema.errors import CorruptArtifact, OlderSchema, StorageError
+from storage_schema.keys import file_sha256
 from storage_schema.lease import Lease, each_beat
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
 from storage_schema.staging import StagingFolder, replace_file
@@ -43,6 +44,9 @@ _MANIFEST = re.compile(r"manifests/([a-z][a-z0-9_]*)/([0-9a-f]{64})")
 _RECORD = re.compile(r"records/(store\.json|runs(?:/[^/.][^/]*)+)")
 _DATASET = re.compile(r"datasets/[A-Za-z0-9][A-Za-z0-9._-]*@[A-Za-z0-9][A-Za-z0-9._-]*")
 """What has a place in a mirror; whatever else is put into the bucket is left alone."""
+_DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
+_TIMES = 2
+"""A part whose bytes are not those of its name is asked for so often."""
 _YOUNG = timedelta(hours=1)
 """A part of this age may belong to an artifact whose manifest is still to come."""
 
@@ -92,36 +96,39 @@ class Mirror:
         """Have a data file of an artifact here.
 
         Raises:
-            CorruptArtifact: It is not there, or not what its name says; its manifest is taken back.
+            CorruptArtifact: It is not there, or not what its name says, also when asked for again.
         """
         if path.is_file() and path.stat().st_size == entry.bytes:
             return
         with write_errors(self.root), closing(StagingFolder(self.root / "tmp")) as staging:
+            there = staging.path / path.name
             try:
-                if self.remote.fetch(f"parts/{entry.sha256}", staging.path / path.name) != entry.sha256:
+                if entry.sha256 not in (self.remote.fetch(f"parts/{entry.sha256}", there) for _ in range(_TIMES)):
                     raise FileNotFoundError
             except FileNotFoundError:
-                with suppress(RemoteError, FileNotFoundError, CorruptArtifact):  # who may only read leaves it to others
-                    place = f"manifests/{path.parts[-4]}/{path.parent.name}"
-                    there = Manifest.from_json(self.remote.read(place), where=f"{self.url}/{place}")
-                    if entry in there.data_files.values():  # else it was computed again since
-                        self.remote.delete([place])
                 raise CorruptArtifact(
                     f"{self.url}/parts/{entry.sha256} is gone or damaged; a run computes its artifact "
                     f"{path.parts[-4]}@{path.parent.name[:12]} again"
                 ) from None
             make_folder(path.parent)
-            (staging.path / path.name).replace(path)
+            there.replace(path)
+
+    def drop_changed(self, path: Path, entry: FileEntry) -> bool:
+        """Remove what is here of a part where it is not what its name says, so that it comes anew; tells whether so."""
+        is_changed = path.is_file() and file_sha256(path) != entry.sha256
+        if is_changed:
+            path.unlink(missing_ok=True)
+        return is_changed
 
     def part_sha256(self, sha256: str) -> str:
         """Return the digest of a part's bytes as they are in the bucket; FileNotFoundError where it is not there."""
         with closing(StagingFolder(self.root / "tmp")) as staging:
             return self.remote.fetch(f"parts/{sha256}", staging.path / "part")
 
-    def commit(self, staged: Path, ref: ArtifactRef, is_valid: Callable[[Manifest], bool]) -> ArtifactRef:
+    def commit(self, staged: Path, ref: ArtifactRef, stays: Callable[[Manifest], bool]) -> ArtifactRef:
         """Put an artifact into the bucket, its manifest last; gives the one that is there in the end.
 
-        One that is there and not valid, or whose manifest is none, is replaced.
+        One that is there and does not stay, or whose manifest is none, is replaced in one step.
         """
         self._check_not_lost()
         text = (staged / MANIFEST_NAME).read_bytes()
@@ -130,11 +137,15 @@ class Mirror:
         _at_once(lambda sha256: self.remote.write(f"parts/{sha256}", parts[sha256]), parts)
         place = f"manifests/{ref.stage}/{ref.key}"
         while not self.remote.create(place, text):
-            with suppress(FileNotFoundError, CorruptArtifact):
-                there = Manifest.from_json(self.remote.read(place), where=f"{self.url}/{place}")
-                if is_valid(there):
+            with suppress(FileNotFoundError):  # taken away since
+                data, tag = self.remote.read_tagged(place)
+                there: Manifest | None = None
+                with suppress(CorruptArtifact, OlderSchema):
+                    there = Manifest.from_json(data, where=f"{self.url}/{place}")
+                if there is not None and stays(there):
                     return there.ref
-            self.remote.delete([place])
+                if self.remote.replace(place, text, tag) is not None:
+                    break
         return ref
 
     def add_dataset(self, folder: Path, label: str) -> bool:
@@ -145,7 +156,7 @@ class Mirror:
         place, data = f"datasets/{label}", packed.getvalue()
         if self.remote.create(place, data) or self.remote.read(place) == data:  # or it was we, and the answer was lost
             return True
-        self._bring_datasets()
+        self.bring_datasets()
         return False
 
     def withdraw(self, targets: Iterable[Path]) -> None:
@@ -166,8 +177,7 @@ class Mirror:
         parts = self.remote.entries("parts")
         named: set[str] = set()
         for path in self.root.glob(f"*/??/*/{MANIFEST_NAME}"):
-            manifest = Manifest.from_json(path.read_bytes(), where=str(path))
-            named.update(entry.sha256 for entry in manifest.data_files.values())
+            named.update(_DIGEST.findall(path.read_text("utf-8")))  # also one of an older schema
         before = self.remote.changed_at("lease") - younger
         old = [one["path"] for one in parts if one["last_modified"] <= before]
         if going := [path for path in old if path.rpartition("/")[2] not in named]:
@@ -256,7 +266,7 @@ class Mirror:
                 # What came later was put here by another process of this machine; the other time is the bucket's.
                 if path not in wanted and not path.name.startswith(".") and path.stat().st_ctime < began:
                     self._forget(path)
-        self._bring_datasets()
+        self.bring_datasets()
         self._pushed |= {path: _state(path) for path in records}
 
     def _bring_file(self, path: Path, entry: ObjectMeta) -> None:
@@ -272,7 +282,8 @@ class Mirror:
             with suppress(FileNotFoundError):  # dropped by another process
                 os.utime(path, ns=(_mark(entry), _mark(entry)))
 
-    def _bring_datasets(self) -> None:
+    def bring_datasets(self) -> None:
+        """Have the datasets here that the bucket has, and no others."""
         entries = [entry for entry in self.remote.entries("datasets") if _DATASET.fullmatch(entry["path"])]
         names = {entry["path"].rpartition("/")[2] for entry in entries}
         for folder in (self.root / "datasets").glob("*@*"):
@@ -302,7 +313,7 @@ class Mirror:
 
     def _put_manifest(self, folder: Path, data: bytes) -> None:
         path = folder / MANIFEST_NAME
-        with suppress(CorruptArtifact, FileNotFoundError):
+        with suppress(CorruptArtifact, OlderSchema, FileNotFoundError):
             if self._ref_here(folder) not in (None, Manifest.from_json(data, where=self.url).ref):
                 self._forget(path)
         replace_file(path, data, staging_root=self.root / "tmp")
@@ -310,7 +321,7 @@ class Mirror:
     @staticmethod
     def _ref_here(folder: Path) -> ArtifactRef | None:
         path = folder / MANIFEST_NAME
-        with suppress(FileNotFoundError, CorruptArtifact):
+        with suppress(FileNotFoundError, CorruptArtifact, OlderSchema):
             return Manifest.from_json(path.read_bytes(), where=str(path)).ref
         return None
 

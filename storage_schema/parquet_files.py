@@ -168,7 +168,9 @@ def _guarded(path: Path, read: Any) -> Any:
     except FileNotFoundError:
         raise CorruptArtifact(f"{path} is missing though its manifest names it") from None
     except (OSError, pa.ArrowException) as error:
-        raise CorruptArtifact(f"{path} cannot be read: {error}") from error
+        raise CorruptArtifact(
+            f"{path} cannot be read ({error}); `pasdedeux verify` tells whether it is damaged"
+        ) from error
 
 
 def _groups_of(file: pq.ParquetFile, start: int, stop: int) -> tuple[list[int], int]:

@@ -12,20 +12,23 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from storage_schema.bucket import AT_ONCE, RemoteError, RemoteStore
+from storage_schema.columns import is_plain_name
 from storage_schema.datasets import Dataset, add_dataset, dataset_from_json, digest_of, open_dataset
 from storage_schema.durable import sync_folder, write_errors, write_file
-from storage_schema.errors import CorruptArtifact, DatasetExists, UnknownReference
+from storage_schema.errors import CorruptArtifact, DatasetExists, SchemaError, UnknownReference
 from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, ArtifactRef, Manifest
+from storage_schema.parquet_files import iter_table
 from storage_schema.runs import in_use
 from storage_schema.staging import StagingFolder
 from storage_schema.store import Store
+from storage_schema.tables import TABLES
 from storage_schema.version import SCHEMA_VERSION
 
 __all__ = ["RemoteError", "RemoteStore", "pull_dataset", "push_dataset"]
@@ -151,10 +154,27 @@ def _pull_artifact(remote: RemoteStore, manifest: Manifest, store: Store) -> boo
         for name, entry in manifest.data_files.items():
             if remote.fetch(f"files/{entry.sha256}", staging.path / name) != entry.sha256:
                 raise remote.corrupt(entry.sha256)
+        _check_ids(manifest, staging.path, f"{remote.url}/{_place(ref)}")
         write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
         sync_folder(staging.path)
-        store.put_in_place(staging.path, ref)
+        store.put_in_place(staging, ref)
     return True
+
+
+def _check_ids(manifest: Manifest, folder: Path, where: str) -> None:
+    """Refuse ids that are no plain names: files that are written of these rows are called after them."""
+    found = [(name, value) for name, value in manifest.facts.items() if name.endswith("_id")]
+    for table in manifest.tables:
+        columns = TABLES[table].id_columns if table in TABLES else ()
+        with suppress(SchemaError):  # columns of another version, which nothing here reads
+            for rows in iter_table(folder / f"{table}.parquet", TABLES[table], columns=columns) if columns else ():
+                found += [(name, value) for name in columns for value in set(rows[name].tolist())]
+    for name, value in found:
+        if isinstance(value, str) and not is_plain_name(value):
+            raise CorruptArtifact(
+                f"{where} has the {name} {json.dumps(value)[:80]}, and only up to 200 letters, digits, '.', '_' and "
+                "'-' can name something; it was not made by this program, and is not pulled"
+            )
 
 
 def _chosen(remote: RemoteStore, label: str) -> str:

@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,9 +22,9 @@ from typing import Any
 import orjson
 
 from storage_schema.durable import make_folder, write_errors
-from storage_schema.errors import CorruptArtifact, MissingArtifact, StorageError
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema, StorageError
 from storage_schema.keys import plain_json
-from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, with_fields
+from storage_schema.manifest import ArtifactRef, Manifest, refuse_newer, refuse_older, with_fields
 from storage_schema.staging import replace_file
 from storage_schema.store import Store
 from storage_schema.store_reader import STORE_FILE
@@ -176,18 +176,22 @@ def read_latest(store: Store, study: str) -> LatestRun | None:
     Raises:
         CorruptArtifact: The record cannot be read.
         NewerSchema: It was written by a newer program.
+        OlderSchema: It was written under an older schema, and has another form.
     """
     path = _latest_path(store, study)
     try:
         text = path.read_bytes()
     except FileNotFoundError:
         return None
+    version = SCHEMA_VERSION
     try:
         values = orjson.loads(text)
-        refuse_newer(values["schema_version"], str(path))
+        version = int(values["schema_version"])
+        refuse_newer(version, str(path))
         stages = {stage: tuple(_shard(shard) for shard in shards) for stage, shards in values["stages"].items()}
         return LatestRun(study=values["study"], run_id=values["run_id"], stages=stages)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
+        refuse_older(version, str(path), "")
         raise CorruptArtifact(f"{path} cannot be read: {error!r}") from error
 
 
@@ -202,7 +206,9 @@ def record_latest(store: Store, study: str, run_id: str, stages: Mapping[str, Se
     path = _latest_path(store, study)
     store.prepare()
     with write_errors(store.root), _in_line(path):
-        before = read_latest(store, study)
+        before = None
+        with suppress(CorruptArtifact, OlderSchema):  # such a record gives way
+            before = read_latest(store, study)
         merged = {**(before.stages if before else {}), **{stage: tuple(shards) for stage, shards in stages.items()}}
         latest = LatestRun(study=study, run_id=run_id, stages=merged)
         values = {"schema_version": SCHEMA_VERSION, **asdict(latest)}

@@ -2,7 +2,8 @@
 
 A folder's owner holds a lock on a file beside it for as long as it lives; the system frees the lock when the process
 dies, however it dies.  So a folder whose lock can be taken belongs to nobody.  Locks are trusted on the owner's host
-only; on a shared file system another host's leftovers go when nothing in them has changed for a week.
+only; on a shared file system another host's leftovers go when nothing in them has changed for a week, by the clock of
+that file system.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ import fcntl
 import os
 import shutil
 import socket
-import time
 import uuid
 from pathlib import Path
 
-from storage_schema.durable import make_folder, sync_folder, write_file
+from storage_schema.durable import exchange, make_folder, sync_folder, write_file
 
 __all__ = ["StagingFolder", "clean_leftovers", "replace_file"]
 
 _FOREIGN_AGE_S = 7 * 24 * 3600.0
+_ASIDE = ".aside."
 
 
 class StagingFolder:
@@ -37,9 +38,26 @@ class StagingFolder:
             self.close()
             raise
 
+    def take_place(self, target: Path) -> None:
+        """Put the folder in the place of another one of the store, which is here afterwards.
+
+        That is one step; where the file system has none for it, who dies between the two leaves the other folder aside,
+        and whoever clears up puts it back.
+        """
+        if not target.is_dir():
+            target.unlink(missing_ok=True)
+        elif exchange(self.path, target):
+            return
+        else:
+            aside = self.path.with_name(f"{self.path.name}{_ASIDE}{'.'.join(target.parts[-3:])}")
+            shutil.rmtree(aside, ignore_errors=True)
+            with contextlib.suppress(FileNotFoundError):  # moved away by another
+                target.rename(aside)
+        self.path.rename(target)
+
     def close(self) -> None:
         """Remove what is left of the folder and give up its lock."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        _clear(self.path)
         self._lock_path.unlink(missing_ok=True)
         os.close(self.lock)
 
@@ -91,7 +109,7 @@ def _clean(lock_path: Path) -> bool:
                 return False
         else:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        shutil.rmtree(lock_path.with_suffix(""), ignore_errors=True)
+        _clear(lock_path.with_suffix(""))
         lock_path.unlink(missing_ok=True)
     except OSError:
         return False
@@ -102,11 +120,23 @@ def _clean(lock_path: Path) -> bool:
 
 
 def _is_untouched(folder: Path) -> bool:
-    newest = 0.0
+    newest, clock = 0.0, folder.with_name(f".{uuid.uuid4().hex}")
     for path in (folder, folder.with_name(f"{folder.name}.lock"), *folder.glob("*")):
         with contextlib.suppress(OSError):
             newest = max(newest, path.stat().st_mtime)
-    return time.time() - newest > _FOREIGN_AGE_S
+    clock.touch(exist_ok=False)  # the times of files are their server's, whose clock may be another
+    now = clock.stat().st_mtime
+    clock.unlink()
+    return now - newest > _FOREIGN_AGE_S
+
+
+def _clear(folder: Path) -> None:
+    """Remove a folder, and put back what it was about to take the place of where nothing is there now."""
+    for aside in folder.parent.glob(f"{folder.name}{_ASIDE}*"):
+        with contextlib.suppress(OSError):
+            aside.rename(folder.parents[1].joinpath(*aside.name.partition(_ASIDE)[2].split(".")))
+        shutil.rmtree(aside, ignore_errors=True)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def host_name() -> str:

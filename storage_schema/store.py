@@ -8,23 +8,22 @@ in one rename after everything in it has reached the disk, so an artifact is who
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import logging
 import os
 import re
 import time
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, NotRequired, TypedDict, Unpack
 
 from storage_schema.artifact_writer import ArtifactWriter
 from storage_schema.credits import SourceCredit, merge_credits
 from storage_schema.durable import make_folder, sync_folder, write_errors, write_file
-from storage_schema.errors import StorageError
+from storage_schema.errors import CorruptArtifact, MissingArtifact, NamedByDataset, StorageError
 from storage_schema.keys import content_digest, plain_json
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, Manifest
 from storage_schema.provenance import code_version, package_versions, source_digest
@@ -63,6 +62,8 @@ class ArtifactFields(TypedDict):
     """Artifacts that were read."""
     files: Sequence[tuple[str, str]]
     """Outside files that were read: (file name, sha256)."""
+    replaces: NotRequired[bool]
+    """Whether it takes the place of a valid artifact that is there, where its content is another or damaged."""
 
 
 class Store(StoreReader):
@@ -85,7 +86,8 @@ class Store(StoreReader):
     ) -> ArtifactRef:
         """Write an artifact under its key, whole or not at all.
 
-        When a valid artifact is already there (another process was first) this one is discarded and that one is given.
+        When a valid artifact is already there (another process was first) this one is discarded and that one is given,
+        unless this one `replaces` it: then both change places in one step, and a reader always finds one of them whole.
 
         Args:
             tables: For each table its columns: name to list or array, rows first (see `encoding.encode`).
@@ -99,6 +101,7 @@ class Store(StoreReader):
             MissingArtifact: An input is not in the store.
             FullDisk: There is no room left.
             NewerSchema: The store was written by a newer program.
+            NamedByDataset: A dataset needs what is there, and this has other bytes.
         """
         with self.writer(facts=facts, sources=sources, **described) as writer:
             for table, columns in tables.items():
@@ -165,12 +168,27 @@ class Store(StoreReader):
             with write_errors(self.root):
                 write_file(staging.path / MANIFEST_NAME, manifest.to_json().encode())
                 sync_folder(staging.path)
-                writer.ref = self.put_in_place(staging.path, manifest.ref)
+                writer.ref = self.put_in_place(staging, manifest.ref, replaces=described.get("replaces", False))
 
     def discard(self, ref: ArtifactRef) -> None:
         """Remove an artifact, so that its key is missing; nothing happens when it is not there."""
         with write_errors(self.root):
             self.remove_folders([self.folder(ref.stage, ref.key)])
+
+    def drop_damaged(self, manifest: Manifest) -> bool:
+        """Remove an artifact where files of it are not what it says, so that the next run computes it again.
+
+        For who builds; tells whether anything was removed.  In a mirror a damaged copy of a whole file goes alone.
+        """
+        if self.mirror is not None:
+            folder = self.folder(manifest.ref.stage, manifest.ref.key)
+            dropped = [self.mirror.drop_changed(folder / name, one) for name, one in manifest.data_files.items()]
+            if any(dropped):
+                return True
+        is_damaged = bool(self.damaged_files(manifest))
+        if is_damaged:
+            self.discard(manifest.ref)
+        return is_damaged
 
     def prepare(self) -> None:
         """Make the store's folder when it is not there, and clear away what dead processes left; once per object."""
@@ -179,10 +197,9 @@ class Store(StoreReader):
         with write_errors(self.root):
             make_folder(self.root)
             if not (self.root / STORE_FILE).is_file():
-                text = json.dumps({"schema_version": SCHEMA_VERSION}) + "\n"
                 if self.mirror is not None:
-                    self.mirror.remote.create(f"records/{STORE_FILE}", text.encode())
-                replace_file(self.root / STORE_FILE, text.encode(), staging_root=self.staging_root)
+                    self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())
+                replace_file(self.root / STORE_FILE, _store_text(), staging_root=self.staging_root)
         self.check_version()
         self.clear_leftovers()
 
@@ -192,7 +209,7 @@ class Store(StoreReader):
             return os.access(self.root, os.W_OK)
         with suppress(StorageError, FileNotFoundError):
             self.mirror.remote.changed_at("lease")
-            self.mirror.remote.write(f"parts/{hashlib.sha256().hexdigest()}", b"")  # which gc takes away
+            self.mirror.remote.create(f"records/{STORE_FILE}", _store_text())  # which is there: asks for the right
             return True
         return False
 
@@ -206,31 +223,58 @@ class Store(StoreReader):
         now = (time.perf_counter(), time.thread_time())
         return {name: round(now[i] - self._begun_s[i], 4) for i, name in enumerate((SHARD_S, PROCESSOR_S))}
 
-    def put_in_place(self, staged: Path, ref: ArtifactRef) -> ArtifactRef:
-        """Rename the staged folder to its place; returns the artifact that is there in the end."""
+    def put_in_place(self, staging: StagingFolder, ref: ArtifactRef, *, replaces: bool = False) -> ArtifactRef:
+        """Rename the staged folder to its place; returns the artifact that is there in the end.
+
+        Raises:
+            NamedByDataset: A dataset needs what is there, and this has other bytes.
+        """
         target = self.folder(ref.stage, ref.key)
         if self.mirror is not None:
-            kept = self.mirror.commit(staged, ref, lambda found: not self.outdated_tables(found))
+            kept = self.mirror.commit(staging.path, ref, lambda found: self._stays(found, ref, replaces=replaces))
             if kept != ref:
-                self._say_other_bytes(ref, kept)
                 return kept
         make_folder(target.parent)
+        go_there: Callable[[Path], object] = staging.path.rename
         while True:
             try:
-                staged.rename(target)
+                go_there(target)
             except OSError as error:
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                     raise
             else:
                 sync_folder(target.parent)
                 return ref
-            # Something is there: it goes only after it was seen not to be valid, never for not having been there yet.
-            found = self.find(ref.stage, ref.key) if self.mirror is None else None
-            if found is not None:
-                if found.ref != ref:
-                    self._say_other_bytes(ref, found.ref)
+            # Something is there: it goes only after it was seen not to stay, never for not having been there yet.
+            found = self._there(ref) if self.mirror is None else None
+            if found is not None and self._stays(found, ref, replaces=replaces):
                 return found.ref
-            self._remove_here([target])
+            go_there = staging.take_place
+
+    def _there(self, ref: ArtifactRef) -> Manifest | None:
+        """Return the manifest under a key, also one of other columns, where its files are there; else None."""
+        with suppress(MissingArtifact, CorruptArtifact):
+            found = self.load(ref.stage, ref.key)
+            return found if self.has_files(found) else None
+        return None
+
+    def _stays(self, found: Manifest, ref: ArtifactRef, *, replaces: bool) -> bool:
+        """Tell whether an artifact that is there keeps its place against a new one under its key."""
+        is_valid = not self.outdated_tables(found)
+        if found.ref.content_digest == ref.content_digest:
+            # Into a bucket the parts have just come again.
+            return is_valid and (not replaces or self.mirror is not None or not self.damaged_files(found))
+        if is_valid and not replaces:
+            self._say_other_bytes(ref, found.ref)
+            return True
+        from storage_schema.datasets import dataset_with  # here: datasets are made of what a store holds
+
+        if (label := dataset_with(self, found.ref)) is not None:
+            raise NamedByDataset(
+                f"artifact {ref.stage}@{ref.key[:12]} was computed again with other bytes, and dataset {label} needs "
+                "the old one, which stays; raise the version of the stage in its `Stage(...)` to have both"
+            )
+        return False
 
     def remove_folders(self, targets: Iterable[Path]) -> None:
         """Remove folders of the store in this order, each in one rename; those that are not there are left out."""
@@ -257,3 +301,7 @@ class Store(StoreReader):
                     parents.add(target.parent)
             for parent in parents:
                 sync_folder(parent)
+
+
+def _store_text() -> bytes:
+    return f"{json.dumps({'schema_version': SCHEMA_VERSION})}\n".encode()

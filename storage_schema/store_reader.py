@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from storage_schema.arrow import schema_digest
-from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore
+from storage_schema.errors import CorruptArtifact, MissingArtifact, NotAStore, StorageError
+from storage_schema.keys import file_sha256
 from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest, refuse_newer
 from storage_schema.parquet_files import iter_table, read_table
 from storage_schema.table_data import TableData
@@ -192,8 +193,10 @@ class StoreReader:
 
     def _is_whole(self, manifest: Manifest) -> bool:
         """Tell whether every file is there with the right size, and every table has the declared columns."""
-        if self.outdated_tables(manifest):
-            return False
+        return not self.outdated_tables(manifest) and self.has_files(manifest)
+
+    def has_files(self, manifest: Manifest) -> bool:
+        """Tell whether every file of an artifact is there with the right size."""
         if self.mirror is not None:
             return True  # its manifest came last
         folder = f"{self._prefix}{manifest.ref.stage}/{manifest.ref.key[:2]}/{manifest.ref.key}"
@@ -237,6 +240,25 @@ class StoreReader:
         if self.mirror is not None:
             self.mirror.bring_part(path, entry)
         return path
+
+    def file_sha256(self, ref: ArtifactRef, name: str, entry: FileEntry) -> str:
+        """Return the sha256 of the bytes of a data file as they lie in the store; OSError where they cannot be read."""
+        if self.mirror is not None:
+            return self.mirror.part_sha256(entry.sha256)
+        return file_sha256(self.folder(ref.stage, ref.key) / name)
+
+    def damaged_files(self, manifest: Manifest) -> list[str]:
+        """Return the files that are gone or whose bytes are others, twice read; one that cannot be read is not told."""
+
+        def is_damaged(name: str, entry: FileEntry) -> bool:
+            try:
+                return self.file_sha256(manifest.ref, name, entry) != entry.sha256
+            except FileNotFoundError:
+                return True
+            except (OSError, StorageError):
+                return False
+
+        return [n for n, entry in manifest.data_files.items() if is_damaged(n, entry) and is_damaged(n, entry)]
 
     def check_version(self) -> None:
         """Refuse what this program cannot read; looked up once per object.

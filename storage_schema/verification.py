@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from storage_schema.datasets import list_datasets
-from storage_schema.errors import CorruptArtifact, MissingArtifact
-from storage_schema.keys import file_sha256
-from storage_schema.manifest import MANIFEST_NAME, Manifest
+from storage_schema.datasets import DATASET_FILE, Dataset, Needed, dataset_labels, needed_by, open_dataset
+from storage_schema.errors import CorruptArtifact, MissingArtifact, OlderSchema
+from storage_schema.manifest import MANIFEST_NAME, RESERVED_NAMES, ArtifactRef, FileEntry, Manifest
+from storage_schema.runs import read_latest
 from storage_schema.store import Store
+from storage_schema.version import SCHEMA_VERSION
 
 __all__ = ["Problem", "ProblemKind", "Verification", "verify"]
 
@@ -36,7 +38,8 @@ class Problem:
     detail: str
 
     def __str__(self) -> str:
-        return f"{self.stage}@{self.key[:12]}/{self.file_name}: {self.kind.value}: {self.detail}"
+        place = f"{self.stage}/{self.key}" if self.stage in RESERVED_NAMES else f"{self.stage}@{self.key[:12]}"
+        return f"{place}/{self.file_name}: {self.kind.value}: {self.detail}"
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class Verification:
     num_files: int
     num_bytes: int
     problems: tuple[Problem, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def is_ok(self) -> bool:
@@ -55,19 +59,24 @@ class Verification:
 
 
 def verify(store: Store) -> Verification:
-    """Digest the files of a whole store again, and look for what its datasets name.
+    """Digest the files of a whole store again, look for what its datasets name, and read the records of its runs.
 
     Raises:
         NewerSchema: The store was written by a newer program.
     """
     store.check_version()
+    store.clear_leftovers()
     folders = store.folders()
     problems: list[Problem] = []
+    older: list[OlderSchema] = []
     num_files = num_bytes = 0
     for folder in folders:
         stage, key = folder.parent.parent.name, folder.name
         try:
             manifest = store.load(stage, key)
+        except OlderSchema as error:
+            older.append(error)
+            continue
         except MissingArtifact as error:
             problems.append(Problem(ProblemKind.MISSING, stage, key, MANIFEST_NAME, str(error)))
             continue
@@ -77,42 +86,95 @@ def verify(store: Store) -> Verification:
         num_files += len(manifest.data_files)
         num_bytes += manifest.num_bytes
         problems.extend(_check(store, folder, manifest))
-    problems.extend(_check_datasets(store))
-    return Verification(len(folders), num_files, num_bytes, tuple(problems))
+    notes = [f"{len(older)} artifacts were not looked through, such as this: {older[0]}"] if older else []
+    for label in dataset_labels(store):
+        try:
+            dataset = open_dataset(store, label)
+        except OlderSchema as error:
+            notes.append(str(error))
+        except CorruptArtifact as error:
+            problems.append(Problem(ProblemKind.UNREADABLE, "datasets", label, DATASET_FILE, str(error)))
+        else:
+            needed = needed_by(store, dataset)
+            problems.extend(_check_dataset(store, dataset, needed))
+            notes.extend(_outdated(store, dataset, needed))
+    problems.extend(_check_records(store))
+    return Verification(len(folders), num_files, num_bytes, tuple(problems), tuple(notes))
 
 
 def _check(store: Store, folder: Path, manifest: Manifest) -> Iterator[Problem]:
     stage, key = manifest.ref.stage, manifest.ref.key
-    recorded = {name: entry.sha256 for name, entry in manifest.data_files.items()}
-    for name, sha256 in recorded.items():
-        problem = _check_file(store, folder / name, sha256)
+    recorded = manifest.data_files
+    for name, entry in recorded.items():
+        problem = _check_file(store, manifest.ref, name, entry)
         if problem is not None:
             yield Problem(problem[0], stage, key, name, problem[1])
     for path in sorted(folder.iterdir()):
         if path.name not in recorded and path.name != MANIFEST_NAME:
             yield Problem(ProblemKind.EXTRA, stage, key, path.name, "the manifest does not name it")
     digest = manifest.computed_digest
-    if digest != manifest.ref.content_digest:
+    is_current = manifest.schema_version == SCHEMA_VERSION  # older digests are over less
+    if is_current and digest != manifest.ref.content_digest:
         detail = f"content digest {manifest.ref.content_digest[:12]} is not that of what it describes, {digest[:12]}"
         yield Problem(ProblemKind.CHANGED, stage, key, MANIFEST_NAME, detail)
 
 
-def _check_file(store: Store, path: Path, sha256: str) -> tuple[ProblemKind, str] | None:
+def _check_file(store: Store, ref: ArtifactRef, name: str, entry: FileEntry) -> tuple[ProblemKind, str] | None:
     try:
-        found = file_sha256(path) if store.mirror is None else store.mirror.part_sha256(sha256)
+        if store.mirror is not None:
+            store.mirror.drop_changed(store.folder(ref.stage, ref.key) / name, entry)
+        found = store.file_sha256(ref, name, entry)
     except FileNotFoundError:
         return ProblemKind.MISSING, "the manifest names it"
     except OSError as error:
         return ProblemKind.UNREADABLE, str(error.strerror)
-    if found != sha256:
-        return ProblemKind.CHANGED, f"sha256 is {found[:12]}, the manifest says {sha256[:12]}"
+    if found != entry.sha256:
+        return ProblemKind.CHANGED, f"sha256 is {found[:12]}, the manifest says {entry.sha256[:12]}"
     return None
 
 
-def _check_datasets(store: Store) -> Iterator[Problem]:
-    for dataset in list_datasets(store):
-        for ref in dataset.refs:
-            manifest = store.find(ref.stage, ref.key)
-            if manifest is None or manifest.ref != ref:
-                detail = f"dataset {dataset.label} names this artifact, which is missing or incomplete in the store"
-                yield Problem(ProblemKind.MISSING, ref.stage, ref.key, MANIFEST_NAME, detail)
+def _check_dataset(store: Store, dataset: Dataset, needed: Needed) -> Iterator[Problem]:
+    named = {(ref.stage, ref.key) for ref in dataset.refs}
+    for (stage, key, _), manifest in needed.items():
+        if (manifest is None and not _is_older(store, stage, key)) or (manifest and not store.has_files(manifest)):
+            how = "names this artifact" if (stage, key) in named else "was computed from this artifact"
+            detail = f"dataset {dataset.label} {how}, which is missing, incomplete or of other content in the store"
+            yield Problem(ProblemKind.MISSING, stage, key, MANIFEST_NAME, detail)
+
+
+def _is_older(store: Store, stage: str, key: str) -> bool:
+    try:
+        store.load(stage, key)
+    except OlderSchema:
+        return True
+    except (MissingArtifact, CorruptArtifact):
+        return False
+    return False
+
+
+def _outdated(store: Store, dataset: Dataset, needed: Needed) -> Iterator[str]:
+    """Say which release reads tables of a dataset whose columns are not those of this one."""
+    releases: dict[str, set[str]] = {}
+    for manifest in filter(None, needed.values()):
+        for table in store.outdated_tables(manifest):
+            releases.setdefault(manifest.code_version, set()).add(table)
+    for release, tables in releases.items():
+        words = f"dataset {dataset.label}: {', '.join(sorted(tables))} of it have columns of another version"
+        yield f"{words}; pasdedeux {release} reads them, and a run of its study with this one computes them anew"
+
+
+def _check_records(store: Store) -> Iterator[Problem]:
+    """Read what runs have left, which says what was done and why something is stale; results do not depend on it."""
+    for path in sorted((store.root / "runs").glob("*/*.json")):
+        try:
+            values = json.loads(path.read_bytes())
+            if not isinstance(values, dict):
+                raise TypeError(f"it is no JSON object but a {type(values).__name__}")
+            if path.parent.name == "latest":
+                read_latest(store, path.stem)
+        except OlderSchema:
+            continue  # the next run of its study writes it anew
+        except (OSError, ValueError, TypeError, CorruptArtifact) as error:
+            advice = "the next run of the study writes it anew" if path.parent.name == "latest" else "it can be removed"
+            detail = f"this record of a run cannot be read ({error}); {advice}"
+            yield Problem(ProblemKind.UNREADABLE, "runs", path.parent.name, path.name, detail)

@@ -88,6 +88,7 @@ class Shard:
         files: Outside files read; their digests enter the key.
         after: Keys of other shards of the same plan that this one reads; they enter the key.
         seed: Seed of the study.
+        replaces: Whether its artifact takes the place of the one that is there; no part of the key.
     """
 
     stage: str
@@ -99,6 +100,7 @@ class Shard:
     files: tuple[SourceFile, ...] = ()
     after: tuple[str, ...] = ()
     seed: int = 0
+    replaces: bool = False
 
     @property
     def values(self) -> Mapping[str, Any]:
@@ -210,6 +212,7 @@ def artifact_fields(shard: Shard, store: Store) -> ArtifactFields:
         "seed": shard.seed,
         "inputs": (*shard.all_inputs, *_committed(shard, store)),
         "files": [(Path(file.path).name, file.sha256) for file in shard.files],
+        "replaces": shard.replaces,
     }
 
 

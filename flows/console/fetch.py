@@ -15,6 +15,7 @@ from typing import Annotated
 
 import typer
 
+from flows.exports.credits import CREDITS_NAME, add_notice
 from flows.study_files import read_study_tree
 from pasdedeux.errors import InputError
 
@@ -98,7 +99,7 @@ def fetch_cmu(
     base = base_url.rstrip("/")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "CREDITS.txt").write_text(_credit(), encoding="utf-8")
+        add_notice(out / CREDITS_NAME, _credit())
     except OSError as error:
         raise FetchError(f"folder {out} cannot be written: {error.strerror}") from None
     for subject, takes in wanted.items():

@@ -16,6 +16,7 @@ from flows.console.context import open_store
 from flows.console.display import print_table
 from flows.console.following import STOP_NAME, follow_folder
 from flows.console.live_lines import follow_lines, lines_into, told_to_stop
+from flows.exports.export_format import FileNames, write_text
 from pasdedeux.errors import InputError
 from pasdedeux.formats.humanoid import say_units, write_npz
 from pasdedeux.people.decisions import write_decisions
@@ -169,11 +170,13 @@ def _reconstruct_sequence(
         raise InputError(f"nobody can be reconstructed: {next(iter(found.skipped.values()))}")
     target = whole.out or Path()
     target.mkdir(parents=True, exist_ok=True)
+    names = FileNames(target)
     left_out_m = left_out_misfit_m(found.searcher.database, found.searcher.index, take_ids, np.random.default_rng(0))
     doubts = camera_doubt([one.database.camera.pitch_rad for one in searchers], found.pitch)
     rows = []
     for tracked, made in found.methods[-1].people:
-        path, motion = target / f"{sequence.sequence_id}_{tracked.person_id}.bvh", found.motions[tracked.person_id]
+        path = names.path(sequence.sequence_id, tracked.person_id, suffix=".bvh")
+        motion = found.motions[tracked.person_id]
         path.write_text(motion.bvh(whole.units), encoding="utf-8")
         path.with_suffix(".npz").write_bytes(write_npz(motion))
         judged = judge_person(made, left_out_m, doubts=doubts)
@@ -190,8 +193,8 @@ def _reconstruct_sequence(
             )
         )
     print_table(_HEADER, rows, text_columns=(0, len(_HEADER) - 1))
-    (target / f"{sequence.sequence_id}_units.txt").write_text(say_units(motion, whole.units), encoding="utf-8")
-    table = target / f"{sequence.sequence_id}_people.csv"
+    write_text(names.path(sequence.sequence_id, "units", suffix=".txt"), say_units(motion, whole.units))
+    table = names.path(sequence.sequence_id, "people", suffix=".csv")
     table.write_text(write_decisions(sequence.decisions), encoding="utf-8")
     typer.echo(f"{table}: who is who; --people with a changed copy overrules it", err=True)
     for person_id, reason in found.skipped.items():

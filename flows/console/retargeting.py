@@ -229,7 +229,7 @@ def _retarget(
     for index, person in enumerate(people):
         wanted_m = positions_m[:, index]
         own = person.own.worn(wanted_m, bone_scale[index])
-        files.write(f"{take_id}_retarget_{person.letter}", person, own, wanted_m)
+        files.write((take_id, "retarget", person.letter), person, own, wanted_m)
     for path in (*files.close(), write_credits(source_credits(store, ref), [ref], f"take {take_id}", out)):
         typer.echo(str(path))
     if rows:

@@ -75,7 +75,8 @@ OnlyOption = Annotated[list[str] | None, typer.Option("--only", metavar="STAGE",
 FromOption = Annotated[str | None, typer.Option("--from", metavar="STAGE", help="This stage and what follows from it.")]
 UntilOption = Annotated[str | None, typer.Option("--until", metavar="STAGE", help="This stage and what it needs.")]
 ForceOption = Annotated[
-    list[str] | None, typer.Option("--force", metavar="STAGE", help="Compute this stage again even if it is fresh.")
+    list[str] | None,
+    typer.Option("--force", metavar="STAGE", help="Compute this stage again, in place; what a dataset needs stays."),
 ]
 
 

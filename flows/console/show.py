@@ -98,8 +98,8 @@ def _echo_rows(described: Mapping[str, Any], store: Store, reference: str) -> No
     print_table(("  column", "type", "unit", "meaning"), cells, text_columns=range(4))
     if described["rows"]:
         typer.echo("first rows:" if described["row"] is None else "the row:")
-    for row in described["rows"]:
-        typer.echo("  " + ", ".join(f"{name}={value}" for name, value in row.items()))
+    for number, row in enumerate(described["rows"], described["row"] or 0):
+        typer.echo(f"  #{number} " + ", ".join(f"{name}={value}" for name, value in row.items()))
     if described["row"] is not None:
         for line in _drawn(store, reference):
             typer.echo(line)

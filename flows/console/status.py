@@ -15,6 +15,7 @@ from flows.planning import stage_verdict
 from flows.records import describe_runs, last_manifests, read_last_run, uncollected
 from storage_schema import LatestRun, Manifest, Store, UnknownReference, latest_studies
 from storage_schema import verify as verify_store
+from storage_schema.manifest import RESERVED_NAMES
 
 __all__ = ["app"]
 
@@ -62,9 +63,15 @@ def verify(store: StoreOption = Path("store"), as_json: JsonOption = False) -> N
     else:
         for problem in found.problems:
             typer.echo(str(problem))
+        for note in found.notes:
+            typer.echo(f"note: {note}")
         size = f"{found.num_artifacts} artifacts, {found.num_files} files, {found.num_bytes / 1e6:.1f} MB"
         typer.echo(f"{size}: " + ("all as their manifests say" if found.is_ok else f"{len(found.problems)} problems"))
     if not found.is_ok:
+        stages = sorted({problem.stage for problem in found.problems} - RESERVED_NAMES)
+        if stages and not as_json:
+            force = " ".join(f"--force {stage}" for stage in stages)
+            typer.echo(f"what is damaged is computed again by `pasdedeux run STUDY {force}`")
         raise typer.Exit(1)
 
 

@@ -5,13 +5,13 @@ A new format is one module whose `FORMAT` is an `ExportFormat`, and one line in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from flows.exports.export_format import Export, ExportFormat, RestPose, Units, write_text
+from flows.exports.credits import write_credits
+from flows.exports.export_format import Export, ExportFormat, RestPose, Units
 from pasdedeux.errors import InputError
-from storage_schema import ArtifactRef, SourceCredit, Store, parse_reference, referenced_credits, resolve
+from storage_schema import Store, parse_reference, referenced_credits, resolve
 
 __all__ = [
     "EXPORT_FORMATS",
@@ -69,13 +69,5 @@ def export_reference(
         )
     sources = referenced_credits(store, reference, export.refs)
     out.mkdir(parents=True, exist_ok=True)
-    return [*kind.write(export, out), write_credits(sources, export.refs, text, out)]
-
-
-def write_credits(sources: Sequence[SourceCredit], refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
-    """Write the licence and credit lines of every source into a folder, to keep with the files."""
-    lines = [f"Exported from {text} by pasdedeux.", "", "Sources, their licences and credits:", ""]
-    lines.extend(f"{source.name}\n  licence: {source.licence}\n  credit:  {source.credit}\n" for source in sources)
-    lines.append("Artifacts (stage, key, content digest):")
-    lines.extend(f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs)
-    return write_text(out / "CREDITS.txt", "\n".join(lines) + "\n")
+    credits_path = write_credits(sources, export.refs, text, out)  # first: no file lies there without them
+    return [*kind.write(export, out), credits_path]

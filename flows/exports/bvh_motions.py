@@ -37,20 +37,22 @@ class BvhMotions(ExportFormat):
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write a file for each person, of takes and variants an npz too."""
+        names = FileNames(out)
         if names_pairs(export.reference):
             return [
-                write_text(out / f"{name}_{letter}.bvh", person)
+                write_text(names.path(name, letter, suffix=".bvh"), person)
                 for name, pair in named_pairs(export)
                 for letter, person in zip("AB", write_pair_bvh(pair.pair_m), strict=True)
             ]
         if export.reference.table == "motions":
-            names = FileNames()
-            return [write_text(out / f"{names.free(name)}.bvh", write_bvh(motion)) for name, motion in _motions(export)]
+            return [
+                write_text(names.path(*parts, suffix=".bvh"), write_bvh(motion)) for parts, motion in _motions(export)
+            ]
         files = RigFiles(out, rest_pose=export.rest_pose, units=export.units)
         for ref in export.refs:
             if export.reference.table == "poses":
                 for person in people_of_take(export.store, ref):
-                    files.write(f"{person.take_id}_{person.letter}", person, person.own)
+                    files.write((person.take_id, person.letter), person, person.own)
             else:
                 _write_variants(export.store, ref, files)
         return files.close()
@@ -69,11 +71,11 @@ def _write_variants(store: Store, ref: ArtifactRef, files: RigFiles) -> None:
         for person, one in enumerate(people):
             body22_m = rows["body22_m"][part[rows["person"][part] == person]].astype(np.float64)
             own = one.own.worn(body22_m, scales[take_id, variant_id].reshape(len(people), -1)[person])
-            files.write(f"{take_id}_{variant_id}_{one.letter}", one, own, body22_m)
+            files.write((take_id, variant_id, one.letter), one, own, body22_m)
 
 
-def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
-    """Return reconstructed motions by the name of their file."""
+def _motions(export: Export) -> Iterator[tuple[tuple[str | int, ...], Motion]]:
+    """Return reconstructed motions by the parts of their file's name."""
     for ref in export.refs:
         rows = export.store.read(ref, "motions")
         # From the axes of a camera that looks down to a world in which people stand upright.
@@ -88,7 +90,7 @@ def _motions(export: Export) -> Iterator[tuple[str, Motion]]:
                 people.append((int(rows["frame"][own[0]]), upright, rows["is_bridged"][own]))
             rate_hz = rate_from_times(rows["frame"][part], rows["time_s"][part])
             for person_id, one in zip(person_ids, motions_together(people, rate_hz=rate_hz), strict=True):
-                yield f"{sequence_id}_{person_id}_{method}", humanoid_motion(one.motion)
+                yield (sequence_id, int(person_id), method), humanoid_motion(one.motion)
 
 
 def _groups(rows: TableData, *columns: str) -> Iterator[tuple[tuple[Any, ...], np.ndarray]]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.exports.export_format import Export, ExportFormat
+from flows.exports.export_format import Export, ExportFormat, FileNames
 from pasdedeux.skeletons.working import WORKING_SKELETONS
 from storage_schema import TABLES, TableData, iter_rows
 from storage_schema.columns import Column
@@ -21,7 +21,7 @@ class CsvTable(ExportFormat):
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write the table."""
-        path = out / f"{export.reference.table}.csv"
+        path = FileNames(out).path(export.reference.table, suffix=".csv")
         columns = TABLES[export.reference.table].columns
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable
@@ -9,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from pasdedeux.errors import InputError
 from storage_schema import ArtifactRef, Reference, Store
+from storage_schema.columns import is_plain_name
 
 __all__ = ["Export", "ExportFormat", "FileNames", "RestPose", "Units", "names_pairs", "write_text"]
 
@@ -55,22 +58,39 @@ class ExportFormat(ABC):
 
     @abstractmethod
     def write(self, export: Export, out: Path) -> Iterable[Path]:
-        """Write the files into a folder that is there, and return them.
+        """Write the files into a folder that is there, at paths of `FileNames`, and return them.
 
         Lengths, axes, rate and joint names are in the files or their format fixes them: nothing leaves without units.
         """
 
 
 class FileNames:
-    """Names of the files of a folder, none twice."""
+    """Paths of the files of a folder, made of the names of what is in them: none twice, and none elsewhere.
 
-    def __init__(self) -> None:
+    Args:
+        folder: The folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._times = Counter[str]()
 
-    def free(self, name: str) -> str:
-        """Return a name, with a number where it was given before: take a_b, variant c and take a, variant b_c."""
+    def path(self, *parts: str | int, suffix: str) -> Path:
+        """Return a path, with a number where it was given before: take a_b, variant c and take a, variant b_c.
+
+        Raises:
+            InputError: A part, which may come from rows that somebody else wrote, is no plain name.
+        """
+        for part in parts:
+            if not is_plain_name(str(part)):
+                raise InputError(
+                    f"{json.dumps(part)[:80]} is to be part of a file's name: up to 200 letters, digits, '.', '_' and "
+                    "'-' are allowed; what was to be exported names a take, sequence, variant or model so"
+                )
+        name = "_".join(map(str, parts))
         self._times[name] += 1
-        return f"{name}.{self._times[name]}" if self._times[name] > 1 else name
+        number = f".{self._times[name]}" if self._times[name] > 1 else ""
+        return self._folder / f"{name}{number}{suffix}"
 
 
 def names_pairs(reference: Reference) -> bool:

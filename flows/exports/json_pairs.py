@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from flows.exports.export_format import Export, ExportFormat, names_pairs, write_text
+from flows.exports.export_format import Export, ExportFormat, FileNames, names_pairs, write_text
 from pasdedeux.formats.pair_file import PairFile, write_pair_json
 from storage_schema import Reference
 from tasks.seeds.files import pair_of_draw, pairs_of_seeds
@@ -24,7 +24,10 @@ class JsonPairs(ExportFormat):
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write the pairs."""
-        return [write_text(out / f"{name}.json", write_pair_json(pair)) for name, pair in named_pairs(export)]
+        names = FileNames(out)
+        return [
+            write_text(names.path(name, suffix=".json"), write_pair_json(pair)) for name, pair in named_pairs(export)
+        ]
 
 
 FORMAT = JsonPairs()

@@ -29,11 +29,11 @@ class ModelWeights(ExportFormat):
 
     def write(self, export: Export, out: Path) -> Iterable[Path]:
         """Write weights and cards."""
-        names = FileNames()
+        names = FileNames(out)
         paths = []
         for ref in export.refs:
             manifest = export.store.manifest(ref)
-            path = out / f"{names.free('{split}_{model}'.format_map(manifest.facts))}.safetensors"
+            path = names.path(manifest.facts["split"], manifest.facts["model"], suffix=".safetensors")
             path.write_bytes(write_weights(stored_weights(export.store, manifest)))
             paths += [path, write_text(path.with_suffix(".md"), "\n".join(_card(export.store, manifest)) + "\n")]
         return paths

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flows.exports.export_format import Export, ExportFormat
+from flows.exports.export_format import Export, ExportFormat, FileNames
 from storage_schema import open_table
 
 
@@ -30,7 +30,7 @@ class NpzTable(ExportFormat):
                 arrays[name] = np.array(["" if value is None else value for value in values], dtype=np.str_)
             else:
                 arrays[name] = values
-        path = out / f"{export.reference.table}.npz"
+        path = FileNames(out).path(export.reference.table, suffix=".npz")
         np.savez_compressed(path, **arrays)
         return [path]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +21,9 @@ from storage_schema import ArtifactRef, Store
 
 __all__ = ["Person", "RigFiles", "people_of_take", "take_of"]
 
-_POSED = {
-    "source": "that of the source's file, Y up",
-    "standing": "a standing T-pose: facing +Z, the left side on +X, arms out along X",
-}
+_POSED = {"source": "that of the source's file", "standing": "a standing T-pose"}
+_LINE = re.compile(r"(?P<name>[A-Za-z0-9_.-]+): \d+ frames at ")
+_AXES = "right-handed, Y up"
 _EXTREMITIES = BODY22.indices(f"{side}_{joint}" for side in ("left", "right") for joint in ("wrist", "ankle", "toe"))
 
 
@@ -91,20 +91,21 @@ class RigFiles:
 
     def __init__(self, out: Path, *, rest_pose: RestPose, units: Units) -> None:
         self._out, self._rest_pose, self._units = out, rest_pose, units
-        self._names = FileNames()
-        self._lines: list[str] = []
+        self._names = FileNames(out)
+        self._lines: dict[str, str] = {}
         self._paths: list[Path] = []
 
-    def write(self, name: str, person: Person, own: OwnSkeleton, wanted_m: np.ndarray | None = None) -> None:
-        """Write a person's motion as `NAME.bvh` and `NAME.npz`.
+    def write(self, parts: Sequence[str], person: Person, own: OwnSkeleton, wanted_m: np.ndarray | None = None) -> None:
+        """Write a person's motion as BVH and npz.
 
         Args:
-            name: Of the files.
+            parts: Of the name of both files.
             person: Who it is.
             own: The motion.
             wanted_m: body22 of the variant that it plays (frame, 22, 3), metres; none where it is the source.
         """
-        name = self._names.free(name)
+        path = self._names.path(*parts, suffix=".bvh")
+        name = path.name.removesuffix(".bvh")
         ended = own_ends(own)
         motion = (standing(ended) if self._rest_pose == "standing" else ended).motion
         metres = {"cm": 0.01, "m": 1.0, "source": person.metres_per_unit}[self._units]
@@ -121,22 +122,25 @@ class RigFiles:
                 f"at worst {1e3 * away_m.max():.1f} mm, "
                 f"hands and feet within {1e3 * away_m[:, _EXTREMITIES].max():.1f} mm"
             )
-        self._lines.append(line)
+        self._lines[name] = f"{line}; the rest pose is {_POSED[self._rest_pose]}"
         text = write_bvh(motion, units_per_metre=1.0 / metres, decimals=8)
-        self._paths += [write_text(self._out / f"{name}.bvh", text), self._out / f"{name}.npz"]
-        self._paths[-1].write_bytes(write_motion_npz(motion, axes=self._axes, **facts))
+        self._paths += [write_text(path, text), path.with_name(f"{name}.npz")]
+        axes = f"{_AXES}; the rest pose is {_POSED[self._rest_pose]}"
+        self._paths[-1].write_bytes(write_motion_npz(motion, axes=axes, **facts))
 
     def close(self) -> Sequence[Path]:
         """Write what someone who finds the files has to know, and return all files."""
         said = [
             "BVH files are in the unit said below and degrees, npz files in metres and unit quaternions (x, y, z, w).",
-            f"Axes: {self._axes}.",
+            f"Axes: {_AXES}; in a standing T-pose people face +Z, the left side on +X, arms out along X.",
             "Joints have the names of the source; `_end` are End Sites, added where the source has none.",
             "",
-            *self._lines,
+            *sorted((self._said_before() | self._lines).values()),
         ]
         return [*self._paths, write_text(self._out / "UNITS.txt", "\n".join(said) + "\n")]
 
-    @property
-    def _axes(self) -> str:
-        return f"right-handed, Y up; the rest pose is {_POSED[self._rest_pose]}"
+    def _said_before(self) -> dict[str, str]:
+        """Return the lines of files that an earlier export has left in the folder."""
+        path = self._out / "UNITS.txt"
+        lines = path.read_text("utf-8", errors="replace").splitlines() if path.is_file() else ()
+        return {found["name"]: line for line in lines if (found := _LINE.match(line))}

@@ -67,22 +67,26 @@ def _first_chains(draws: Sequence[Manifest]) -> list[Manifest]:
 def _shown(shard: Shard, store: Store) -> TopicResult:
     """Show a chain of each density from its seed on, as in Yin et al. 2018, figs. 6 and 7; score the draws' prior."""
     chains: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    places: dict[str, str] = {}
     for ref in shard.refs("chains"):
         table = store.read(ref, "draws", columns=["pair17_m", "log_prior"])
         parts = (np.asarray(table["pair17_m"], dtype=np.float64), np.asarray(table["log_prior"]))
-        chains.setdefault(str(store.manifest(ref).facts["density"]), []).append(parts)
+        manifest = store.manifest(ref)
+        chains.setdefault(str(manifest.facts["density"]), []).append(parts)
+        places[str(manifest.facts["density"])] = f"draws:STUDY/{manifest.partition}"
     scores, pictures, captions = [], {}, {}
     for density, parts_of in sorted(chains.items()):
         pairs, log_prior = (np.concatenate(column) for column in zip(*parts_of, strict=True))
         at = evenly_spread(len(pairs), _NUM_SHOWN)
         panel = people_panel(in_words(density), PAIR17, pairs[at] + np.array([0.0, _STANDING_M, 0.0]))
         name = f"draws-{density}.player.json"
-        labels = [f"draw {index + 1} of {len(pairs)}" for index in at]
+        labels = [f"{places[density]}#{index}" for index in at]  # the first chain is the first in its partition
         pictures[name] = pack_player([panel], rate_hz=_DRAWS_PER_S, labels=labels)
         captions[name] = (
             f"Poses that one chain of {in_words(density)} went through, from its seed on (Yin et al. 2018, figs. 6, "
             "7). Better: it soon leaves the seed and comes back to poses like earlier ones; a chain that does not mix "
-            "stays near its seed. Nothing ties bodies to the floor."
+            "stays near its seed. Nothing ties bodies to the floor. `pasdedeux restart` goes on from the draw whose "
+            "name is shown, with the name of the study for STUDY."
         )
         scores += summarise(
             log_prior,

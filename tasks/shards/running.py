@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import ThreadpoolController
 
-from storage_schema import ArtifactRef, Store
+from storage_schema import ArtifactRef, CorruptArtifact, StorageError, Store, lineage
 from tasks.shards.cluster import DEATHS_ALLOWED, is_refused, peak_memory_bytes, refusals
 from tasks.shards.errors import ClusterError, ShardError, in_one_line
-from tasks.stage import Shard
+from tasks.stage import Shard, artifact_fields
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -79,10 +79,22 @@ def run(run_shard: RunShard, shard: Shard, store_root: str) -> tuple[ArtifactRef
         with _ONE_AT_A_TIME, _libraries(len(sys.modules)).limit(limits=1):
             ref = run_shard(shard, store)
     except Exception as error:  # noqa: BLE001 - every error of a shard is passed on as one that can be pickled
-        failure = ShardError(_where(shard), type(error).__name__, in_one_line(error), traceback.format_exc())
+        reason, trace = in_one_line(error), traceback.format_exc()
+        if isinstance(error, CorruptArtifact) and (dropped := _drop_damaged(shard, Store(store_root))):
+            reason += f"; {dropped} is damaged and was removed, the same command computes it again"
+        failure = ShardError(_where(shard), type(error).__name__, reason, trace)
     else:
         return ref, time.perf_counter() - started
     raise failure  # out here it drags no original error along, which may not be picklable
+
+
+def _drop_damaged(shard: Shard, store: Store) -> str:
+    """Remove what is damaged of all that a shard comes from, the nearest alone; gives its name, empty where none is."""
+    with suppress(StorageError):
+        for step in lineage(store, *artifact_fields(shard, store)["inputs"]):
+            if step.manifest is not None and store.drop_damaged(step.manifest):
+                return f"{step.ref.stage}@{step.ref.key[:12]}"
+    return ""
 
 
 class Pool(ABC):

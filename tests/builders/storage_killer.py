@@ -18,7 +18,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from storage_schema import ShardRecord, Store, create_dataset, list_datasets, read_latest, record_latest, verify
+from storage_schema import (
+    ShardRecord,
+    Store,
+    create_dataset,
+    list_datasets,
+    read_latest,
+    record_latest,
+    staging,
+    verify,
+)
 from storage_schema.garbage import find_unneeded, remove_unneeded
 from tests.builders.storage_rows import commit_rows
 
@@ -35,6 +44,18 @@ def prepare_damaged(store: Store) -> None:
     ref = commit_rows(store, "poses", 30, stage="ingest", attachments={"note.txt": b"note"})
     path = store.folder(ref.stage, ref.key) / "poses.parquet"
     path.write_bytes(path.read_bytes()[:-7])
+
+
+def replace(store: Store) -> str:
+    """Commit other bytes under the key that `commit` uses, in the place of what is there."""
+    more: dict[str, Any] = {"attachments": {"note.txt": b"a longer note"}, "replaces": True}
+    return commit_rows(store, "poses", 30, stage="ingest", **more).content_digest
+
+
+def replace_in_two_steps(store: Store) -> str:
+    """Do so on a file system that cannot exchange folders."""
+    staging.exchange = lambda one, other: False
+    return replace(store)
 
 
 def prepare_record(store: Store) -> None:
@@ -80,9 +101,11 @@ def _shard(key: str) -> ShardRecord:
     return ShardRecord("p", "n", key * 64, key * 64, 1, 0, {})
 
 
-ACTIONS: dict[str, tuple[Callable[[Store], None], Callable[[Store], str]]] = {
+ACTIONS: dict[str, tuple[Callable[[Store], object], Callable[[Store], str]]] = {
     "commit": (lambda store: None, commit),
     "heal": (prepare_damaged, commit),
+    "replace": (commit, replace),
+    "replace_in_two_steps": (commit, replace_in_two_steps),
     "record": (prepare_record, record),
     "sweep": (prepare_unneeded, sweep),
     "dataset": (prepare_refs, make_dataset),
@@ -143,6 +166,8 @@ def run(action: str, folder: Path) -> dict[str, Any]:
             act(Store(root))
             os._exit(0)
         _, status = os.waitpid(child, 0)
+        if action == "replace_in_two_steps":
+            Store(root).prepare()
         after_death = look(Store(root))
         found = act(Store(root))
         after_rerun = look(Store(root)) | {"is_same": found == expected, "tmp": _names(root / "tmp")}

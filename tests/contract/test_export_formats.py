@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from flows.exports import EXPORT_FORMATS, export_format, export_reference
+from flows.exports.credits import add_notice
 from pasdedeux.benchmarks.synthetic import random_pairs
 from pasdedeux.errors import InputError
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.formats.pair_file import read_pair_json
 from pasdedeux.learning import load_model, read_weights
-from storage_schema import SourceCredit, Store, open_table, parse_reference, source_credits
+from storage_schema import TABLES, ArtifactRef, SourceCredit, Store, open_table, parse_reference, source_credits
 from tasks.ingest import STAGE, IngestParameters
 from tasks.stage import StageInputs
 from tests.builders.storage_rows import random_columns
@@ -148,6 +154,78 @@ def test_what_a_format_writes_is_read_back_and_credited_and_the_rest_refused_in_
         assert all(part in notice.read_text() for part in (source.name, source.licence, source.credit))
         num_written += 1
     assert num_written > 0
+
+
+def named(store: Store, name: str, into: Store) -> None:
+    """Copy artifacts whose takes, sequences, variants and splits somebody else has called so."""
+    copies: dict[ArtifactRef, ArtifactRef] = {}
+    for one in sorted(store.artifacts(), key=lambda one: (one.ref.stage != "ingest", len(one.inputs))):
+        tables = {}
+        for table in one.tables:
+            rows = store.read(one.ref, table)
+            ids = {column: [name] * rows.num_rows for column in TABLES[table].id_columns}
+            tables[table] = {column: rows[column] for column in rows} | ids
+        copies[one.ref] = into.commit(
+            stage=one.ref.stage,
+            key=one.ref.key,
+            partition=one.partition,
+            name=one.name,
+            version=1,
+            parameters=one.parameters,
+            seed=0,
+            inputs=[copies.get(ref, ref) for ref in one.inputs],
+            files=[],
+            tables=tables,
+            facts={key: name if key in ("take_id", "sequence_id", "split") else one.facts[key] for key in one.facts},
+            sources=one.sources,
+        )
+
+
+NASTY = ("../ESCAPED", "/etc/passwd", "..", "a/b", "a\\b", "a\0b", "", "~", "con:", "x" * 300, "take\n1", "-rf", "ä")
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(name=st.sampled_from(NASTY) | st.text(st.characters(exclude_categories=["Cs"]), max_size=40))
+@example(name="../ESCAPED")
+@example(name="60_03.b-1")
+def test_no_name_in_rows_leads_out_of_the_folder_whatever_the_format(
+    store: Store, tmp_path_factory: pytest.TempPathFactory, name: str
+) -> None:
+    folder = tmp_path_factory.mktemp("named")
+    copy = Store(folder / "store")
+    named(store, name, copy)
+    before = {path for path in folder.rglob("*") if path.is_file()}
+    for number, (file_format, (table, text)) in enumerate(product(EXPORT_FORMATS, references(copy).items())):
+        out = folder / "out" / str(number) / "here"
+        if export_format(file_format).can_write(parse_reference(text)):
+            with suppress(InputError):
+                export_reference(copy, text, file_format, out)
+            assert (out / "CREDITS.txt").is_file()
+            assert all(path.parent == out and path.is_file() for path in out.rglob("*")), (file_format, table)
+        there = {path for path in folder.rglob("*") if path.is_file() and out not in path.parents}
+        assert there == before, (file_format, table)
+        before |= {path for path in folder.rglob("*") if path.is_file()}
+
+
+def test_an_export_beside_another_keeps_its_credits(store: Store, tmp_path: Path) -> None:
+    (tmp_path / "CREDITS.txt").write_text("Something of somebody else.\n")
+    texts = references(store)
+    for table in ("poses", "seeds"):
+        *_, notice = export_reference(store, texts[table], "bvh", tmp_path)
+    add_notice(notice, "Motions of a studio.\n")
+    said = notice.read_text()
+    assert said.startswith("Motions of a studio.\n\nSomething of somebody else.\n\nExported from ")
+    for table in ("poses", "seeds"):
+        (manifest,) = [one for one in store.artifacts() if table in one.tables]
+        assert f"Exported from {texts[table]} by pasdedeux." in said
+        assert manifest.ref.content_digest in said
+        assert all(source.credit in said and source.name in said for source in manifest.sources)
+    names = re.findall(r"(.*)\n  licence:", said)
+    assert names == ["a studio", "pasdedeux built-in duets"]
+    export_reference(store, texts["poses"], "npz", tmp_path)
+    add_notice(notice, "Motions of a studio.\n")
+    assert notice.read_text() == said
+    assert "waltz_A: 15 frames" in (tmp_path / "UNITS.txt").read_text()
 
 
 def test_a_rest_pose_and_units_are_refused_where_there_are_none(store: Store, tmp_path: Path) -> None:

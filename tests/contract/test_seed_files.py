@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from pasdedeux.kinematics.rotations import yaw_rotmat
 from pasdedeux.sampling.parameters import gauge_fix
 from storage_schema import Manifest, Store, open_table
 from tasks import seeds
+from tasks.evaluation.chains import TOPIC as CHAINS
 from tasks.graph import Graph
 from tasks.seeds import SeedsParameters
 from tasks.seeds.files import SeedFile, pair_of_draw
@@ -186,6 +189,25 @@ def test_a_draw_becomes_the_seed_of_new_chains(
     (made,) = (one for one in new if one.facts.get("made_from", "").startswith("draws@"))
     assert made.facts["takes"] == ["waltz"]
     assert {source.name for source in made.sources} == {source.name for source in chosen.pair.sources}
+
+
+def test_draws_are_shown_by_the_row_that_restart_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store(tmp_path / "store")
+    build_here(write_study(tmp_path), store.root, "seeds.files=[]", "seeds.num_seeds=2")
+    shown = call_in_process(capsys, "show", "draws:edited", "--rows", "20", "--store", store.root).out
+    place = re.findall(r"^  #(\d+) density=ic, seed_index=(\d+), chain=(\d+)", shown, re.MULTILINE)
+    draws = open_table("draws:edited", store)
+    assert [tuple(map(int, one)) for one in place] == [
+        (row, draws["seed_index"][row], draws["chain"][row]) for row in range(20)
+    ]
+    found = [one for one in store.artifacts("chains") if "draws" in one.tables]
+    (shard,) = CHAINS.plan(StageInputs({"draws": found[::-1]}, seed=1), CHAINS.settings())
+    scene = json.loads(CHAINS.run(shard, store).pictures["draws-ic.player.json"])
+    points = np.frombuffer(base64.b64decode(scene["data"]), dtype="<i2").reshape(scene["num_frames"], -1, 3)
+    assert len(scene["labels"]) == 8
+    for label, drawn in zip(scene["labels"], points[:, :34] * scene["unit_m"], strict=True):
+        pair = pair_of_draw(store, label.replace("STUDY", "edited")).pair.pair_m.reshape(34, 3)
+        np.testing.assert_allclose(np.ptp(drawn - pair, axis=0), 0.0, atol=2.5 * scene["unit_m"])
 
 
 def test_what_is_no_draw_cannot_be_restarted_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

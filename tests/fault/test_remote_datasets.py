@@ -28,7 +28,7 @@ from storage_schema import (
 from storage_schema.errors import BadName, DatasetExists
 from storage_schema.remote import RemoteError, RemoteStore, pull_dataset, push_dataset
 from tests.builders.s3_server import SECRET, S3Server, s3_server
-from tests.builders.storage_rows import commit_rows
+from tests.builders.storage_rows import commit_rows, put, random_columns
 from tests.builders.toy_runs import run_toys, write_study
 from tests.builders.toys import TOYS
 
@@ -190,6 +190,18 @@ def test_bytes_that_are_not_what_was_made_are_refused_on_both_ways(server: S3Ser
             create_dataset(store, "again", [commit_rows(store, name="two"), ref]),
             RemoteStore(f"{server.place}/b"),
         )
+
+
+@pytest.mark.parametrize("place", ["row", "fact"])
+def test_ids_that_could_lead_elsewhere_are_not_pulled(server: S3Server, tmp_path: Path, place: str) -> None:
+    store, other = Store(tmp_path / "store"), Store(tmp_path / "other")
+    names = {"row": "walk", "fact": "walk", place: "../ESCAPED"}
+    rows = random_columns("poses", 3) | {"take_id": ["walk", "walk", names["row"]]}
+    made = put(store, "ingest", "walk", {"poses": rows}, {"take_id": names["fact"]})
+    push_dataset(store, create_dataset(store, "toys", [made.ref]), remote_of(server))
+    with pytest.raises(CorruptArtifact, match=r'has the take_id "../ESCAPED", and only up to 200 letters'):
+        pull_dataset(remote_of(server), "toys", other)
+    assert list(other.artifacts()) == []
 
 
 def test_the_command_line_pushes_and_pulls_and_says_no_credential(

@@ -34,7 +34,7 @@ from storage_schema import (
     verify,
 )
 from storage_schema.bucket import RemoteError, RemoteStore
-from storage_schema.errors import DatasetExists
+from storage_schema.errors import DatasetExists, NamedByDataset
 from storage_schema.mirror import Mirror
 from tasks.shards import ClusterPool, ClusterSettings, ShardError, connect
 from tests.builders.s3_server import SECRET, S3Server, s3_server
@@ -397,6 +397,44 @@ def test_a_part_that_is_lost_is_named_and_computed_again_by_the_next_run(
     assert verify(Store(server.place)).is_ok
 
 
+def test_a_reader_asks_again_after_a_bad_download_and_takes_nothing_from_the_bucket(
+    server: S3Server, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, remote = Store(server.place), RemoteStore(server.place)
+    ref = commit_rows(store, name="one")
+    (entry,) = store.manifest(ref).data_files.values()
+    elsewhere()
+    fetch, answers = RemoteStore.fetch, iter(["0" * 64])
+    monkeypatch.setattr(RemoteStore, "fetch", lambda *told: (fetch(*told), next(answers, None) or fetch(*told))[1])
+    assert len(Store(server.place).read(ref, "scores"))
+    elsewhere()
+    remote.write(f"parts/{entry.sha256}", b"something else")
+    with pytest.raises(StorageError, match="is gone or damaged"):
+        Store(server.place).read(ref, "scores")
+    assert len(remote.entries("manifests")) == 1
+
+
+def test_a_damaged_copy_in_a_mirror_is_fetched_again_by_the_same_command(server: S3Server, tmp_path: Path) -> None:
+    run_there(tmp_path, server.place)
+    path = next(Store(server.place).root.glob("bend/*/*/models.parquet"))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    with pytest.raises(ShardError, match=r"bend@\w{12} is damaged and was removed"):
+        run_there(tmp_path, server.place, "judge.title=again")
+    assert run_there(tmp_path, server.place, "judge.title=again").num_computed == 1
+    assert path.read_bytes() == whole
+
+
+def test_who_asks_whether_it_may_write_leaves_nothing_behind(server: S3Server) -> None:
+    store, remote = Store(server.place), RemoteStore(server.place)
+    with in_use(store):
+        store.prepare()
+        places = ("parts", "records", "manifests")
+        before = [remote.entries(place) for place in places]
+        assert store.can_write()
+        assert [remote.entries(place) for place in places] == before
+
+
 def test_what_is_taken_from_the_bucket_goes_from_a_mirror_that_has_only_just_seen_it(
     server: S3Server, elsewhere: Callable[[], None]
 ) -> None:
@@ -452,6 +490,28 @@ def test_who_commits_second_gets_what_is_there(server: S3Server, elsewhere: Call
     assert ref == first.ref
     Store(server.place).discard(ref)
     assert RemoteStore(server.place).entries("manifests") == []
+
+
+def test_what_is_made_again_takes_its_place_in_one_step_unless_a_dataset_needs_the_old_one(
+    server: S3Server, elsewhere: Callable[[], None]
+) -> None:
+    def make(text: bytes) -> ArtifactRef:
+        return commit_rows(Store(server.place), name="one", attachments={"note.txt": text}, replaces=True)
+
+    first = make(b"1")
+    elsewhere()
+    server.requests.clear()
+    second = make(b"2")
+    assert second != first
+    assert {asked.split()[0] for asked in server.requests} <= {"GET", "HEAD", "PUT"}, "nothing was gone in between"
+    elsewhere()
+    assert Store(server.place).find(first.stage, first.key) == Store(server.place).manifest(second)
+    create_dataset(Store(server.place), "toys", [second])
+    elsewhere()
+    assert make(b"2") == second
+    with pytest.raises(NamedByDataset, match="dataset toys@1 needs the old one, which stays"):
+        make(b"3")
+    assert verify(Store(server.place)).is_ok
 
 
 def test_a_dataset_has_its_name_once(server: S3Server, elsewhere: Callable[[], None]) -> None:

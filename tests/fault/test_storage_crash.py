@@ -21,7 +21,16 @@ def kill_at_every_step(action: str, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("action", "min_steps"), [("commit", 15), ("heal", 15), ("record", 5), ("dataset", 8), ("sweep", 8)]
+    ("action", "min_steps"),
+    [
+        ("commit", 15),
+        ("heal", 15),
+        ("replace", 15),
+        ("replace_in_two_steps", 15),
+        ("record", 5),
+        ("dataset", 8),
+        ("sweep", 8),
+    ],
 )
 def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
     tmp_path: Path, action: str, min_steps: int
@@ -44,6 +53,9 @@ def test_a_store_killed_at_any_step_is_whole_and_the_rerun_finishes(
             # The damaged artifact is never found; it is the one problem until the new one stands.
             assert death["artifacts"] in ([], expected["artifacts"]), step
             assert len(death["problems"]) <= 1, step
+        elif action.startswith("replace"):
+            assert death["problems"] == [], step
+            assert len(death["artifacts"]) == 1, step
         elif action == "sweep":
             assert death["problems"] == [], step
             assert set(death["artifacts"]) >= set(expected["artifacts"]), step

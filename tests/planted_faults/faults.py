@@ -119,7 +119,8 @@ FAULTS = (
           "Level.FAIL if is_bad else Level.WARN if reasons else Level.PASS", "Level.PASS",
           "unit/test_reliability.py::test_large_expected_errors_and_hardly_anything_seen_fail"),
     Fault("the verdict on capture always passes", "pasdedeux/plausibility/capture.py",
-          "if sign * value > sign * warn:", "if math.isinf(value):", "unit/test_capture.py::test_one_of_three_who_is_far_away_or_another_twice_is_noticed"),
+          "if sign * value > sign * warn:", "if math.isinf(value):",
+          "unit/test_capture.py::test_one_of_three_who_is_far_away_or_another_twice_is_noticed"),
     # Motion
     Fault("rigid alignment mirrors", "pasdedeux/kinematics/alignment.py",
           "np.where(sign < 0, -1.0, 1.0)", "np.where(sign < 0, 1.0, 1.0)",

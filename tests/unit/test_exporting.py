@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from flows.exports import export_reference
+from pasdedeux.errors import InputError
 from pasdedeux.formats.asf_amc import read_amc, read_asf
 from pasdedeux.formats.bvh import read_bvh
 from pasdedeux.kinematics import Motion, bone_directions, bone_lengths, place_bones
@@ -198,6 +199,35 @@ def test_variants_whose_names_join_to_the_same_are_not_mixed(
     both = variants_of(store, ref, [("a", "b_c"), ("a_b", "c")], 0.9)
     export_reference(store, f"variants@{both.key}", "bvh", tmp_path)
     assert {path.stem for path in tmp_path.glob("*.npz")} == {"a_b_c_A", "a_b_c_B", "a_b_c_A.2", "a_b_c_B.2"}
+
+
+def test_names_of_variants_and_sequences_that_lead_elsewhere_are_refused(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, _ = taken
+    out = tmp_path / "deep" / "out"
+    variants = variants_of(store, ref, [("mix", "../ESCAPED")], 0.95)
+    with pytest.raises(InputError, match=r'^"../ESCAPED" is to be part of a file\'s name'):
+        export_reference(store, f"variants@{variants.key}", "bvh", out)
+    rows = rows_of(np.arange(5), body_of_walk(5), "../ESCAPED", 0, "fit")
+    with pytest.raises(InputError, match=r'^"../ESCAPED" is to be part of a file\'s name'):
+        exported(tmp_path, rows, {"pitch_deg": 0.0})
+    assert not list(tmp_path.rglob("*ESCAPED*"))
+
+
+def test_people_of_another_export_keep_what_is_said_of_them(
+    taken: tuple[Store, ArtifactRef, list[Motion]], tmp_path: Path
+) -> None:
+    store, ref, _ = taken
+    export_reference(store, f"poses@{ref.key}", "bvh", tmp_path)
+    small = variants_of(store, ref, [("mix", "smaller")], 0.85)
+    for _ in range(2):
+        export_reference(store, f"variants@{small.key}", "bvh", tmp_path, rest_pose="standing", units="m")
+    lines = (tmp_path / "UNITS.txt").read_text().splitlines()[4:]
+    assert [line.partition(":")[0] for line in lines] == ["mix_A", "mix_B", "mix_smaller_A", "mix_smaller_B"]
+    assert [line.rpartition(" is ")[2] for line in lines] == ["that of the source's file"] * 2 + [
+        "a standing T-pose"
+    ] * 2
 
 
 def test_a_reconstructed_motion_stands_upright_though_its_camera_looked_down(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from flows.scheduling import stages_behind
 from flows.study import load_study
 from pasdedeux.errors import InputError
 from pasdedeux.verdict import Verdict
-from storage_schema import ArtifactRef, Store, read_latest, verify
+from storage_schema import ArtifactRef, CorruptArtifact, Store, create_dataset, read_latest, verify
 from tasks.graph import Graph
 from tasks.shards import HerePool, ShardDone, ShardError, ShardFailed
 from tasks.stage import Parameters, Shard
@@ -284,6 +284,52 @@ def test_a_damaged_part_is_computed_again_and_nothing_else(undisturbed: Path, tm
             (part.parent / "manifest.json").unlink()
     assert {one.name: one.num_computed for one in run_toys(study, store).stages if one.num_computed} == {"bend": 1}
     assert digests(store) == digests(undisturbed)
+    assert verify(Store(store)).is_ok
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+
+
+def test_a_flipped_bit_is_named_and_what_has_it_is_computed_again_by_the_same_command(tmp_path: Path) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store)
+    before = digests(store)["bend"]
+    flip(next(store.glob("bend/*/*/models.parquet")))
+    assert plan_toys(study, store).is_fresh
+    with pytest.raises(ShardError, match=r"; bend@\w{12} is damaged and was removed, the same command"):
+        run_toys(study, store, "judge.title=again")
+    found = run_toys(study, store, "judge.title=again")
+    assert {one.name: one.num_computed for one in found.stages if one.num_computed} == {"bend": 1, "judge": 1}
+    assert digests(store)["bend"] == before
+    assert verify(Store(store)).is_ok
+
+
+def test_what_cannot_be_read_for_a_moment_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store)
+    there = names(store)
+
+    def fail(path: Path, *_: object, **__: object) -> None:
+        raise CorruptArtifact(f"{path} cannot be read (Input/output error)")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("storage_schema.store_reader.read_table", fail)
+        with pytest.raises(ShardError, match=r"Input/output error\)$"):
+            run_toys(study, store, "judge.title=again")
+    assert names(store) == there
+    assert run_toys(study, store, "judge.title=again").num_computed == 1
+
+
+def test_a_forced_stage_puts_a_flipped_bit_right_also_under_a_dataset(tmp_path: Path) -> None:
+    study, store = write_study(tmp_path), tmp_path / "store"
+    run_toys(study, store)
+    create_dataset(Store(store), "toys", [one.ref for one in Store(store).artifacts()])
+    flip(next(store.glob("bend/*/*/models.parquet")))
+    assert [problem.stage for problem in verify(Store(store)).problems] == ["bend"]
+    run_toys(study, store, selection=Selection(force=("bend",)))
     assert verify(Store(store)).is_ok
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ def call(study: Path, command: str, *arguments: str) -> int:
 
 
 def exported(study: Path, reference: str) -> str:
-    out = study.parent / reference.replace(":", "-")
+    out = Path(tempfile.mkdtemp(dir=study.parent))
     assert call(study, "export", reference, "--format", "csv", "--out", str(out)) == 0
     return (out / "CREDITS.txt").read_text()
 

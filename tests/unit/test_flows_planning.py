@@ -10,11 +10,12 @@ import pytest
 from flows.building import Partition, partitions_to_run
 from flows.planning import PlanError, Selection, ShardPlan, StagePlan, State
 from pasdedeux.errors import InputError
-from storage_schema import Store, read_latest
+from storage_schema import ArtifactRef, Store, create_dataset, read_latest, verify
 from tasks.graph import Graph
+from tasks.shards import ShardError
 from tasks.stage import Parameters, Shard
 from tests.builders.toy_runs import STUDY, digests, plan_toys, run_toys, states, write_study
-from tests.builders.toys import TOYS
+from tests.builders.toys import TOYS, SegmentParameters, run_grow
 
 FRESH = {"aside": "1 fresh", "grow": "6 fresh", "bend": "6 fresh", "judge": "1 fresh"}
 
@@ -166,12 +167,15 @@ def test_changed_sources_under_the_same_version_are_a_warning(
     assert plan.is_fresh
     assert len(plan.warnings) == 1
     assert "since aside and 3 more stages were computed" in plan.warnings[0]
+    assert "--force STAGE computes again in place, and leaves what a dataset needs as it is" in plan.warnings[0]
 
 
 def test_a_damaged_record_of_the_last_run_costs_words_only(study: Path, store: Path) -> None:
     run_toys(study, store)
     (store / "runs" / "latest" / "toy.json").write_text("{")
     assert states(plan_toys(study, store)) == FRESH
+    assert run_toys(study, store, "bend.step=2").num_computed == 7
+    assert verify(Store(store)).is_ok
 
 
 def test_two_shards_with_one_key_are_refused(study: Path, store: Path) -> None:
@@ -213,3 +217,57 @@ def _second_version(inputs: object, parameters: object) -> list[Shard]:
 def _plan_twice(inputs: object, parameters: object) -> list[Shard]:
     shards = TOYS.stage("aside").plan(inputs, parameters)  # type: ignore[arg-type]
     return [*shards, replace(shards[0])]
+
+
+def test_a_forced_stage_that_gives_other_bytes_takes_its_place_and_what_follows_is_computed(
+    study: Path, store: Path, tmp_path: Path
+) -> None:
+    run_toys(study, store, "bend.step=1")
+    outcome = run_toys(study, store, "bend.step=1", selection=Selection(force=("grow",)), graph=with_longer_steps())
+    assert {one.name: one.num_computed for one in outcome.stages if one.num_computed} == {
+        **dict.fromkeys(("grow", "bend"), 6),
+        "judge": 1,
+    }
+    run_toys(study, tmp_path / "anew", "bend.step=1", graph=with_longer_steps())
+    assert digests(store) == digests(tmp_path / "anew")
+
+
+def test_a_forced_stage_leaves_what_a_dataset_needs_and_says_what_to_do(study: Path, store: Path) -> None:
+    run_toys(study, store, "bend.step=1")
+    (judged,) = Store(store).artifacts("judge")
+    create_dataset(Store(store), "scores", [judged.ref])
+    before = digests(store)
+    with pytest.raises(ShardError, match=r"dataset scores@1 needs the old one, which stays; raise the version of the"):
+        run_toys(study, store, "bend.step=1", selection=Selection(force=("grow",)), graph=with_longer_steps())
+    assert verify(Store(store)).is_ok
+    run_toys(study, store, "bend.step=1", selection=Selection(force=("grow", "bend", "judge")))
+    assert digests(store) == before
+
+
+def test_shards_that_follow_one_that_a_killed_run_has_forced_are_computed_again(
+    study: Path, store: Path, tmp_path: Path
+) -> None:
+    run_toys(study, store)
+    with pytest.raises(ShardError, match="killed"):
+        run_toys(study, store, selection=Selection(force=("grow",)), graph=with_longer_steps(fail_at="s1"))
+    plan = plan_toys(study, store)
+    assert states(plan)["grow"] == "2 fresh, 4 stale"
+    assert reasons(plan, "grow") == {"a shard before it was computed again with other bytes"}
+    run_toys(study, store, graph=with_longer_steps())
+    run_toys(study, tmp_path / "anew", graph=with_longer_steps())
+    assert digests(store) == digests(tmp_path / "anew")
+    assert plan_toys(study, store).is_fresh
+
+
+def with_longer_steps(*, fail_at: str = "") -> Graph:
+    """Return the toys as a programmer leaves them who changed a stage and not its version."""
+
+    def grow(shard: Shard, store: Store) -> ArtifactRef:
+        if shard.name == fail_at:
+            raise InputError("killed")
+        told = shard.options(SegmentParameters)
+        changed = replace(shard, parameters=told.model_copy(update={"scale": 2 * told.scale}))
+        vars(changed)["key"] = shard.key
+        return run_grow(changed, store)
+
+    return Graph(tuple(replace(one, run_shard=grow) if one.name == "grow" else one for one in TOYS.stages))

@@ -20,6 +20,7 @@ def test_errors_that_a_user_can_put_right_say_so() -> None:
     assert {name for name in errors.__all__ if getattr(errors, name).is_input} == {
         "NewerSchema",
         "NotAStore",
+        "OlderSchema",
         "UnknownReference",
         "BadName",
         "DatasetExists",

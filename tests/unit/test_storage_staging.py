@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,18 @@ def test_another_hosts_folder_stays_until_it_is_old(tmp_path: Path, monkeypatch:
         os.utime(path, (0, 0))
     assert clean_leftovers(tmp_path / "tmp") == 1
     assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_another_hosts_folder_is_as_old_as_its_file_system_says_whatever_the_clock_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = StagingFolder(tmp_path / "tmp")
+    os.close(folder.lock)
+    monkeypatch.setattr(staging, "host_name", lambda: "elsewhere")
+    ahead = time.time() + 30 * 24 * 3600
+    monkeypatch.setattr("time.time", lambda: ahead)
+    assert clean_leftovers(tmp_path / "tmp") == 0
+    assert {path.name for path in (tmp_path / "tmp").iterdir()} == {folder.path.name, f"{folder.path.name}.lock"}
 
 
 def test_there_is_nothing_to_clean_where_nothing_is(tmp_path: Path) -> None:

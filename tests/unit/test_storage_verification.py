@@ -1,11 +1,26 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from storage_schema import ArtifactRef, MissingArtifact, Store, create_dataset, lineage, source_files, verify
+from storage_schema import (
+    ArtifactRef,
+    MissingArtifact,
+    Store,
+    create_dataset,
+    lineage,
+    new_run,
+    open_table,
+    read_latest,
+    record_latest,
+    source_files,
+    verify,
+)
+from storage_schema.errors import NamedByDataset, OlderSchema
+from storage_schema.garbage import find_unneeded
 from storage_schema.verification import ProblemKind
 from tests.builders.storage_rows import commit_rows
 
@@ -53,6 +68,77 @@ def test_every_kind_of_damage_is_named_and_nothing_else(store: Store, refs: list
         ("ab" + "0" * 62, "manifest.json", ProblemKind.MISSING),
         (refs[0].key, "manifest.json", ProblemKind.MISSING),
     }
+
+
+def test_damaged_records_and_lists_are_named_and_nothing_else(store: Store, refs: list[ArtifactRef]) -> None:
+    create_dataset(store, "released", refs)
+    runs = [new_run(store, "duets") for _ in range(3)]
+    for run in runs:
+        run.write("plan.json", {"stages": []})
+        run.write("run.json", {"status": "finished"})
+    record_latest(store, "duets", runs[0].run_id, {})
+    record_latest(store, "salsa", runs[0].run_id, {})
+    assert verify(store).is_ok
+    (runs[0].path / "plan.json").write_bytes(b"{\x00")
+    (runs[1].path / "run.json").write_text("[]")
+    (store.root / "runs" / "latest" / "salsa.json").write_text("{}")
+    (store.root / "datasets" / "released@1" / "dataset.json").write_text("{}")
+    problems = verify(store).problems
+    assert {problem.kind for problem in problems} == {ProblemKind.UNREADABLE}
+    assert {str(problem).partition(":")[0] for problem in problems} == {
+        f"runs/{runs[0].run_id}/plan.json",
+        f"runs/{runs[1].run_id}/run.json",
+        "runs/latest/salsa.json",
+        "datasets/released@1/dataset.json",
+    }
+
+
+def test_what_a_dataset_was_computed_from_is_missed_too(store: Store) -> None:
+    take = commit_rows(store, "poses", stage="ingest")
+    create_dataset(store, "released", [commit_rows(store, inputs=(take,))])
+    store.discard(take)
+    (problem,) = verify(store).problems
+    assert (problem.stage, problem.kind) == ("ingest", ProblemKind.MISSING)
+    assert "dataset released@1 was computed from this artifact" in problem.detail
+
+
+def as_of(store: Store, ref: ArtifactRef, **changed: object) -> None:
+    """Let a manifest say other things of itself."""
+    path = store.folder(ref.stage, ref.key) / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"code_version": "0.0.9", **changed}))
+
+
+def test_what_an_older_schema_wrote_is_no_damage_and_its_release_is_named(store: Store) -> None:
+    take = commit_rows(store, "poses", stage="ingest")
+    ref = commit_rows(store, inputs=(take,))
+    create_dataset(store, "released", [ref])
+    as_of(store, ref, schema_version=0, what_there_was_then=1)
+    record = store.root / "runs" / "latest" / "duets.json"
+    record.parent.mkdir(parents=True)
+    record.write_text('{"schema_version": 0, "shards": []}')
+    with pytest.raises(OlderSchema):
+        read_latest(store, "duets")
+    found = verify(store)
+    assert found.is_ok
+    (note,) = found.notes
+    assert note.endswith("pasdedeux 0.0.9 reads it, and a run of its study with this one computes it anew beside it")
+    assert store.find(ref.stage, ref.key) is None
+    with pytest.raises(OlderSchema, match=r"written under schema version 0, .* pasdedeux 0\.0\.9 reads it"):
+        open_table("scores:released@1", store)
+    kept = find_unneeded(store, [(ref.stage, ref.key)], datetime.max.replace(tzinfo=UTC)).kept
+    assert {one.place[0] for one in kept} == {"ingest", "evaluation"}
+
+
+def test_a_dataset_of_other_columns_names_the_release_that_reads_them(store: Store) -> None:
+    ref = commit_rows(store)
+    create_dataset(store, "released", [ref])
+    (table, part), *_ = json.loads((store.folder(ref.stage, ref.key) / "manifest.json").read_text())["tables"].items()
+    as_of(store, ref, tables={table: {**part, "schema": "0" * 16}})
+    found = verify(store)
+    assert (found.problems, len(found.notes)) == ((), 1)
+    assert "scores of it have columns of another version; pasdedeux 0.0.9 reads them" in found.notes[0]
+    with pytest.raises(NamedByDataset, match="dataset released@1 needs the old one"):
+        commit_rows(store, attachments={"note.txt": b"other bytes under this key"})
 
 
 def test_lineage_reaches_every_source_once(store: Store) -> None:

@@ -1,0 +1,59 @@
+"""Licence and credit lines beside files that go out: one text for all that a folder holds, whoever wrote it when."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from flows.exports.export_format import write_text
+from storage_schema import ArtifactRef, SourceCredit
+
+__all__ = ["CREDITS_NAME", "add_notice", "write_credits"]
+
+CREDITS_NAME = "CREDITS.txt"
+_SOURCES = "Sources, their licences and credits:"
+_ARTIFACTS = "Artifacts (stage, key, content digest):"
+_OURS = re.compile(
+    rf"(?P<exports>(Exported from .*\n)+)\n{re.escape(_SOURCES)}\n\n"
+    r"(?P<sources>(\S.*\n  licence: .*\n  credit: .*\n\n)*)"
+    rf"{re.escape(_ARTIFACTS)}\n(?P<artifacts>(  .*\n)*)"
+)
+
+
+def write_credits(credited: Sequence[SourceCredit], refs: Sequence[ArtifactRef], text: str, out: Path) -> Path:
+    """Write the licence and credit lines of every source of an export into a folder, beside those that are there."""
+    path = out / CREDITS_NAME
+    before = _read(path)
+    ours = _OURS.search(before)
+    exports, sources, artifacts = ({*ours[name].split(end)} if ours else set() for name, end in _ENDS.items())
+    exports.add(f"Exported from {text} by pasdedeux.")
+    artifacts |= {f"  {ref.stage} {ref.key} {ref.content_digest}" for ref in refs}
+    for source in credited:
+        name, licence, credit = (" ".join(said.split()) for said in (source.name, source.licence, source.credit))
+        sources.add(f"{name}\n  licence: {licence}\n  credit:  {credit}")
+    parts = (_lines(exports), f"\n{_SOURCES}\n\n", _lines(sources, "\n\n"), f"{_ARTIFACTS}\n", _lines(artifacts))
+    return write_text(path, _with_notice(_OURS.sub("", before), "".join(parts)))
+
+
+def add_notice(path: Path, notice: str) -> None:
+    """Put a notice on top of a text of credits, unless it stands there."""
+    before = _read(path)
+    if notice.strip() not in before:
+        write_text(path, _with_notice(notice, before))
+
+
+_ENDS = {"exports": "\n", "sources": "\n\n", "artifacts": "\n"}
+
+
+def _lines(said: set[str], end: str = "\n") -> str:
+    return "".join(one + end for one in sorted(said - {""}))
+
+
+def _with_notice(notice: str, text: str) -> str:
+    """Join what others wrote and our text."""
+    return "\n\n".join(part.strip("\n") for part in (notice, text) if part.strip()) + "\n"
+
+
+def _read(path: Path) -> str:
+    return path.read_text("utf-8", errors="replace") if path.is_file() else ""

@@ -16,7 +16,7 @@ from tasks.training.parameters import LeftOutParameters, SegmentParameters, Trai
 
 __all__ = ["VERSION", "check_study", "plan", "split_variants"]
 
-VERSION = 9
+VERSION = 10
 
 
 def plan(inputs: StageInputs, parameters: TrainingParameters) -> list[Shard]:

@@ -145,7 +145,7 @@ def contact_drifts(
         plain = reference_motion(source, scale[None])[0]
         for method, moved in zip(found, (motion, plain), strict=True):
             found[method].append(np.abs(distances(points_of(moved)) - wanted))
-    drifts = {method: np.array(rows).reshape(-1, len(is_hand)) for method, rows in found.items()}
+    drifts = {method: np.array(rows).reshape(len(rows), len(is_hand)) for method, rows in found.items()}
     return ContactDrifts(is_hand, held[0], drifts)
 
 

@@ -250,7 +250,7 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
     """Return one verdict over many, however and in whatever order their work was cut; None where there is none.
 
     What was compared is compared again over all items.  Of what is left it is the worst level, how many share it and
-    their most frequent reason, and means of figure and baseline over all things: of the figure that the worst have.
+    their most frequent reason, and means of figure and baseline over all things: of the figure that the reason is of.
     """
     every = list(verdicts)
     found = _joined([one for one in every if one.count] or every[:1])
@@ -262,9 +262,8 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
             tally[level, reason] += count
     worst = max((level for level, _ in tally), key=lambda level: level.rank)
     shared = {reason: count for (level, reason), count in tally.items() if level is worst}
-    reason = min(shared, key=lambda reason: (not reason, -shared[reason], reason))
-    if worst is not Level.PASS:
-        reason = f"{sum(shared.values())} of {tally.total()}: {reason}"
+    why = min(shared, key=lambda reason: (not reason, -shared[reason], reason))
+    reason = why if worst is Level.PASS else f"{sum(shared.values())} of {tally.total()}: {why}"
     measured: dict[str, list[Verdict]] = {}
     for one in found:
         if one.figure and math.isfinite(one.value):
@@ -275,7 +274,8 @@ def merge_verdicts(verdicts: Iterable[Verdict]) -> Verdict | None:
 
     def rank(figure: str) -> tuple[int, int, str]:
         alike = measured[figure]
-        return -max(one.level.rank for one in alike), -sum(one.count for one in alike), figure
+        has_reason = any((worst, why) in {(one.level, one.reason), *(row[:2] for row in one.tally)} for one in alike)
+        return -has_reason, -sum(one.count for one in alike), figure
 
     alike = measured[min(measured, key=rank)]
     names = sorted({one.baseline_name for one in alike})

@@ -278,8 +278,9 @@ def _completed(shard: Shard, store: Store) -> TopicResult:
         if split == "held_out":
             at = [take for take, _ in places], [frame / rates[take] for take, frame in places]
             judged[_COMPLETED] += [Items(errors, *at, BASELINES) for errors in completed.values()]
-        for gap in _GAPS:
-            starts = _spread_places(own, max(count // 4, 1), gap)
+        every = _spread_places(own, max(count, len(_GAPS)), max(_GAPS))
+        for number, gap in enumerate(_GAPS):
+            starts = every[number :: len(_GAPS)]
             if not starts:
                 continue
             filled = in_between_errors([own[take][frame : frame + gap + 1] for take, frame in starts], pool)

@@ -315,6 +315,16 @@ def test_contacts_are_scored_by_class_beside_plain_fk_and_the_source_itself_keep
     assert drift["interaction_mesh"] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_a_take_that_touches_nothing_has_no_drifts() -> None:
+    source = Source(swaying_pair(8, apart_m=5.0), 30.0)
+    drifts = contact_drifts(source.contacts(), source, (1.0, 1.0), [(np.ones((2, 22)), source.positions_m)])
+    assert {method: found.shape for method, found in drifts.found_m.items()} == {
+        "interaction_mesh": (1, 0),
+        "naive_fk": (1, 0),
+    }
+    assert contact_scores(drifts, item="x") == []
+
+
 def test_the_gap_of_the_bulk_solver_is_measured_beside_its_estimate() -> None:
     source = Source(swaying_pair(30), 30.0)
     scale = np.ones((1, 2, 22))

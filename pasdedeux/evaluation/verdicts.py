@@ -130,21 +130,20 @@ def compare(paired: Paired, figure: str, unit: str, thing: str) -> Verdict:
         reason = (
             f"no baseline was scored beside {method}"
             if not hardest
-            else f"{paired.count:,} held-out {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
+            else f"{paired.count:,} {thing} in {num_blocks} blocks of 1 s, and {FEWEST_BLOCKS} are needed"
             if num_blocks
             else "nothing of it was held out"
         )
     else:
-        low, high = intervals[hardest]
-        level = Level.FAIL if is_behind else Level.PASS if low > 0.0 else Level.WARN
         lead, (low, high) = sign * (mean[hardest] - mean[paired.method]), intervals[hardest]
-        if is_behind:
+        level = Level.FAIL if is_behind else Level.PASS if low > 0.0 else Level.WARN
+        if is_worse := is_behind or lead < 0.0:
             lead, low, high = -lead, -high, -low
         by = format_value(lead, unit)
         ends = " to ".join(format_value(end, unit).split(" ")[0] for end in (low, high))
         over = f"{len(set(paired.takes))} takes" if has_takes else f"{num_blocks} blocks of 1 s"
         how = {Level.PASS: "better than", Level.WARN: "about as good as", Level.FAIL: "worse than"}[level]
-        said = "ahead by" if level is Level.WARN else "by"
+        said = "by" if level is not Level.WARN else "behind by" if is_worse else "ahead by"
         reason = f"{method} is {how} {beaten}, {said} {by} ({ends}, over {over})"
     values = (mean[paired.method], unit, mean.get(hardest, math.nan), beaten)
     return Verdict(level, reason, figure, *values, count=paired.count, thing=thing, paired=paired)

@@ -26,6 +26,7 @@ from tasks.evaluation.models import TOPIC as MODELS_TOPIC
 from tasks.graph import load_graph
 from tasks.ingest.parameters import IngestParameters
 from tasks.stage import Parameters, Shard, StageInputs, verdict_of
+from tasks.summary import stage_verdict
 from tasks.training import STAGE as TRAINING
 from tasks.training.parameters import TrainingParameters
 from tasks.training.run import read_arrays
@@ -134,7 +135,12 @@ def test_pairs_get_variants_with_figures(store: Store) -> None:
     verdict = verdict_of(made[0])
     assert verdict is not None
     assert (verdict.count, verdict.figure, verdict.unit) == (3, "contact drift", "m")
-    assert verdict.value == np.median(quality["contact_drift_m"]) < verdict.baseline
+    assert verdict.value == pytest.approx(np.mean(quality["contact_drift_m"]))
+    assert verdict.value < verdict.baseline
+    whole = stage_verdict(made)
+    drifts = [store.read(one.ref, "variant_quality")["contact_drift_m"] for one in made]
+    assert whole is not None
+    assert (whole.count, whole.value) == (4, pytest.approx(np.concatenate(drifts).mean())), "however variants are cut"
 
 
 def test_every_frame_of_every_variant_has_figures_and_a_verdict(store: Store) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,7 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
     """Commit what a topic found, with the verdict of each of its yardsticks that has items."""
     judged = {one.name: one.verdict(result.items[one.name]) for one in topic.yardsticks if one.name in result.items}
     parts = {name: verdict for name, verdict in judged.items() if verdict is not None}
+    whole = merge_verdicts(parts.values())
     return commit(
         shard,
         store,
@@ -119,7 +120,7 @@ def commit_topic(topic: Topic, shard: Shard, store: Store, result: TopicResult) 
             "captions": dict(result.captions),
             "notes": list(result.notes),
         },
-        verdict=merge_verdicts(parts.values()),
+        verdict=None if whole is None else replace(whole, paired=None),
         parts=parts,
     )
 

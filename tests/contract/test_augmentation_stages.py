@@ -305,15 +305,16 @@ def test_a_stored_model_predicts(store: Store) -> None:
     assert "train_error_cm" in list(log["quantity"])
 
 
-def test_a_model_is_judged_on_validation_beside_the_better_baseline(store: Store) -> None:
+def test_a_model_is_compared_on_validation_beside_the_better_baseline(store: Store) -> None:
     takes = [put_take(store, "one")]
     variants = augment(store, takes)
     made = train(store, plan_training(takes, variants))
     verdicts = {name: verdict_of(manifest) for name, manifest in made.items()}
     ridge = verdicts["cross_scale ridge_scale"]
     assert ridge is not None
-    assert (ridge.level, ridge.figure, ridge.unit) == (Level.PASS, "joint error of validation variants", "cm")
-    assert ridge.baseline_name == "naive_fk", "copy is far off where bones change"
+    assert (ridge.figure, ridge.unit, ridge.count) == ("joint error of validation variants", "cm", 2)
+    assert (ridge.level, ridge.reason) == ("not judged", "2 variants in 1 blocks of 1 s, and 10 are needed")
+    assert ridge.baseline_name == "plain forward kinematics", "copy is far off where bones change"
     assert ridge.value < ridge.baseline
     copied = verdicts["cross_scale copy"]
     assert copied is not None
